@@ -14,6 +14,9 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 
+#: Smaller numbers on the diagonal of a matrix are taken for this when it is factorized.
+LEAST_PIVOT = 1e-18
+
 
 def product(one: FloatArray, other: FloatArray) -> FloatArray:
     """
@@ -57,7 +60,7 @@ def factorized(matrix: FloatArray, added: float) -> FloatArray:
     :param added: above 0
     """
     factor = with_diagonal(matrix, added)
-    mujoco.mju_cholFactor(factor, 1e-18)
+    mujoco.mju_cholFactor(factor, LEAST_PIVOT)
     return factor
 
 

@@ -8,12 +8,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 import contextlib
 
-from manip_sim.simulation import SimulatedRobot
+from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.cartesian.commands import CartesianCommand
+from manip_sim.simulation.cartesian.controller import CartesianController
+from manip_sim.simulation.cartesian.operational_space_controller import FollowingHand, HandEfforts
 from manip_sim.simulation.control_period import Interval
 from manip_sim.worlds.joint_rows import JointRows, takes
 
 #: With fewer worlds, one by one is as fast.
 _LEAST = 3
+
+
+def follows_hands(simulation: Simulation) -> bool:
+    """Return whether a robot has Cartesian commands, for which control acts in each interval."""
+    return any([isinstance(command, CartesianCommand) for robot in simulation.robots.values()
+                for command in robot.joints.commands.running])
 
 
 class ControlTogether:
@@ -44,6 +53,7 @@ class ControlTogether:
         if not self._began:
             self._began = True
             self._begin([robot for interval in intervals for robot in interval.robots])
+        _follow(intervals)
         arrived: list[SimulatedRobot] = []
         ticked: set[JointRows] = set()
         for interval in intervals:
@@ -72,3 +82,25 @@ class ControlTogether:
             if len(group) >= _LEAST:
                 rows = JointRows(group)
                 self._rows_of.update((id(robot), rows) for robot in group)
+
+
+def _follow(intervals: Sequence[Interval]) -> None:
+    """Compute the efforts of hands in effort mode, of arms with as many joints together."""
+    groups: dict[int, tuple[list[FollowingHand], list[tuple[CartesianController, str]]]] = {}
+    for interval in intervals:
+        for robot in interval.robots:
+            joints = robot.joints
+            if joints.commands.waiting:  # What begins now may take joints.
+                continue
+            for command in joints.commands.running:
+                if isinstance(command, CartesianCommand):
+                    hand = joints.cartesian.following(
+                        command, robot._clock.control_s, interval.duration_s)
+                    if hand is not None:
+                        hands, takers = groups.setdefault(len(command.indices), ([], []))
+                        hands.append(hand)
+                        takers.append((joints.cartesian, command.arm))
+    for hands, takers in groups.values():
+        found = HandEfforts(hands)
+        for row, (controller, arm) in enumerate(takers):
+            controller.take(arm, found, row)

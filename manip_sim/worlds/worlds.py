@@ -20,12 +20,16 @@ from manip_sim.models.validation import whole_number
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
-from manip_sim.worlds.control_together import ControlTogether
+from manip_sim.worlds.control_together import ControlTogether, follows_hands
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
 from manip_sim.worlds.rows import chosen
 from manip_sim.worlds.stream_rows import Streams
 from manip_sim.worlds.template import Template
+
+#: Where control acts in each interval, so many worlds for each thread run a period together: the
+#: data of more of them would not stay in the cache of a processor from interval to interval.
+_IN_CACHE = 8
 
 
 class Worlds:
@@ -153,9 +157,15 @@ class Worlds:
         physics, others = self._streams.begin_period(
             [simulation for simulation in self._of(where) if simulation.diverged is None], steps)
         self._threads.run(physics)
-        if not others:
-            return
-        periods = [simulation.period(steps) for simulation in others]
+        hands = [simulation for simulation in others if follows_hands(simulation)]
+        count = _IN_CACHE * self._threads.count
+        for some in ([simulation for simulation in others if simulation not in hands],
+                     *(hands[begin:begin + count] for begin in range(0, len(hands), count))):
+            if some:
+                self._run([simulation.period(steps) for simulation in some])
+
+    def _run(self, periods: list[Iterator[Interval]]) -> None:
+        """Run control periods, each interval in all worlds before the next one."""
         with self._control.period():
             while periods:
                 periods, intervals = _next_intervals(periods)

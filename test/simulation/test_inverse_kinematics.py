@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from manip_sim.simulation.cartesian import displacements
-from manip_sim.simulation.cartesian.displacements import bend, displace, rate_without_bend
+from manip_sim.simulation.cartesian.displacements import (
+    bend, displace, Displacements, rate_without_bend)
 from manip_sim.simulation.cartesian.frames import RobotFrames
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, stop)
@@ -204,33 +205,31 @@ def test_a_rate_is_lowered_exactly_where_the_hand_would_have_to_bend_too_much():
 
 
 def test_displacements_without_bounds_are_those_of_the_bounded_search(monkeypatch):
-    draw, plain = np.random.default_rng(1), displacements._unbounded
-    cases = []
+    draw, bounded, searches = np.random.default_rng(1), displacements._bounded, []
+    monkeypatch.setattr(displacements, '_bounded',
+                        lambda *of: searches.append(of) or bounded(*of))
+    plain, taken = Displacements._unbounded, 0
     for _ in range(200):
         jacobian = draw.normal(size=(6, 7))
         jacobian[0] *= draw.uniform(0.01, 1.0)
         far = draw.uniform(0.05, 3.0)
-        cases.append((jacobian, 0.2 * draw.normal(size=6), np.full(7, -far), np.full(7, far),
-                      draw.normal(size=7)))
-    direct = [displace(*case) for case in cases]
-    taken = sum(plain(case[0], case[1], *_of(case), *case[2:]) is not None for case in cases)
-    monkeypatch.setattr(displacements, '_unbounded', lambda *_: None)
-    for case, found in zip(cases, direct):
-        searched = displace(*case)
+        case = (jacobian, 0.2 * draw.normal(size=6), np.full(7, -far), np.full(7, far),
+                draw.normal(size=7))
+        searches.clear()
+        found = Displacements(*case, [False])
+        taken += not searches
+        with monkeypatch.context() as patched:
+            patched.setattr(Displacements, '_unbounded',
+                            lambda self, *of: (*plain(self, *of)[:3], [0]))
+            searched = Displacements(*case, [False])
+        assert searches
         np.testing.assert_allclose(found.step, searched.step, atol=1e-8)
         np.testing.assert_allclose(found.drift, searched.drift, atol=1e-5)
         np.testing.assert_allclose(found.slack(case[4]), searched.slack(case[4]), atol=1e-8)
-        assert found.singular == searched.singular and (found.held == searched.held).all()
-        assert found.rests == searched.rests
+        one, other = found.row(), searched.row()
+        assert one.singular == other.singular and (one.held == other.held).all()
+        assert one.rests == other.rests
     assert 20 < taken < 180
-
-
-def _of(case):
-    """Return what is computed of a Jacobian and a task beforehand."""
-    jacobian, task = case[:2]
-    square, pull = jacobian.T @ jacobian, jacobian.T @ task
-    regular = displacements.factorized(square, 1e-9)
-    return (square, np.linalg.norm(task), pull, regular, displacements.solved(regular, pull))
 
 
 def test_a_stop_brakes_with_the_limit():

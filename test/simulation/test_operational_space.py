@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.simulation.cartesian import operational_space
 from manip_sim.simulation.cartesian.frames import rotation_of_vector, rotation_vector
+from manip_sim.simulation.cartesian.operational_space import WantedMotions
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 
 
 def wanted_motion(jacobian, error, twist, settings, velocity_limit):
     """Return the motion of joints that are far from the ends of their ranges."""
     endless = np.full(jacobian.shape[1], np.inf)
-    return operational_space.wanted_motion(jacobian, error, twist, settings, velocity_limit,
-                                           -endless, endless, np.zeros(len(endless)))
+    return WantedMotions(jacobian, error, [twist], [settings], velocity_limit, -endless, endless,
+                         np.zeros(len(endless)), [False])
 
 
 def base_axes(op):
@@ -211,7 +211,7 @@ def test_way_and_turn_to_a_goal_are_each_limited_to_the_velocity_of_the_settings
         [b if e is None else e for b, e in zip(balance, expected)])
     motion = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
     np.testing.assert_allclose(motion.joints, expected, atol=1e-12)
-    assert not motion.slowed and not motion.found.singular
+    assert not motion.slowed(0) and not motion.found.row().singular
 
 
 @pytest.mark.parametrize(('smallest', 'share', 'singular'), [
@@ -221,13 +221,13 @@ def test_it_is_singular_if_most_of_the_motion_is_what_the_arm_cannot_do(smallest
     jacobian = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest])
     twist = 0.8 * np.array([np.sqrt(1.0 - share**2), 0.0, 0.0, 0.0, 0.0, share])
     motion = wanted_motion(jacobian, np.zeros(6), twist, CartesianSettings(), np.full(6, 100.0))
-    assert motion.found.singular == singular
+    assert motion.found.row().singular == singular
 
 
 def test_a_hand_that_shall_not_move_is_not_kept_from_it_by_a_singularity():
     motion = wanted_motion(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), np.zeros(6), np.zeros(6),
                            CartesianSettings(), np.full(6, 10.0))
-    assert not motion.found.singular
+    assert not motion.found.row().singular
 
 
 def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():
@@ -237,7 +237,33 @@ def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():
     limits[0] = free.joints[0] / 4.0
     slow = wanted_motion(np.eye(6), error, np.zeros(6), settings, limits)
     np.testing.assert_allclose(slow.joints, free.joints / 4.0, atol=1e-12)
-    assert slow.slowed and not free.slowed
+    assert slow.slowed(0) and not free.slowed(0)
+
+
+def test_motions_of_several_arms_are_those_of_each_to_the_bit():
+    draw, count, size = np.random.default_rng(5), 40, 7
+    jacobians = draw.normal(size=(count, 6, size))
+    jacobians[:, 0] *= draw.uniform(0.001, 1.0, (count, 1))
+    errors, velocity, away = (draw.normal(size=(count, n)) * draw.uniform(0.0, 1.0, (count, 1))
+                              for n in (6, size, size))
+    limits, low, high = draw.uniform([[0.2], [-1.0], [0.05]], [[2.0], [-0.05], [1.0]],
+                                     (count, 3, size)).transpose(1, 0, 2)
+    twists = [draw.normal(size=6) if row % 3 else None for row in range(count)]
+    rested, settings = [row % 2 == 0 for row in range(count)], [CartesianSettings()] * count
+    together = WantedMotions(jacobians, errors, twists, settings, limits, low, high, away, rested)
+    accelerations, bounded = together.accelerations(velocity), 0
+    for row in range(count):
+        alone = WantedMotions(jacobians[row], errors[row], [twists[row]], [settings[row]],
+                              limits[row], low[row], high[row], away[row], [rested[row]])
+        assert accelerations[row].tobytes() == alone.accelerations(velocity[row]).tobytes()
+        assert together.joints[row].tobytes() == alone.joints.tobytes()
+        assert together.slowed(row) == alone.slowed(0)
+        one, other = together.found.row(row), alone.found.row()
+        assert (one.singular, one.rests) == (other.singular, other.rests)
+        assert (one.held == other.held).all() and (one.step == other.step).all()
+        assert together.found.rests[row] == one.rests
+        bounded += bool(one.held.any())
+    assert 5 < bounded < count - 5
 
 
 @pytest.mark.parametrize('axis', [[1.0, 0.0, 0.0], [0.0, -0.6, 0.8], [-2 / 3, 2 / 3, 1 / 3]])

@@ -23,7 +23,7 @@ from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, STILL, stop)
 from manip_sim.simulation.cartesian.operational_space_controller import (
-    EffortSolution, OperationalSpaceController)
+    EffortSolution, FollowingHand, HandEfforts, OperationalSpaceController)
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
 from manip_sim.simulation.cartesian.reports import CartesianReport, MISSED
 from manip_sim.simulation.cartesian.settings import CartesianSettings
@@ -69,6 +69,9 @@ class CartesianController:
     :ivar period_s: length of the control period [s]
     """
 
+    #: Empty between two control periods.
+    not_in_digest = ('_found',)
+
     def __init__(self, physics: Physics, hands: Mapping[str, Hand], names: Sequence[str],
                  servos: Servos, setpoints: SetpointGenerator) -> None:
         self._physics = physics
@@ -84,6 +87,8 @@ class CartesianController:
         self._targets: dict[str, Target] = {}
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in hands}
+        #: Efforts for the next interval, by arm, where they were computed with those of others.
+        self._found: dict[str, tuple[HandEfforts, int]] = {}
         self._operational = OperationalSpaceController(physics, servos, self._posture)
         physics.on_change(self._make_room)
 
@@ -246,17 +251,29 @@ class CartesianController:
         :param efforts: of all joints, changed in place [N m], shape (n,)
         """
         target = self._targets[command.arm]
-        if target.twists is not None and now_s >= target.until_s - 1e-9:
-            target.twists = None
-            target.until_s = -math.inf
-            command.handle.end(Status.ABORTED, 'no fresh twist came in time')
+        self._end_twist(command, target, now_s)
         if self._servos.any_gives_effort_of(command.indices):
-            efforts[command.indices] = self._effort(command, target, data, now_s, duration_s)
+            if command.arm not in self._found:
+                self.take(command.arm, HandEfforts(
+                    [self._following(command, target, now_s, duration_s)]), 0)
+            found, row = self._found.pop(command.arm)
+            efforts[command.indices] = found.efforts_of(row)
+            if target.solve_s == -math.inf:
+                # What limits the hand is reported, and whether it rests, once in a control period.
+                target.solve_s = now_s
+                self._report(command, target, found.solution(row), data, now_s)
         elif target.settled_in is None and now_s >= target.solve_s - 1e-9:
             parts = max(1, math.ceil(self.period_s / _LONGEST_INTERVAL_S - 1e-9))
             interval_s = max(self.period_s / parts, duration_s)
             target.solve_s = now_s + interval_s
             self._solve(command, target, data, now_s, interval_s)
+
+    @staticmethod
+    def _end_twist(command: CartesianCommand, target: Target, now_s: float) -> None:
+        if target.twists is not None and now_s >= target.until_s - 1e-9:
+            target.twists = None
+            target.until_s = -math.inf
+            command.handle.end(Status.ABORTED, 'no fresh twist came in time')
 
     # ------------------------------------------------------------------ by inverse kinematics
 
@@ -333,24 +350,44 @@ class CartesianController:
 
     # ------------------------------------------------------------------ by operational space
 
-    def _effort(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
-                duration_s: float) -> FloatArray:
-        twisted = target.twists is not None
-        solution = self._operational.follow(
-            self._hands[command.arm].tip, target, command.indices, data, now_s, duration_s,
-            self.settings[command.arm])
-        if target.solve_s == -math.inf:
-            # What limits the hand is reported, and whether it rests, once in a control period.
-            target.solve_s = now_s
-            self._report(command, target, solution, twisted, data, now_s)
-        return solution.effort
+    def following(self, command: CartesianCommand, now_s: float, duration_s: float
+                  ) -> FollowingHand | None:
+        """
+        Return the hand of a command if it takes efforts in the next interval, else None.
+
+        So they can be computed together with those of others; :meth:`take` has to be called then.
+
+        :param now_s: simulation time [s]
+        :param duration_s: length of the interval [s]
+        """
+        if not self._servos.any_gives_effort_of(command.indices):
+            return None
+        target = self._targets[command.arm]
+        self._end_twist(command, target, now_s)
+        return self._following(command, target, now_s, duration_s)
+
+    def take(self, arm: str, found: HandEfforts, row: int) -> None:
+        """
+        Take efforts for the next call of :meth:`follow`.
+
+        :param arm: whose hand
+        :param found: efforts of several hands
+        :param row: which of them is that of the arm
+        """
+        self._found[arm] = found, row
+
+    def _following(self, command: CartesianCommand, target: Target, now_s: float,
+                   duration_s: float) -> FollowingHand:
+        return self._operational.hand(
+            self._hands[command.arm].tip, target, command.indices, self.settings[command.arm],
+            now_s, duration_s)
 
     def _report(self, command: CartesianCommand, target: Target, solution: EffortSolution,
-                twisted: bool, data: mujoco.MjData, now_s: float) -> None:
-        rests, found = solution.rests, solution.wanted.found
+                data: mujoco.MjData, now_s: float) -> None:
+        rests, found, twisted = solution.rests, solution.found, target.twists is not None
         self._see(command, 'the twist' if twisted else 'the motion to the target',
                   found.held & (not rests), not rests and found.singular,
-                  twisted and solution.wanted.slowed)
+                  twisted and solution.slowed)
         if not twisted:
             self._look(command, target, data, now_s, solution.error, rests,
                        solution.progress(self.settings[command.arm]))

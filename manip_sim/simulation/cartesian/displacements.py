@@ -12,15 +12,19 @@ the place where the hand is nearest, so the joints come to rest there. Nothing h
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+import functools
 import math
 from typing import NamedTuple
 
 import mujoco
+from mujoco import (
+    mju_cholFactor, mju_cholSolve, mju_mulMatTMat, mju_mulMatTVec, mju_mulMatVec, mju_norm)
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.algebra import (
-    dot, factorized, length, product, solved, transposed_product, with_diagonal)
+    dot, factorized, LEAST_PIVOT, length, product, solved, with_diagonal)
 from manip_sim.simulation.profiles import within
 
 #: What needs larger displacements of a joint is not possible here [rad].
@@ -81,9 +85,132 @@ class Displacement(NamedTuple):
         """Whether a motion is wanted in a direction in which the hand can hardly move."""
         return not self.easy and _is_singular(self.jacobian, self.task)
 
+
+class Displacements:
+    """
+    Displacements of the joints of one arm, or of several of as many joints, each a row.
+
+    For several, fewer calls are needed than one by one, with the same bits. For one arm, arrays
+    have no axis of rows.
+
+    :param jacobians: of position and rotation of the hands, shape (rows, 6, n), the joints in
+        their order from the base to the hand
+    :param tasks: wanted translations [m] and rotation vectors [rad], shape (rows, 6)
+    :param low: lowest displacements within the ranges of the joints [rad], shape (rows, n)
+    :param high: highest displacements [rad], shape (rows, n)
+    :param away: displacements to the postures [rad], shape (rows, n)
+    :param rested: whether each hand rested before
+    :ivar step: as of :class:`Displacement`, shape (rows, n); ``drift`` too
+    :ivar rests: of each hand
+    """
+
+    def __init__(self, jacobians: FloatArray, tasks: FloatArray, low: FloatArray,
+                 high: FloatArray, away: FloatArray, rested: Sequence[bool]) -> None:
+        self._one, self._jacobians, self._tasks = tasks.ndim == 1, jacobians, tasks
+        self.rests = [False] * len(rested)
+        #: The displacements where not all of a task is possible, or a bound is met.
+        self._bounded: dict[int, Displacement] = {}
+        squares, pulls, wanted, outside = self._unbounded(low, high, away)
+        if not outside:
+            return
+        for row, (jacobian, task, square, pull, sought, lowest, highest, posture, *results) in (
+                enumerate(self._rows(jacobians, tasks, squares, pulls, wanted, low, high, away,
+                                     self.step, self.drift, self._factors))):
+            if row in outside:
+                one = self._bounded[row] = _bounded(
+                    jacobian, task, square, self._whole[row], pull, sought, lowest, highest,
+                    posture, rested[row])
+                for result, found in zip(results, (one.step, one.drift, one.factor)):
+                    result[:] = found
+                self.rests[row] = one.rests
+
+    def _rows(self, *arrays: FloatArray) -> Iterable[tuple[FloatArray, ...]]:
+        return (arrays,) if self._one else zip(*arrays)
+
+    def _unbounded(self, low: FloatArray, high: FloatArray, away: FloatArray
+                   ) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
+        """
+        Find the displacements as if all of the tasks were possible and no bound were met.
+
+        Where that is so, they are those of :func:`_bounded`, found in a tenth of the time.
+
+        :returns: squares of the Jacobians, the tasks and their solutions in joints, and the rows
+            where it is not so
+        """
+        shape, tasks = away.shape, self._tasks
+        squares, pulls, wanted = np.empty((*shape, shape[-1])), np.empty(shape), np.empty(shape)
+        for square, pull, jacobian, task in self._rows(squares, pulls, self._jacobians, tasks):
+            mju_mulMatTMat(square, jacobian, jacobian)
+            mju_mulMatTVec(pull, jacobian, task)
+        regular_diagonal, posture_diagonal = _diagonals(shape[-1])
+        regulars, factors = squares + regular_diagonal, squares + posture_diagonal
+        made, step, first, drift = (
+            np.empty(tasks.shape), np.empty(shape), np.empty(shape), np.empty(shape))
+        self._far, self._whole = [], []
+        for regular, factor, sought, pull, jacobian, task, moved in self._rows(
+                regulars, factors, wanted, pulls, self._jacobians, tasks, made):
+            mju_cholFactor(regular, LEAST_PIVOT)
+            mju_cholFactor(factor, LEAST_PIVOT)
+            mju_cholSolve(sought, regular, pull)
+            mju_mulMatVec(moved, jacobian, sought)
+            self._far.append(mju_norm(sought))
+            self._whole.append(mju_norm(task))
+        missed = tasks - made
+        exact = _REGULAR * wanted
+        exact += pulls
+        missing = []
+        for regular, factor, pull, way, free, posture, error in self._rows(
+                regulars, factors, exact, step, first, away, missed):
+            mju_cholSolve(way, regular, pull)
+            mju_cholSolve(free, factor, posture)
+            missing.append(mju_norm(error))
+        first *= _POSTURE
+        for factor, vector, free in self._rows(factors, first, drift):
+            mju_cholSolve(free, factor, vector)
+        drift *= _POSTURE
+        self.step, self.drift, self._factors = step, drift, factors
+        ends = np.empty((3, *shape))
+        ends[:] = step
+        ends[1] += first
+        ends[2] += drift
+        over = (ends < low) | (ends > high)
+        outside = [row for row, (far, whole, error) in enumerate(zip(
+            self._far, self._whole, missing))
+            if not (far <= _LARGEST and error <= _NEGLIGIBLE * whole)]
+        if np.count_nonzero(over):
+            met = np.flatnonzero(over.any(axis=(0, -1)))
+            outside = sorted({*outside, *met.tolist()})
+        return squares, pulls, wanted, outside
+
     def slack(self, velocity: FloatArray) -> FloatArray:
-        """Return the part of joint velocities that makes no difference to the task, shape (n,)."""
-        return _POSTURE * solved(self.factor, velocity)
+        """
+        Return the part of joint velocities that makes no difference to the tasks.
+
+        :param velocity: shape (rows, n); the result too
+        """
+        result = np.empty(velocity.shape)
+        for free, factor, own in self._rows(result, self._factors, velocity):
+            mju_cholSolve(free, factor, own)
+        result *= _POSTURE
+        return result
+
+    def row(self, row: int = 0) -> Displacement:
+        """Return the displacements of one arm."""
+        if row in self._bounded:
+            return self._bounded[row]
+        step, drift, factor, jacobian, task = [
+            of if self._one else of[row]
+            for of in (self.step, self.drift, self._factors, self._jacobians, self._tasks)]
+        # Half of the task in a direction in which the hand can hardly move would need more.
+        return Displacement(
+            step, drift, np.zeros(len(step), dtype=bool), factor, False, jacobian, task,
+            easy=self._far[row] * _SINGULAR <= 0.4 * self._whole[row])
+
+
+@functools.cache
+def _diagonals(size: int) -> tuple[FloatArray, FloatArray]:
+    """Return what is added to matrices so that they are regular, and for the posture, (n, n)."""
+    return _REGULAR * np.eye(size), _POSTURE * np.eye(size)
 
 
 def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: FloatArray,
@@ -99,13 +226,18 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
     :param away: displacements to the posture [rad], shape (n,)
     :param rested: whether the hand rested before
     """
-    square, pull = transposed_product(jacobian, jacobian), transposed_product(jacobian, task)
-    whole, regular = length(task), factorized(square, _REGULAR)
-    wanted = solved(regular, pull)
-    displacement = _unbounded(jacobian, task, square, whole, pull, regular, wanted, low, high,
-                              away)
-    if displacement is not None:
-        return displacement
+    return Displacements(jacobian, task, low, high, away, [rested]).row()
+
+
+def _bounded(jacobian: FloatArray, task: FloatArray, square: FloatArray, whole: float,
+             pull: FloatArray, wanted: FloatArray, low: FloatArray, high: FloatArray,
+             away: FloatArray, rested: bool) -> Displacement:
+    """
+    Return the displacements for a task where something keeps the joints from it.
+
+    :param square: of the Jacobian
+    :param whole: length of the task, ``pull`` and ``wanted`` it and its solution in joints
+    """
     stiffness, weight = square, _POSTURE
     step = _minimum(with_diagonal(square, _REGULAR), pull, within(low, -_LARGEST, _LARGEST),
                     within(high, -_LARGEST, _LARGEST))
@@ -137,33 +269,6 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
         if rests:
             step, drift = np.zeros(len(step)), np.zeros(len(step))
     return Displacement(step, drift, held, factorized(stiffness, _POSTURE), rests, jacobian, task)
-
-
-def _unbounded(jacobian: FloatArray, task: FloatArray, square: FloatArray, whole: float,
-               pull: FloatArray, regular: FloatArray, wanted: FloatArray, low: FloatArray,
-               high: FloatArray, away: FloatArray) -> Displacement | None:
-    """
-    Return the displacements where all of a task is possible and no bound is met, else None.
-
-    That is what :func:`displace` finds then too, in a tenth of the time.
-
-    :param square: of the Jacobian, ``regular`` its factor
-    :param whole: length of the task, ``pull`` and ``wanted`` it and its solution in joints
-    """
-    far = length(wanted)
-    if not (far <= _LARGEST
-            and length(task - product(jacobian, wanted)) <= _NEGLIGIBLE * whole):
-        return None
-    step = solved(regular, pull + _REGULAR * wanted)
-    factor = factorized(square, _POSTURE)
-    first = _POSTURE * solved(factor, away)
-    drift = _POSTURE * solved(factor, first)
-    ends = np.concatenate((step, step + first, step + drift)).reshape(3, -1)
-    if np.count_nonzero((ends < low) | (ends > high)):
-        return None
-    # Half of the task in a direction in which the hand can hardly move would need more than that.
-    return Displacement(step, drift, np.zeros(len(low), dtype=bool), factor, False, jacobian, task,
-                        easy=far * _SINGULAR <= 0.4 * whole)
 
 
 def _minimum(matrix: FloatArray, vector: FloatArray, low: FloatArray, high: FloatArray

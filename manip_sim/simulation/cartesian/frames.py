@@ -49,9 +49,18 @@ class Frame:
 
         :param data: the ``mujoco.MjData`` after ``mj_kinematics``
         """
+        position, rotation = self.view(data)
+        return position.copy(), rotation.copy()
+
+    def view(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
+        """
+        Return the same as views, which change when the frame moves.
+
+        :param data: the ``mujoco.MjData`` after ``mj_kinematics``
+        """
         if self.site is not None:
-            return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
-        return data.xpos[self.body].copy(), data.xmat[self.body].reshape(3, 3).copy()
+            return data.site_xpos[self.site], data.site_xmat[self.site].reshape(3, 3)
+        return data.xpos[self.body], data.xmat[self.body].reshape(3, 3)
 
     def jacobian(self, model: mujoco.MjModel, data: mujoco.MjData, dofs: slice | IntArray
                  ) -> FloatArray:
@@ -61,9 +70,11 @@ class Frame:
         :param data: the ``mujoco.MjData`` after ``mj_kinematics`` and ``mj_comPos``
         :param dofs: addresses of the joints in ``qvel``, shape (n,)
         """
-        jacobian = np.zeros((6, model.nv))
-        position = data.xpos[self.body] if self.site is None else data.site_xpos[self.site]
-        mujoco.mj_jac(model, data, jacobian[:3], jacobian[3:], position, self.body)
+        jacobian = np.empty((6, model.nv))
+        if self.site is None:
+            mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], self.body)
+        else:
+            mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], self.site)
         return np.ascontiguousarray(jacobian[:, dofs])
 
 

@@ -11,88 +11,110 @@ well behaved where the arm is singular. What leaves the hand where it is goes to
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
-from typing import NamedTuple
 
+from mujoco import mju_norm
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.algebra import length
-from manip_sim.simulation.cartesian.displacements import displace, Displacement
-from manip_sim.simulation.cartesian.inverse_kinematics import STILL
+from manip_sim.simulation.cartesian.displacements import Displacements
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 
 #: Stiffness towards the posture in the null space [1/s^2], critically damped; that of robosuite.
 _POSTURE = 10.0
+_POSTURE_DAMPING = 2.0 * math.sqrt(_POSTURE)
 #: Displacements are sought for a longer motion than this no more [m], [rad].
 _LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
 
 
-class WantedMotion(NamedTuple):
+class WantedMotions:
     """
-    The motion wanted of the joints of an arm.
+    The motion at which spring and damper are in balance, of one arm or several.
 
-    :ivar joints: velocities for the hand [rad/s], shape (n,)
+    It is limited to the velocities of the settings and of the joints, and to what the arm can do
+    near a singularity and near the ends of the ranges of the joints. Several arms have as many
+    joints, and arrays have a row for each; for one arm, arrays have no axis of rows.
+
+    :param jacobians: of position and rotation of the hands, shape (rows, 6, n)
+    :param errors: translations [m] and rotation vectors [rad] to the targets, shape (rows, 6)
+    :param twists: velocity of each target [m/s, rad/s], shape (6,); None where it rests
+    :param settings: of each arm
+    :param velocity_limit: of the joints [rad/s], shape (rows, n)
+    :param low: lowest displacements within the ranges of the joints [rad], shape (rows, n)
+    :param high: highest displacements [rad], shape (rows, n)
+    :param away: displacements to the postures [rad], shape (rows, n)
+    :param rested: whether each hand was as near as it can come before
+    :ivar joints: velocities for the hands [rad/s], shape (rows, n)
     :ivar found: the displacements that they make in a while
-    :ivar slowed: whether joint velocity limits slow it down
     """
 
-    joints: FloatArray
-    found: Displacement
-    slowed: bool
+    def __init__(self, jacobians: FloatArray, errors: FloatArray,
+                 twists: Sequence[FloatArray | None], settings: Sequence[CartesianSettings],
+                 velocity_limit: FloatArray, low: FloatArray, high: FloatArray, away: FloatArray,
+                 rested: Sequence[bool]) -> None:
+        one = errors.ndim == 1
+        dampings = [own.damping for own in settings]
+        rates = [own.stiffness / damping for own, damping in zip(settings, dampings)]
+        self._damping = _column(dampings, one)
+        tasks = _column(rates, one) * errors
+        whiles_s = _column([
+            _limit(wanted, rate, twist, own.linear_velocity, own.angular_velocity)
+            for wanted, rate, twist, own in zip(
+                (tasks,) if one else tasks, rates, twists, settings)], one)
+        tasks *= whiles_s
+        self.found = Displacements(jacobians, tasks, low, high, away, rested)
+        joints = self.joints = self.found.step / whiles_s
+        shares = (np.abs(joints) / velocity_limit).tolist()
+        self._excess = [max(row) for row in ((shares,) if one else shares)]
+        for row, excess in zip((joints,) if one else joints, self._excess):
+            if excess > 1.0:
+                row /= excess
 
-    def acceleration(self, velocity: FloatArray, damping: float) -> FloatArray:
+    def slowed(self, row: int) -> bool:
+        """Return whether the velocity limits of its joints slow an arm down."""
+        return bool(self._excess[row] > 1.0 + 1e-6)
+
+    def accelerations(self, velocity: FloatArray) -> FloatArray:
         """
-        Return the accelerations of the joints [rad/s^2], shape (n,).
+        Return the accelerations of the joints [rad/s^2], shape (rows, n).
 
-        That of the hand is damping times its velocity error, in all six directions.
+        Those of a hand are damping times its velocity error, in all six directions.
 
-        :param velocity: of the joints [rad/s], shape (n,)
-        :param damping: [1/s]
+        :param velocity: of the joints [rad/s], shape (rows, n)
         """
         slack = self.found.slack(velocity)
-        result = self.joints - velocity
+        result: FloatArray = self.joints - velocity
         result += slack
-        result *= damping
+        result *= self._damping
         result += _POSTURE * self.found.drift
-        slack *= 2.0 * math.sqrt(_POSTURE)
+        slack *= _POSTURE_DAMPING
         result -= slack
         return result
 
 
-def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
-                  settings: CartesianSettings, velocity_limit: FloatArray, low: FloatArray,
-                  high: FloatArray, away: FloatArray, rested: bool = False) -> WantedMotion:
-    """
-    Return the motion at which spring and damper are in balance.
+def _column(values: Sequence[float], one: bool) -> float | FloatArray:
+    """Return the only number, or a number for each row, shape (rows, 1)."""
+    return values[0] if one else np.array(values)[:, None]
 
-    It is limited to the velocities of the settings and of the joints, and to what the arm can do
-    near a singularity and near the ends of the ranges of the joints.
 
-    :param jacobian: of position and rotation of the hand, shape (6, n)
-    :param error: translation [m] and rotation vector [rad] to the target, shape (6,)
-    :param twist: velocity of the target [m/s, rad/s], shape (6,)
-    :param velocity_limit: of the joints [rad/s], shape (n,)
-    :param low: lowest displacements within the ranges of the joints [rad], shape (n,)
-    :param high: highest displacements [rad], shape (n,)
-    :param away: displacements to the posture [rad], shape (n,)
-    :param rested: whether the hand was as near as it can come before
+def _limit(wanted: FloatArray, rate: float, twist: FloatArray | None, linear_velocity: float,
+           angular_velocity: float) -> float:
     """
-    rate = settings.stiffness / settings.damping
-    wanted = rate * error
-    for half, limit in ((wanted[:3], settings.linear_velocity),
-                        (wanted[3:], settings.angular_velocity)):
-        size = length(half)
-        if size > limit:
-            half *= limit / size
-    if twist is not STILL:
+    Limit the velocity that a hand shall have, in place, and add that of its target.
+
+    :returns: for how long displacements are sought [s]
+    """
+    way, turn = wanted[:3], wanted[3:]
+    size, angle = mju_norm(way), mju_norm(turn)
+    if size > linear_velocity:
+        way *= linear_velocity / size
+        size = mju_norm(way)
+    if angle > angular_velocity:
+        turn *= angular_velocity / angle
+        angle = mju_norm(turn)
+    if twist is not None:
         wanted += twist
-    while_s = min(1.0 / rate,
-                  _LARGEST_STEP / max(length(wanted[:3]), 1e-12),
-                  _LARGEST_TURN / max(length(wanted[3:]), 1e-12))
-    found = displace(jacobian, while_s * wanted, low, high, away, rested)
-    joints = found.step / while_s
-    excess = max((np.abs(joints) / velocity_limit).tolist())
-    if excess > 1.0:
-        joints /= excess
-    return WantedMotion(joints, found, excess > 1.0 + 1e-6)
+        size, angle = mju_norm(way), mju_norm(turn)
+    return float(min(1.0 / rate, _LARGEST_STEP / max(size, 1e-12),
+                     _LARGEST_TURN / max(angle, 1e-12)))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -12,13 +13,12 @@ import numpy as np
 
 from manip_sim.arrays import as_slice, FloatArray, IntArray
 from manip_sim.algebra import dot, product
+from manip_sim.simulation.cartesian.displacements import Displacement
 from manip_sim.simulation.cartesian.frames import Frame
-from manip_sim.simulation.cartesian.inverse_kinematics import STILL
-from manip_sim.simulation.cartesian.operational_space import wanted_motion, WantedMotion
+from manip_sim.simulation.cartesian.operational_space import WantedMotions
 from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.simulation.cartesian.targets import pose_error, Target
+from manip_sim.simulation.cartesian.targets import Target, pose_error
 from manip_sim.simulation.physics import Physics
-from manip_sim.simulation.profiles import within
 from manip_sim.simulation.servos import Servos
 
 #: A pose is reached within this [m, rad], by a hand that is slower than this [m/s, rad/s].
@@ -28,25 +28,25 @@ _SLOW_TWIST = 2e-3
 
 class EffortSolution(NamedTuple):
     """
-    Efforts of the joints of an arm, and how near its hand is to its target.
+    How near a hand is to its target, and what limits it.
 
-    :ivar effort: [N m], shape (n,)
     :ivar error: translation [m] and rotation vector [rad] to the target, shape (6,)
-    :ivar wanted: motion of the joints that spring and damper want
+    :ivar found: displacements of the joints that spring and damper want
+    :ivar slowed: whether joint velocity limits slow them down
     :ivar still: whether the target rests
-    :ivar velocity: of the joints [rad/s], shape (n,), a view
+    :ivar velocity: of the joints [rad/s], shape (n,)
     """
 
-    effort: FloatArray
     error: FloatArray
-    wanted: WantedMotion
+    found: Displacement
+    slowed: bool
     still: bool
     velocity: FloatArray
 
     @property
     def moved(self) -> FloatArray:
         """Velocity of the hand [m/s, rad/s], shape (6,)."""
-        return product(self.wanted.found.jacobian, self.velocity)
+        return product(self.found.jacobian, self.velocity)
 
     @property
     def rests(self) -> bool:
@@ -60,95 +60,184 @@ class EffortSolution(NamedTuple):
         return dot(self.moved, goes) / max(dot(goes, goes), 1e-12)
 
 
-class _ArmJoints(NamedTuple):
-    """The joints of an arm: where they are in arrays of all of them, and their limits."""
+class ArmJoints(NamedTuple):
+    """
+    The joints of an arm.
+
+    :ivar joints: where they are in arrays of all of them; ``qpos`` and ``dofs`` in those of MuJoCo
+    :ivar limits: lowest and highest position, highest velocity, lowest and highest effort, and
+        damping, each of shape (n,)
+    """
 
     joints: slice | IntArray
     qpos: slice | IntArray
     dofs: slice | IntArray
-    low: FloatArray
-    high: FloatArray
-    velocity_limit: FloatArray
-    lowest_effort: FloatArray
-    highest_effort: FloatArray
-    damping: FloatArray
+    limits: tuple[FloatArray, ...]
 
 
-class OperationalSpaceController:
+class FollowingHand(NamedTuple):
     """
-    A controller that computes the efforts with which hands follow targets.
+    A hand that follows a target in the next interval; a twist moves the goal of the target.
 
-    :param physics: of the world
-    :param servos: of all driven joints
-    :param posture: positions that redundant arms are drawn to [rad], shape (n,)
+    :ivar own: controller of the hands of its robot
+    :ivar tip: of the hand
+    :ivar target: changed when efforts are computed
+    :ivar arm: the joints of its arm
+    :ivar settings: of the arm
+    :ivar now_s: simulation time [s]
+    :ivar duration_s: length of the interval [s]
     """
 
-    #: Where results are written, and what follows from the rest.
-    not_in_digest = ('_forces', '_accelerations', '_arms')
+    own: OperationalSpaceController
+    tip: Frame
+    target: Target
+    arm: ArmJoints
+    settings: CartesianSettings
+    now_s: float
+    duration_s: float
 
-    def __init__(self, physics: Physics, servos: Servos, posture: FloatArray) -> None:
-        self._physics = physics
-        self._servos = servos
-        self._posture = posture
-        self._low, self._high = servos.position_clamp().T
-        self._arms: dict[bytes, _ArmJoints] = {}
-        physics.on_change(self._make_room)
+    def joints(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return Jacobian, position, velocity and posture of the joints, which may be views."""
+        own, arm = self.own, self.arm
+        physics = own.physics
+        return (self.tip.jacobian(physics.model, physics.data, arm.dofs), physics.qpos[arm.qpos],
+                physics.qvel[arm.dofs], own.posture[arm.joints])
 
-    def _make_room(self) -> None:
-        self._accelerations, self._forces = np.zeros((2, self._physics.model.nv))
-        self._arms.clear()  # Their joints may have other addresses.
+    def forces(self, acceleration: FloatArray) -> FloatArray:
+        """Return the forces of the joints for an acceleration, beside their damping, (n,)."""
+        own, dofs = self.own, self.arm.dofs
+        physics = own.physics
+        own.accelerations[dofs] = acceleration
+        mujoco.mj_mulM(physics.model, physics.data, own.forces, own.accelerations)
+        own.accelerations[dofs] = 0.0
+        # Gravity that is compensated needs no effort here.
+        result: FloatArray = physics.bias[dofs] - physics.gravcomp[dofs]
+        result += own.forces[dofs]
+        return result
 
-    def look_at_joints(self) -> None:
-        """Take over the damping of the joints, which was changed."""
-        self._arms.clear()
-
-    def _arm(self, indices: IntArray) -> _ArmJoints:
-        key = indices.tobytes()
-        if key not in self._arms:
-            servos = self._servos
-            lowest, highest = servos.ranges['effort'][indices].T.copy()
-            self._arms[key] = _ArmJoints(
-                as_slice(indices), as_slice(servos.qpos[indices]), as_slice(servos.dofs[indices]),
-                self._low[indices], self._high[indices], servos.velocity_limit[indices],
-                lowest, highest, servos.passive_damping[indices])
-        return self._arms[key]
-
-    def follow(self, tip: Frame, target: Target, indices: IntArray, data: mujoco.MjData,
-               now_s: float, duration_s: float, settings: CartesianSettings) -> EffortSolution:
+    def look(self) -> tuple[bool, FloatArray | None, FloatArray]:
         """
-        Return the efforts for the next interval; a twist moves the goal of its target.
+        Return whether the target rests, how it moves, and how far the hand is from it.
 
-        :param tip: of the hand
-        :param indices: of the joints of the arm, shape (n,)
-        :param data: after ``mj_forward``
-        :param now_s: simulation time [s]
-        :param duration_s: length of the interval [s]
+        :returns: velocity [m/s, rad/s], shape (6,), or None, and translation and rotation vector
+            to the target [m, rad], shape (6,)
         """
-        physics, arm = self._physics, self._arm(indices)
-        position, velocity = physics.qpos[arm.qpos], physics.qvel[arm.dofs]
-        twist, damping = STILL, settings.damping
+        target, data, now_s = self.target, self.own.physics.data, self.now_s
+        twist, damping = None, self.settings.damping
         if target.twists is not None:
-            middle_s = now_s + duration_s / 2.0
-            twist = target.in_world(target.twists.at(middle_s), data)
-            target.move(data, tip, twist, duration_s)
+            twist = target.in_world(target.twists.at(now_s + self.duration_s / 2.0), data)
+            target.move(data, self.tip, twist, self.duration_s)
             twist += target.in_world(target.twists.acceleration(now_s), data) / damping
         still = target.ends_stream(now_s)
         if still:
             goal = target.goal(data)
         else:
             goal, along, acceleration = target.reference(data, now_s)
-            twist = twist + along + acceleration / damping
-        error = pose_error(goal, tip.pose(data))
-        jacobian = tip.jacobian(physics.model, data, arm.dofs)
-        wanted = wanted_motion(
-            jacobian, error, twist, settings, arm.velocity_limit, arm.low - position,
-            arm.high - position, self._posture[arm.joints] - position, target.rests)
-        target.rests = wanted.found.rests
-        self._accelerations[arm.dofs] = wanted.acceleration(velocity, damping)
-        mujoco.mj_mulM(physics.model, data, self._forces, self._accelerations)
-        self._accelerations[arm.dofs] = 0.0
-        # Gravity that is compensated needs no effort here.
-        given = (self._forces[arm.dofs] + (physics.bias[arm.dofs] - physics.gravcomp[arm.dofs])
-                 + arm.damping * velocity)
-        return EffortSolution(
-            within(given, arm.lowest_effort, arm.highest_effort), error, wanted, still, velocity)
+            along = along + acceleration / damping
+            twist = along if twist is None else twist + along
+        return still, twist, pose_error(goal, self.tip.view(data))
+
+
+class HandEfforts:
+    """
+    The efforts with which hands follow their targets, each a row if there are several.
+
+    :param hands: of arms of as many joints, of one robot or of several in worlds of their own,
+        after ``mj_forward``
+    """
+
+    def __init__(self, hands: Sequence[FollowingHand]) -> None:
+        self._still, twists, errors = zip(*[hand.look() for hand in hands])
+        self._errors = _together(errors)
+        jacobians, position, self._velocity, posture = map(_together, zip(
+            *[hand.joints() for hand in hands]))
+        limits = hands[0].arm.limits if len(hands) == 1 else [
+            _together(of) for of in zip(*[hand.arm.limits for hand in hands])]
+        low, high, fastest, weakest, strongest, damping = limits
+        wanted = self._wanted = WantedMotions(
+            jacobians, self._errors, twists, [hand.settings for hand in hands], fastest,
+            low - position, high - position, posture - position,
+            [hand.target.rests for hand in hands])
+        accelerations, forces = wanted.accelerations(self._velocity), []
+        for hand, rests, acceleration in zip(
+                hands, wanted.found.rests,
+                (accelerations,) if len(hands) == 1 else accelerations):
+            hand.target.rests = rests
+            forces.append(hand.forces(acceleration))
+        self._efforts = _together(forces)
+        self._efforts += damping * self._velocity
+        np.maximum(self._efforts, weakest, out=self._efforts)
+        np.minimum(self._efforts, strongest, out=self._efforts)
+
+    def efforts_of(self, row: int) -> FloatArray:
+        """Return the efforts of the joints of an arm [N m], shape (n,)."""
+        return self._efforts if len(self._still) == 1 else self._efforts[row]
+
+    def solution(self, row: int) -> EffortSolution:
+        """Return how near a hand is to its target, and what limits it."""
+        error, velocity = self._errors, self._velocity
+        if len(self._still) > 1:
+            error, velocity = error[row], velocity[row]
+        return EffortSolution(error, self._wanted.found.row(row), self._wanted.slowed(row),
+                              self._still[row], velocity)
+
+
+def _together(found: Sequence[FloatArray]) -> FloatArray:
+    """Return arrays of one shape as one with a leading axis, or the only one."""
+    if len(found) == 1:
+        return found[0]
+    return np.concatenate(found).reshape(len(found), *found[0].shape)
+
+
+class OperationalSpaceController:
+    """
+    What the efforts of the hands of a robot are computed from.
+
+    :param physics: of the world
+    :param servos: of all driven joints
+    :param posture: positions that redundant arms are drawn to [rad], shape (n,)
+    :ivar physics: of the world
+    :ivar posture: the same array
+    :ivar accelerations: where they are written, zero otherwise, shape (nv,); ``forces`` too
+    """
+
+    #: Where results are written, and what follows from the rest.
+    not_in_digest = ('forces', 'accelerations', '_arms')
+
+    def __init__(self, physics: Physics, servos: Servos, posture: FloatArray) -> None:
+        self.physics = physics
+        self._servos = servos
+        self.posture = posture
+        self._low, self._high = servos.position_clamp().T
+        self._arms: dict[bytes, ArmJoints] = {}
+        physics.on_change(self._make_room)
+
+    def _make_room(self) -> None:
+        self.accelerations, self.forces = np.zeros((2, self.physics.model.nv))
+        self._arms.clear()  # Their joints may have other addresses.
+
+    def look_at_joints(self) -> None:
+        """Take over the damping of the joints, which was changed."""
+        self._arms.clear()
+
+    def _arm(self, indices: IntArray) -> ArmJoints:
+        key = indices.tobytes()
+        if key not in self._arms:
+            servos = self._servos
+            self._arms[key] = ArmJoints(
+                as_slice(indices), as_slice(servos.qpos[indices]), as_slice(servos.dofs[indices]),
+                (self._low[indices], self._high[indices], servos.velocity_limit[indices],
+                 *servos.ranges['effort'][indices].T.copy(), servos.passive_damping[indices]))
+        return self._arms[key]
+
+    def hand(self, tip: Frame, target: Target, indices: IntArray, settings: CartesianSettings,
+             now_s: float, duration_s: float) -> FollowingHand:
+        """
+        Return a hand that follows a target in the next interval.
+
+        :param tip: of the hand
+        :param indices: of the joints of the arm, shape (n,)
+        :param now_s: simulation time [s]
+        :param duration_s: length of the interval [s]
+        """
+        return FollowingHand(self, tip, target, self._arm(indices), settings, now_s, duration_s)

@@ -82,8 +82,12 @@ class Target:
 
     def goal(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """Return position [m] and rotation matrix of the goal in the world."""
-        origin, turned = self.anchor.pose(data)
-        return origin + product(turned, self.position), product(turned, self.rotation)
+        origin, turned = self.anchor.view(data)
+        position, rotation = np.empty(3), np.empty((3, 3))
+        mujoco.mju_mulMatVec(position, turned, self.position)
+        position += origin
+        mujoco.mju_mulMatMat(rotation, turned, self.rotation)
+        return position, rotation
 
     def off_the_way(self, place: FloatArray, data: mujoco.MjData) -> float:
         """
@@ -156,9 +160,11 @@ def _bounded(vector: FloatArray, limit: float) -> FloatArray:
 def pose_error(goal: tuple[FloatArray, FloatArray], here: tuple[FloatArray, FloatArray]
                ) -> FloatArray:
     """Return translation [m] and rotation vector [rad] from here to the goal, shape (6,)."""
-    error = np.empty(6)
+    error, turn, quat_wxyz = np.empty(6), np.empty((3, 3)), np.empty(4)
     np.subtract(goal[0], here[0], out=error[:3])
-    error[3:] = rotation_vector(product(goal[1], here[1].T))
+    mujoco.mju_mulMatMatT(turn, goal[1], here[1])
+    mujoco.mju_mat2Quat(quat_wxyz, turn.reshape(9))
+    mujoco.mju_quat2Vel(error[3:], quat_wxyz, 1.0)
     return error
 
 
