@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from manip_sim.simulation.cartesian import displacements
-from manip_sim.simulation.cartesian.displacements import (
-    bend, displace, Displacements, rate_without_bend)
+from manip_sim.simulation.cartesian.displacements import displace, Displacements
 from manip_sim.simulation.cartesian.frames import RobotFrames
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, stop)
+from manip_sim.simulation.cartesian.singularities import bend, rate_without_bend
 
 #: A gantry: each joint moves the hand along or about one axis.
 GANTRY = np.eye(6)

@@ -14,17 +14,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 import functools
-import math
 from typing import NamedTuple
 
 import mujoco
 from mujoco import (
-    mju_cholFactor, mju_cholSolve, mju_mulMatTMat, mju_mulMatTVec, mju_mulMatVec, mju_norm)
+    mju_cholFactor, mju_cholSolve, mju_mulMatMat, mju_mulMatTMat, mju_mulMatTVec, mju_mulMatVec,
+    mju_norm)
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.algebra import (
-    dot, factorized, LEAST_PIVOT, length, product, solved, with_diagonal)
+    dot, factorized, LEAST_PIVOT, length, product, transposed_product, with_diagonal)
+from manip_sim.simulation.cartesian.singularities import is_singular, SINGULAR
 from manip_sim.simulation.profiles import within
 
 #: What needs larger displacements of a joint is not possible here [rad].
@@ -48,11 +49,6 @@ _FARTHEST, _CLEAR = -0.05, 0.1
 _PROGRESS = 0.1
 #: Iterations for the sign of a matrix, and what is added so that it is positive in any case.
 _SIGN_ITERATIONS, _SIGN_ERROR = 10, 0.005
-#: Below this singular value [m/rad and 1] the hand can hardly move in a direction.
-_SINGULAR = 0.029
-_INVERSE_ITERATIONS = 4
-#: Singular values near a singularity, and those below which the hand does not slow down further.
-_NEAR, _SMALLEST = 0.06, 0.03
 
 
 class Displacement(NamedTuple):
@@ -83,7 +79,7 @@ class Displacement(NamedTuple):
     @property
     def singular(self) -> bool:
         """Whether a motion is wanted in a direction in which the hand can hardly move."""
-        return not self.easy and _is_singular(self.jacobian, self.task)
+        return not self.easy and is_singular(self.jacobian, self.task)
 
 
 class Displacements:
@@ -204,7 +200,7 @@ class Displacements:
         # Half of the task in a direction in which the hand can hardly move would need more.
         return Displacement(
             step, drift, np.zeros(len(step), dtype=bool), factor, False, jacobian, task,
-            easy=self._far[row] * _SINGULAR <= 0.4 * self._whole[row])
+            easy=self._far[row] * SINGULAR <= 0.4 * self._whole[row])
 
 
 @functools.cache
@@ -286,16 +282,25 @@ def _curvature(jacobian: FloatArray, force: FloatArray) -> FloatArray:
 
     A turn of one joint turns the axis of each joint beyond it, and the lever from there.
     """
-    linear, angular = jacobian[:3].T, jacobian[3:].T
-    levers = np.triu(product(product(angular, _cross(force[:3])), linear.T))
-    axes = np.triu(product(product(angular, _cross(force[3:])), angular.T), 1) / 2.0
-    upper = levers + axes
-    return upper + np.triu(upper, 1).T
+    linear, angular = jacobian[:3], jacobian[3:]
+    from_own, beyond = _upper(jacobian.shape[1])
+    upper = from_own * product(transposed_product(angular, _cross(force[:3])), linear)
+    axes = beyond * product(transposed_product(angular, _cross(force[3:])), angular)
+    axes /= 2.0
+    upper += axes
+    return np.asarray(upper + (beyond * upper).T)
+
+
+@functools.cache
+def _upper(size: int) -> tuple[FloatArray, FloatArray]:
+    """Return ones on and above the diagonal, and above it alone, of shape (n, n)."""
+    ones = np.ones((size, size))
+    return np.triu(ones), np.triu(ones, 1)
 
 
 def _cross(vector: FloatArray) -> FloatArray:
     """Return the matrix of the cross product from the left with a vector, shape (3, 3)."""
-    x, y, z = vector
+    x, y, z = vector.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
@@ -304,88 +309,13 @@ def _positive_part(matrix: FloatArray) -> FloatArray:
     scale = length(matrix.ravel()) + 1e-30
     # Newton and Schulz: the sign of the matrix, whose product with the matrix is its magnitude.
     sign = matrix / scale
+    square, cube = np.empty((2, *matrix.shape))
     for _ in range(_SIGN_ITERATIONS):
-        sign = 1.5 * sign - 0.5 * product(sign, product(sign, sign))
+        mju_mulMatMat(square, sign, sign)
+        mju_mulMatMat(cube, sign, square)
+        cube *= 0.5
+        sign *= 1.5
+        sign -= cube
     magnitude = product(sign, matrix)
     magnitude = (magnitude + magnitude.T) / 2.0
     return np.asarray((matrix + magnitude) / 2.0 + _SIGN_ERROR * scale * np.eye(len(matrix)))
-
-
-def bend(jacobian: FloatArray, step: FloatArray) -> FloatArray:
-    """
-    Return the joint accelerations that keep a hand straight along a step, at most, shape (n,).
-
-    They are those at velocities that make the step in a second, and grow with their square. As the
-    direction in which the hand can hardly move turns, all of the centripetal acceleration of the
-    hand may come to be along it; so a hand slows down before it passes a singularity.
-
-    :param jacobian: shape (6, n), the joints in their order from the base to the hand
-    :param step: displacements of the joints [rad], shape (n,)
-    """
-    return _bend(jacobian, step, *_hardest(jacobian))
-
-
-def rate_without_bend(jacobian: FloatArray, step: FloatArray, acceleration_limit: FloatArray,
-                      rate: float) -> float:
-    """
-    Return how fast to go along a step at most, so that :func:`bend` keeps to limits.
-
-    :param acceleration_limit: of the joints [rad/s^2], shape (n,)
-    :param rate: that is wanted, as a share of the step per second
-    """
-    direction, square = _hardest(jacobian)
-    # No vector product below is longer than that of the lengths, and no joint needs more than
-    # all of them would together.
-    longest = (rate * float(np.add.reduce(np.abs(step))))**2 * (
-        1.0 + 2.0 * length(jacobian.reshape(-1)[:3 * len(step)]))
-    least = max(math.sqrt(square), _SMALLEST)
-    if longest * math.sqrt(square) * _NEAR / least**3 < min(acceleration_limit.tolist()):
-        return rate
-    bent = np.maximum(_bend(jacobian, step, direction, square), 1e-12)
-    return min(rate, math.sqrt(min((acceleration_limit / bent).tolist())))
-
-
-def _bend(jacobian: FloatArray, step: FloatArray, direction: FloatArray, square: float
-          ) -> FloatArray:
-    linear, turns = jacobian[:3].T, step[:, None] * jacobian[3:].T
-    # How each joint is turned by those before it, and with itself.
-    here = np.cumsum(turns, axis=0)
-    before = here - turns
-    centripetal = length(np.concatenate([
-        _vector_products(before + here, step[:, None] * linear).sum(axis=0),
-        _vector_products(before, turns).sum(axis=0)]))
-    # Far from a singularity it turns so slowly that this is rarely needed.
-    least = max(math.sqrt(square), _SMALLEST)
-    return np.asarray(np.abs(product(jacobian.T, direction)) * (
-        centripetal * _NEAR / least**3))
-
-
-def _vector_products(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the vector products of rows, shape (n, 3), faster than numpy.cross."""
-    return np.asarray(one[:, [1, 2, 0]] * other[:, [2, 0, 1]]
-                      - one[:, [2, 0, 1]] * other[:, [1, 2, 0]])
-
-
-def _hardest(jacobian: FloatArray) -> tuple[FloatArray, float]:
-    """Return the direction in which a hand moves least, and the square of its singular value."""
-    return _hard_direction(jacobian, np.full(6, 6.0**-0.5))
-
-
-def _hard_direction(jacobian: FloatArray, direction: FloatArray) -> tuple[FloatArray, float]:
-    """Return the same, of the directions that have a part in another one."""
-    square = product(jacobian, jacobian.T)
-    factor = factorized(square, 1e-12)
-    for _ in range(_INVERSE_ITERATIONS):
-        result = solved(factor, direction)
-        direction = result / max(length(result), 1e-12)
-    return direction, max(dot(direction, product(square, direction)), 0.0)
-
-
-def _is_singular(jacobian: FloatArray, task: FloatArray) -> bool:
-    """Return whether most of a task is in a direction in which the hand can hardly move."""
-    whole = length(task)
-    if whole <= 1e-9:
-        return False
-    along = task / whole
-    direction, square = _hard_direction(jacobian, along)
-    return square < _SINGULAR**2 and abs(dot(direction, along)) > 0.5

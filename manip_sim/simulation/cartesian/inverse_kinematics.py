@@ -16,7 +16,8 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.algebra import dot, length, product
-from manip_sim.simulation.cartesian.displacements import displace, rate_without_bend
+from manip_sim.simulation.cartesian.displacements import displace
+from manip_sim.simulation.cartesian.singularities import rate_without_bend
 from manip_sim.simulation.profiles import braking_velocity
 
 #: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
