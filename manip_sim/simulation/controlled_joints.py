@@ -119,7 +119,7 @@ class ControlledJoints:
 
     def parts_of(self, indices: IntArray) -> frozenset[str]:
         """Return the atomic parts that joints belong to."""
-        return frozenset(self._part_of[i] for i in indices)
+        return frozenset([self._part_of[i] for i in indices.tolist()])
 
     def mode_of(self, name: str) -> str:
         """Return the control mode of a driven joint."""
@@ -128,7 +128,7 @@ class ControlledJoints:
     def modes_of(self, indices: IntArray) -> tuple[str, ...]:
         """Return the control modes of driven joints."""
         modes = self.modes
-        return tuple(modes[i] for i in indices)
+        return tuple([modes[i] for i in indices.tolist()])
 
     def ranges(self, indices: IntArray, modes: Sequence[str] | None = None) -> FloatArray:
         """

@@ -40,9 +40,11 @@ def clamped_example(names: Sequence[str], values: FloatArray, inside: FloatArray
     :param inside: the clamped values
     :returns: such as ``joint1 from 9 to 2.8973``; empty if all are in range
     """
-    for place in map(tuple, np.argwhere(inside != values)[:1]):
-        return f'{names[place[-1]]} from {values[place]:g} to {inside[place]:g}'
-    return ''
+    clamped = inside != values
+    if not np.count_nonzero(clamped):
+        return ''
+    place = tuple(np.argwhere(clamped)[0])
+    return f'{names[place[-1]]} from {values[place]:g} to {inside[place]:g}'
 
 
 def action_example(numbers: FloatArray, inside: FloatArray) -> str:

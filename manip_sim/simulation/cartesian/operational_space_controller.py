@@ -66,13 +66,13 @@ class ArmJoints(NamedTuple):
 
     :ivar joints: where they are in arrays of all of them; ``qpos`` and ``dofs`` in those of MuJoCo
     :ivar limits: lowest and highest position, highest velocity, lowest and highest effort, and
-        damping, each of shape (n,)
+        damping, shape (6, n)
     """
 
     joints: slice | IntArray
     qpos: slice | IntArray
     dofs: slice | IntArray
-    limits: tuple[FloatArray, ...]
+    limits: FloatArray
 
 
 class FollowingHand(NamedTuple):
@@ -151,9 +151,9 @@ class HandEfforts:
         self._errors = _together(errors)
         jacobians, position, self._velocity, posture = map(_together, zip(
             *[hand.joints() for hand in hands]))
-        limits = hands[0].arm.limits if len(hands) == 1 else [
-            _together(of) for of in zip(*[hand.arm.limits for hand in hands])]
-        low, high, fastest, weakest, strongest, damping = limits
+        limits = _together([hand.arm.limits for hand in hands])
+        low, high, fastest, weakest, strongest, damping = (limits if len(hands) == 1
+                                                           else limits.swapaxes(0, 1))
         wanted = self._wanted = WantedMotions(
             jacobians, self._errors, twists, [hand.settings for hand in hands], fastest,
             low - position, high - position, posture - position,
@@ -226,8 +226,9 @@ class OperationalSpaceController:
             servos = self._servos
             self._arms[key] = ArmJoints(
                 as_slice(indices), as_slice(servos.qpos[indices]), as_slice(servos.dofs[indices]),
-                (self._low[indices], self._high[indices], servos.velocity_limit[indices],
-                 *servos.ranges['effort'][indices].T.copy(), servos.passive_damping[indices]))
+                np.stack([self._low[indices], self._high[indices],
+                          servos.velocity_limit[indices], *servos.ranges['effort'][indices].T,
+                          servos.passive_damping[indices]]))
         return self._arms[key]
 
     def hand(self, tip: Frame, target: Target, indices: IntArray, settings: CartesianSettings,
