@@ -157,9 +157,10 @@ class Worlds:
         physics, others = self._streams.begin_period(
             [simulation for simulation in self._of(where) if simulation.diverged is None], steps)
         self._threads.run(physics)
-        hands = [simulation for simulation in others if follows_hands(simulation)]
+        follow = [follows_hands(simulation) for simulation in others]
+        hands = [simulation for simulation, follows in zip(others, follow) if follows]
         count = _IN_CACHE * self._threads.count
-        for some in ([simulation for simulation in others if simulation not in hands],
+        for some in ([simulation for simulation, follows in zip(others, follow) if not follows],
                      *(hands[begin:begin + count] for begin in range(0, len(hands), count))):
             if some:
                 self._run([simulation.period(steps) for simulation in some])
