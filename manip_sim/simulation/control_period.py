@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -110,25 +110,24 @@ class ControlPeriods:
         if not untouched:
             yield from self._intervals(steps)
         self._end(steps)
+        self._check_not_diverged()
 
     def run_planned(self, steps: int, write: Callable[[FloatArray], None], rates: FloatArray
                     ) -> None:
         """
         Run a whole control period in which control only writes what was planned.
 
+        If the physics diverges, :attr:`diverged` tells why.
+
         :param steps: number of physics steps of the period
         :param write: writes a row of ``rates``
         :param rates: of the setpoints of the only robot, in each interval, shape (k, n)
-        :raises DivergenceError: if the physics diverges
         """
+        if self._pulls:
+            self._pulls.apply(steps * self._timestep_s)
         self._steps.begin()
         self._steps.begin_run()
-        left = steps
-        for rate in rates:
-            write(rate)
-            chunk = self._chunk(left)
-            left -= chunk
-            self._compute(chunk, not left)
+        self._compute_planned(((partial(write, rate),) for rate in rates), steps)
         self._end(steps)
 
     def _end(self, steps: int) -> None:
@@ -168,7 +167,6 @@ class ControlPeriods:
         self._steps.divergence.hold()
         self._pulls.release()
         self._steps.restart()
-        self._check_not_diverged()
 
     def _check_not_diverged(self) -> None:
         if self.diverged is not None:
@@ -181,8 +179,9 @@ class ControlPeriods:
         while left:
             awake = [robot for robot in self._robots if not robot.resting]
             if left < steps and awake and all([robot.plans for robot in awake]):
-                yield Interval((), left * self._timestep_s,
-                               partial(self._compute_plans, awake, left))
+                yield Interval((), left * self._timestep_s, partial(
+                    self._compute_planned,
+                    zip(*[robot.joints.plan.take() for robot in awake]), left))
                 return
             chunk = left
             if any([robot.moving for robot in awake]):
@@ -191,14 +190,26 @@ class ControlPeriods:
             yield Interval(awake, chunk * self._timestep_s,
                            partial(self._compute, chunk, not left))
 
-    def _compute_plans(self, robots: Sequence[SimulatedRobot], left: int) -> None:
-        """Compute the rest of a period, in whose intervals robots do what they have planned."""
-        for writes in zip(*[robot.joints.plan.take() for robot in robots]):
-            for write in writes:
+    def _compute_planned(self, writes: Iterable[Sequence[Callable[[], None]]], left: int) -> None:
+        """
+        Compute the rest of a period, in whose intervals control only writes what was planned.
+
+        :param writes: what is called at the beginning of each interval
+        """
+        self._steps.run(self._written(writes, left))
+        self._steps.finish()
+
+    def _written(self, writes: Iterable[Sequence[Callable[[], None]]], left: int
+                 ) -> Iterator[int]:
+        """Write what was planned for each interval, and yield its steps."""
+        for of_interval in writes:
+            for write in of_interval:
                 write()
+            if self._free_roots.is_needed:
+                self._free_roots.apply()
             chunk = self._chunk(left)
             left -= chunk
-            self._compute(chunk, not left)
+            yield chunk
 
     def _chunk(self, left: int) -> int:
         """Return the steps of the next interval; they divide what is left of a period evenly."""
@@ -218,6 +229,6 @@ class ControlPeriods:
         """Compute the physics of an interval, and all of the new instant if a period ends."""
         if self._free_roots.is_needed:
             self._free_roots.apply()
-        self._steps.run(steps)
+        self._steps.run((steps,))
         if ends:
             self._steps.finish()

@@ -107,6 +107,7 @@ class JointController(ControlledJoints):
         :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
         :raises UnknownNameError: if there is no such part
         """
+        self.take_back()
         for name in self.parts_of(self.indices_of(part)):
             self._timeouts.set(name, timeout_s)
             # Without a timeout it makes no difference, and is none in saved states either.

@@ -11,7 +11,7 @@ depends on positions and velocities alone is kept. What control does in between 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import mujoco
 import numpy as np
@@ -184,26 +184,33 @@ class PhysicsSteps:
         if self.was_untouched:
             self.finish()
 
-    def run(self, steps: int) -> None:
-        """Run some steps of a period, and record the forces on the tools in each."""
-        model, data, contacts = self._model, self._data, self._contacts
-        for _ in range(steps):
-            for laws in self._laws:
-                laws.write(model, data)
-            if self._resumes:
-                # What depends on positions and velocities alone has been computed already.
-                mujoco.mj_step2(model, data)
-                self._resumes = False
-            else:
-                mujoco.mj_step(model, data)
-            present = data.ncon
-            if present != contacts:
-                self.contacts_change, contacts = True, present
-            if present or self._pushed:
-                for tool in self.tools:
-                    tool.record()
+    def run(self, intervals: Iterable[int]) -> None:
+        """
+        Run intervals of a period, and record the forces on the tools in each step.
+
+        :param intervals: the steps of each; it is asked for when the one before has been run
+        """
+        model, data, contacts, count = self._model, self._data, self._contacts, 0
+        laws, tools, pushed = self._laws, self.tools, self._pushed
+        for steps in intervals:
+            count += steps
+            for _ in range(steps):
+                for law in laws:
+                    law.write(model, data)
+                if self._resumes:
+                    # What depends on positions and velocities alone has been computed already.
+                    mujoco.mj_step2(model, data)
+                    self._resumes = False
+                else:
+                    mujoco.mj_step(model, data)
+                present = data.ncon
+                if present != contacts:
+                    self.contacts_change, contacts = True, present
+                if present or pushed:
+                    for tool in tools:
+                        tool.record()
         self._contacts = contacts
-        self._clock.count(steps)
+        self._clock.count(count)
 
     def begin_run(self) -> None:
         """Prepare for :meth:`run`, which is called for the intervals of a period."""

@@ -139,6 +139,7 @@ class SimulatedRobot:
         for command in commands:
             if self._late or self.sensing.settings.delays_commands:
                 count = self._clock.control_steps
+                self.joints.take_back()
                 self._late.send_in_order(
                     command, count + self.sensing.delays['command'].steps(count))
             else:

@@ -55,7 +55,10 @@ class SetpointRows(SetpointGenerator):
         self._velocity_limit = first._velocity_limit
         self._acceleration_limit = first._acceleration_limit
         self._inside = first._inside
-        self._inside_now = None
+        #: Between which positions no end of a range is near, as of when a row was asked.
+        known = [of._inside_now for of in generators]
+        self._knows_ends: BoolArray = np.array([inside is not None for inside in known])
+        self._ends = np.stack([inside or (self._low, self._high) for inside in known], axis=1)
         self._terms = None
         self._now_s = np.array([of.now_s for of in generators])[:, None]
         self._next_ends_s = np.array([of._next_end_s for of in generators])
@@ -97,8 +100,7 @@ class SetpointRows(SetpointGenerator):
         self._next_ends_s[rows] = self._until_s[rows].min(axis=1, initial=np.inf)
         self._catching[rows] = self.moves[rows] = True
         self._terms = None
-        for row in rows:
-            self._generators[row]._inside_now = None
+        self._knows_ends[rows] = False
 
     def _flat(self) -> SetpointGenerator:
         """Return a generator of the joints of all rows, whose arrays are views of those here."""
@@ -135,6 +137,7 @@ class SetpointRows(SetpointGenerator):
             of._catches, of.moving = catches[row], moves[row]
             of.now_s, of._next_end_s, of._terms = times[row], ends[row], None
             of.plan, of.row = self.plans.get(row), 0
+            of._inside_now = (*self._ends[:, row].copy(),) if self._knows_ends[row] else None
         if self._goals_taken:
             self._release_goals(rows)
 
@@ -255,10 +258,10 @@ class SetpointRows(SetpointGenerator):
         fits = self._next_ends_s[rows] > self._now_s[rows, 0] + ends_s[-2, :, 0] + 1e-9
         away = ((plan.positions[:-1] < self._inside[0])
                 | (plan.positions[:-1] > self._inside[1])).any(axis=(0, 2))
-        for number in np.flatnonzero(away & fits).tolist():
-            low, high = self._inside_of(int(rows[number]))
-            own = plan.positions[:-1, number]
-            fits[number] = not ((own < low) | (own > high)).any()
+        asked = np.flatnonzero(away & fits)
+        if asked.size:
+            own, (low, high) = plan.positions[:-1, asked], self._inside_of(rows[asked])
+            fits[asked] = ~((own < low) | (own > high)).any(axis=(0, 2))
         yield plan, rows, fits
 
     def _end_streams_of_rows(self, due: BoolArray) -> None:
@@ -269,8 +272,7 @@ class SetpointRows(SetpointGenerator):
         self._next_ends_s = np.where(
             due, self._until_s.min(axis=1, initial=np.inf), self._next_ends_s)
         self._terms = None
-        for row in np.flatnonzero(due).tolist():
-            self._generators[row]._inside_now = None
+        self._knows_ends[due] = False
 
     def _missing_of_rows(self) -> tuple[FloatArray, BoolArray]:
         """Return what is missing of the ways, and which rows have something to catch up."""
@@ -297,18 +299,20 @@ class SetpointRows(SetpointGenerator):
             return np.ones(len(catches), dtype=bool)
         near = np.asarray((
             (self.position < self._inside[0]) | (self.position > self._inside[1])).any(axis=1))
-        for row in np.flatnonzero(near & ~catches).tolist():
-            low, high = self._inside_of(row)
-            near[row] = ((self.position[row] < low) | (self.position[row] > high)).any()
+        asked = np.flatnonzero(near & ~catches)
+        if asked.size:
+            own, (low, high) = self.position[asked], self._inside_of(asked)
+            near[asked] = ((own < low) | (own > high)).any(axis=1)
         return near
 
-    def _inside_of(self, row: int) -> tuple[FloatArray, FloatArray]:
-        """Return positions between which no end of a range is near, as of the goals of a row."""
-        of = self._generators[row]
-        if of._inside_now is None:
-            of._inside_now = self._away_from_ends(np.maximum(
-                np.abs(self._reference[row]), np.abs(self._reference_goal[row])))
-        return of._inside_now
+    def _inside_of(self, rows: IntArray) -> FloatArray:
+        """Return positions between which no end of a range is near, shape (2, rows, n)."""
+        new = rows[~self._knows_ends[rows]]
+        if new.size:
+            self._ends[:, new] = self._away_from_ends(np.maximum(
+                np.abs(self._reference[new]), np.abs(self._reference_goal[new])))
+            self._knows_ends[new] = True
+        return self._ends[:, rows]
 
     def _catch_up_rows(self, missing: FloatArray, catches: BoolArray, duration_s: float) -> None:
         limit, terms, stages = self._acceleration_limit, self._get_terms(), self._stages

@@ -11,13 +11,11 @@ asks a controller for its setpoints or commands gets those of all rows back befo
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-import contextlib
 from functools import partial
 
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.errors import DivergenceError
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import JointSetpoint, Status
 from manip_sim.simulation.message_clock import MessageClock
@@ -45,7 +43,10 @@ class StreamRows:
     def __init__(self, simulations: Sequence[Simulation]) -> None:
         self.simulations = tuple(simulations)
         self._robots = [simulation.robot for simulation in simulations]
-        self._models = [simulation.model for simulation in simulations]
+        self._physics = [robot._physics for robot in self._robots]
+        self._models = [physics.model for physics in self._physics]
+        self._grippers = [gripper for robot in self._robots
+                          for gripper in robot.grippers.values()]
         self._joints = [robot.joints for robot in self._robots]
         first = self._joints[0]
         self._names, self._everything = tuple(first.names), np.arange(len(first.names))
@@ -95,7 +96,7 @@ class StreamRows:
                 and bool((np.isfinite(goals) & (goals >= self._low)
                           & (goals <= self._high)).all())
                 and not any([robot.reflexes.tripped or robot.sensing.settings.delays_commands
-                             or robot._late for robot in self._robots]))
+                             for robot in self._robots]))
 
     def command(self, goals: FloatArray) -> None:
         """
@@ -157,13 +158,14 @@ class StreamRows:
         if rates is None:
             self.give_back()
             return None
-        return [partial(_run, simulation, steps, partial(self._servos.write, row), own)
-                for row, (simulation, own) in enumerate(zip(self.simulations, rates))]
+        return [partial(simulation._periods.run_planned, steps, joints._servos.write_rate, own)
+                for simulation, joints, own in zip(self.simulations, self._joints, rates)]
 
     def _undisturbed(self) -> bool:
-        return self._in_step and all([
-            simulation.model is model and only_streams(simulation)
-            for simulation, model in zip(self.simulations, self._models)])
+        """Return whether only the joints move, in the models that there were."""
+        return (self._in_step
+                and all([of.model is model for of, model in zip(self._physics, self._models)])
+                and not any([gripper.moving for gripper in self._grippers]))
 
     def _plan(self, steps: int) -> FloatArray | None:
         """Return the rates of setpoints in the intervals of a period, or None without a plan."""
@@ -198,12 +200,6 @@ class StreamRows:
         return True
 
 
-def _run(simulation: Simulation, steps: int, write: Callable[[FloatArray], None],
-         rates: FloatArray) -> None:
-    with contextlib.suppress(DivergenceError):  # It is told by the simulation.
-        simulation._periods.run_planned(steps, write, rates)
-
-
 def stream_rows(simulations: Iterable[Simulation]) -> StreamRows | None:
     """
     Return the worlds whose robots follow streams in step, as rows that hold them, if any.
@@ -212,20 +208,12 @@ def stream_rows(simulations: Iterable[Simulation]) -> StreamRows | None:
     """
     groups: dict[object, list[Simulation]] = {}
     for simulation in simulations:
-        if len(simulation.robots) == 1 and only_streams(simulation):
+        if len(simulation.robots) == 1:
             key = _stream_of(simulation.robot)
             if key is not None:
                 groups.setdefault(key, []).append(simulation)
     largest = max(groups.values(), key=len, default=[])
     return StreamRows(largest) if len(largest) >= _LEAST else None
-
-
-def only_streams(simulation: Simulation) -> bool:
-    """Return whether nothing but streams of positions can act in a world with one robot."""
-    robot = simulation.robot
-    return not (simulation.pulls or robot._late or robot.reflexes.armed
-                or robot.sensing.settings.measures or robot.joints._timeouts.pending
-                or any([gripper.moving for gripper in robot.grippers.values()]))
 
 
 def _stream_of(robot: SimulatedRobot) -> object:
@@ -236,6 +224,7 @@ def _stream_of(robot: SimulatedRobot) -> object:
     if (len(running) != 1 or not isinstance(running[0], JointSetpoint)
             or not np.array_equal(running[0].indices, everything)
             or set(joints.modes) != {POSITION.name} or not takes(joints)
+            or robot._late or robot.reflexes.armed or joints._timeouts.pending
             or joints._setpoints.at_rest(everything)):
         return None
     goals, clock = joints._setpoints._waiting._goals, stream_of_all(joints._setpoints, everything)
