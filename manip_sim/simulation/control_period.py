@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -15,11 +15,14 @@ from manip_sim.errors import DivergenceError
 from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.free_base import FreeRoots
 from manip_sim.simulation.physics_steps import PhysicsSteps
+from manip_sim.simulation.planned_controls import PlannedRates
 from manip_sim.simulation.pulls import Pulls
 from manip_sim.simulation.robot import SimulatedRobot
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
+#: Of how many lengths of periods the intervals are kept.
+_REMEMBERED = 64
 
 
 class Interval:
@@ -68,6 +71,7 @@ class ControlPeriods:
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         #: When the intervals of a control period end, by its number of steps: the last one used.
         self._ends_of: dict[int, FloatArray] = {}
+        self._cuts: dict[int, tuple[int, ...]] = {}
 
     def look_at_robots(self) -> None:
         """Take over which robots there are now."""
@@ -112,22 +116,20 @@ class ControlPeriods:
         self._end(steps)
         self._check_not_diverged()
 
-    def run_planned(self, steps: int, write: Callable[[FloatArray], None], rates: FloatArray
-                    ) -> None:
+    def run_planned(self, steps: int, plan: PlannedRates) -> None:
         """
         Run a whole control period in which control only writes what was planned.
 
         If the physics diverges, :attr:`diverged` tells why.
 
         :param steps: number of physics steps of the period
-        :param write: writes a row of ``rates``
-        :param rates: of the setpoints of the only robot, in each interval, shape (k, n)
+        :param plan: for all of its intervals
         """
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         self._steps.begin()
         self._steps.begin_run()
-        self._compute_planned(((partial(write, rate),) for rate in rates), steps)
+        self._compute_planned([plan], steps)
         self._end(steps)
 
     def _end(self, steps: int) -> None:
@@ -180,8 +182,7 @@ class ControlPeriods:
             awake = [robot for robot in self._robots if not robot.resting]
             if left < steps and awake and all([robot.plans for robot in awake]):
                 yield Interval((), left * self._timestep_s, partial(
-                    self._compute_planned,
-                    zip(*[robot.joints.plan.take() for robot in awake]), left))
+                    self._compute_planned, [robot.joints.plan.take() for robot in awake], left))
                 return
             chunk = left
             if any([robot.moving for robot in awake]):
@@ -190,39 +191,39 @@ class ControlPeriods:
             yield Interval(awake, chunk * self._timestep_s,
                            partial(self._compute, chunk, not left))
 
-    def _compute_planned(self, writes: Iterable[Sequence[Callable[[], None]]], left: int) -> None:
-        """
-        Compute the rest of a period, in whose intervals control only writes what was planned.
-
-        :param writes: what is called at the beginning of each interval
-        """
-        self._steps.run(self._written(writes, left))
+    def _compute_planned(self, plans: Sequence[PlannedRates], left: int) -> None:
+        """Compute the rest of a period, in which control only writes what was planned."""
+        self._steps.run(self._written(plans, self._cut(left)))
         self._steps.finish()
 
-    def _written(self, writes: Iterable[Sequence[Callable[[], None]]], left: int
-                 ) -> Iterator[int]:
+    def _written(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> Iterator[int]:
         """Write what was planned for each interval, and yield its steps."""
-        for of_interval in writes:
-            for write in of_interval:
-                write()
-            if self._free_roots.is_needed:
+        lifts = self._free_roots.is_needed
+        for number, chunk in enumerate(chunks):
+            for controls, where, rates in plans:
+                controls[where] = rates[number]
+            if lifts:
                 self._free_roots.apply()
-            chunk = self._chunk(left)
-            left -= chunk
             yield chunk
 
     def _chunk(self, left: int) -> int:
         """Return the steps of the next interval; they divide what is left of a period evenly."""
         return -(-left // -(-left // self._interval_steps))
 
+    def _cut(self, steps: int) -> tuple[int, ...]:
+        """Return the steps of all intervals in which setpoints move, of what is left."""
+        if steps not in self._cuts:
+            if len(self._cuts) == _REMEMBERED:
+                self._cuts.clear()
+            chunk = self._chunk(steps)
+            self._cuts[steps] = (chunk, *(self._cut(steps - chunk) if steps > chunk else ()))
+        return self._cuts[steps]
+
     def ends_s(self, steps: int) -> FloatArray:
         """Return when the intervals of a period end in which setpoints move [s], shape (k, 1)."""
         if steps not in self._ends_of:
-            ends, left = [], steps
-            while left:
-                left -= self._chunk(left)
-                ends.append([(steps - left) * self._timestep_s])
-            self._ends_of = {steps: np.array(ends)}
+            ends = np.cumsum(self._cut(steps))[:, None] * self._timestep_s
+            self._ends_of = {steps: ends}
         return self._ends_of[steps]
 
     def _compute(self, steps: int, ends: bool) -> None:

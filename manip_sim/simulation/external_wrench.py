@@ -35,10 +35,12 @@ class ExternalWrench:
     :param physics: of the world
     :param site: of the frame of the sensor
     :ivar site: the same; its id in a new model has to be set before the model is looked at
+    :ivar forces: on the bodies of the tool in the last step, a view
+    :ivar no_forces: the same where there are none, as bytes
     """
 
     #: Of the period that has passed; nothing in the next one depends on it.
-    not_in_digest = ('_rows', '_centres', '_none', '_sum', '_mean', '_steps')
+    not_in_digest = ('_rows', '_centres', 'no_forces', '_sum', '_mean', '_steps')
 
     def __init__(self, physics: Physics, site: int) -> None:
         self._physics = physics
@@ -63,9 +65,9 @@ class ExternalWrench:
         body = int(model.site_bodyid[self.site])
         #: The tool: bodies are in depth-first order.
         self.bodies = slice(body, body + _subtree_size(model, body))
-        self._forces = data.cfrc_ext[self.bodies]
+        self.forces = data.cfrc_ext[self.bodies]
         self._centre = data.subtree_com[model.body_rootid[body]]
-        self._none = bytes(self._forces.nbytes)
+        self.no_forces = bytes(self.forces.nbytes)
 
     def begin_period(self) -> None:
         """Begin a control period in which each step may be recorded."""
@@ -74,9 +76,9 @@ class ExternalWrench:
             self._rows, self._centres = [], []
 
     def record(self) -> None:
-        """Record the forces of the last step."""
-        forces = self._forces.tobytes()
-        if forces != self._none:
+        """Record the forces of the last step, if they are not zero."""
+        forces = self.forces.tobytes()
+        if forces != self.no_forces:
             self._rows.append(forces)
             self._centres.append(self._centre.tobytes())
             if len(self._rows) == _ROWS:

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import FloatArray
 from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.divergence import DivergenceWatch
 from manip_sim.simulation.efforts import ActuatorEfforts
@@ -117,9 +117,9 @@ class PhysicsSteps:
         options = self._options
         if self._computed and int(options.integrator) in _RESUMABLE and not options.enableflags:
             self._integrates = state.tobytes() == self.computed_from.tobytes()
-            half = self._first_half
-            self._resumes = self._integrates or (
-                state[half].tobytes() == self.computed_from[half].tobytes())
+            self._resumes = self._integrates or all([
+                state[part].tobytes() == self.computed_from[part].tobytes()
+                for part in self._first_half])
 
     # ------------------------------------------------------------------ control periods
 
@@ -191,24 +191,23 @@ class PhysicsSteps:
         :param intervals: the steps of each; it is asked for when the one before has been run
         """
         model, data, contacts, count = self._model, self._data, self._contacts, 0
-        laws, tools, pushed = self._laws, self.tools, self._pushed
+        laws, pushed, step = self._laws, self._pushed, mujoco.mj_step
+        tools = [(tool.forces, tool.no_forces, tool.record) for tool in self.tools]
+        # What depends on positions and velocities alone may have been computed already.
+        next_step, self._resumes = (mujoco.mj_step2 if self._resumes else step), False
         for steps in intervals:
             count += steps
             for _ in range(steps):
                 for law in laws:
                     law.write(model, data)
-                if self._resumes:
-                    # What depends on positions and velocities alone has been computed already.
-                    mujoco.mj_step2(model, data)
-                    self._resumes = False
-                else:
-                    mujoco.mj_step(model, data)
-                present = data.ncon
+                next_step(model, data)
+                next_step, present = step, data.ncon
                 if present != contacts:
                     self.contacts_change, contacts = True, present
                 if present or pushed:
-                    for tool in tools:
-                        tool.record()
+                    for forces, none, record in tools:
+                        if forces.tobytes() != none:
+                            record()
         self._contacts = contacts
         self._clock.count(count)
 
@@ -224,13 +223,16 @@ class PhysicsSteps:
         self.compute()
 
 
-def _places(model: mujoco.MjModel, wanted: int) -> IntArray:
+def _places(model: mujoco.MjModel, wanted: int) -> list[slice]:
     """Return the places of parts of the state in the array of all of it."""
-    found, begin = [], 0
+    found: list[slice] = []
+    begin = 0
     for number in range(PHYSICS.bit_length()):
         part = PHYSICS & (1 << number)
         end = begin + (mujoco.mj_stateSize(model, part) if part else 0)
-        if part & wanted:
-            found.append(np.arange(begin, end))
+        if part & wanted and end > begin:
+            if found and found[-1].stop == begin:
+                begin = found.pop().start
+            found.append(slice(begin, end))
         begin = end
-    return np.concatenate(found)
+    return found

@@ -5,12 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-import functools
+from typing import NamedTuple
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.simulation.profiles import Plan
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
@@ -18,6 +17,20 @@ from manip_sim.simulation.setpoints import SetpointGenerator
 #: Setpoints that go less than this share of how far they may be ahead of their joints, in a plan,
 #: are looked at once in it.
 CALM = 0.25
+
+
+class PlannedRates(NamedTuple):
+    """
+    What is written for the joints of a robot in each of several intervals.
+
+    :ivar controls: of all actuators of the world, into which it is written
+    :ivar where: the places of the joints
+    :ivar rates: of their setpoints, shape (k, n)
+    """
+
+    controls: FloatArray
+    where: slice | IntArray
+    rates: FloatArray
 
 
 class PlannedControls:
@@ -62,12 +75,12 @@ class PlannedControls:
         self._rates, self._calm = rates, self._is_calm(self._setpoints.plan)
         self._servos.write_rate(rates[0])
 
-    def take(self) -> list[Callable[[], None]]:
-        """Return what writes the controls of each of the intervals that follow in the period."""
+    def take(self) -> PlannedRates:
+        """Return the controls of the intervals that follow in the period, which then are past."""
         assert self._rates is not None
-        rates, write = self._rates[self._setpoints.row + 1:], self._servos.write_rate
+        rates = self._rates[self._setpoints.row + 1:]
         self._setpoints.end_plan()
-        return [functools.partial(write, rate) for rate in rates]
+        return PlannedRates(*self._servos.controls, rates)
 
     def _is_calm(self, plan: Plan) -> bool:
         """Tell whether setpoints go so slowly that one look in a plan holds them back in time."""

@@ -330,6 +330,11 @@ class Servos:
         rates /= plan.durations_s
         return rates
 
+    @property
+    def controls(self) -> tuple[FloatArray, slice | IntArray]:
+        """All controls of the world, a view, and where those of the joints are in them."""
+        return self._physics.ctrl, self._places[3]
+
     def write_rate(self, rate: FloatArray) -> None:
         """
         Let the setpoints of all joints, which are servos, move at a rate.

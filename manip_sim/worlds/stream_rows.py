@@ -20,6 +20,7 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import JointSetpoint, Status
 from manip_sim.simulation.message_clock import MessageClock
 from manip_sim.simulation.modes import POSITION
+from manip_sim.simulation.planned_controls import PlannedRates
 from manip_sim.simulation.streams import WaitingGoal
 from manip_sim.worlds.joint_rows import takes
 from manip_sim.worlds.servo_rows import ServoRows
@@ -158,7 +159,8 @@ class StreamRows:
         if rates is None:
             self.give_back()
             return None
-        return [partial(simulation._periods.run_planned, steps, joints._servos.write_rate, own)
+        return [partial(simulation._periods.run_planned, steps,
+                        PlannedRates(*joints._servos.controls, own))
                 for simulation, joints, own in zip(self.simulations, self._joints, rates)]
 
     def _undisturbed(self) -> bool:

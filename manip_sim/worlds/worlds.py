@@ -248,9 +248,11 @@ class Worlds:
         """
         return [simulation.digest() for simulation in self._of(where)]
 
-    def _of(self, where: ArrayLike | None) -> Iterator[Simulation]:
+    def _of(self, where: ArrayLike | None) -> Sequence[Simulation]:
+        if where is None:
+            return self.simulations
         mask = chosen(where, len(self))
-        return (simulation for simulation, wanted in zip(self.simulations, mask) if wanted)
+        return [simulation for simulation, wanted in zip(self.simulations, mask) if wanted]
 
 
 def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[], None]:
