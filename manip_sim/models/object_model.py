@@ -269,9 +269,10 @@ class ObjectModel(PlacedModel):
         if (mujoco.mj_version() < _DELETES or not self._is_shape or len(self._spec.bodies) != 2
                 or any(others)):
             return False
-        body = spec.body(self.name)
-        frame, default = body.frame, spec.find_default(f'{self._prefix}main')
-        spec.delete(body)
+        frame, default = spec.body(self.name).frame, spec.find_default(f'{self._prefix}main')
+        while frame.frame is not None:
+            frame = frame.frame
+        # All that :meth:`attach` added is in the outermost frame, and a deletion takes long.
         spec.delete(frame)
         if default is not None:
             spec.delete(default)

@@ -226,7 +226,7 @@ def test_lockstep_does_not_wait_for_it(spawning, client):
     ({'name': 'a/b'}, "'a/b' cannot be"), ({'name': 'x' * 61}, 'cannot be'),
     ({'entity_namespace': 'elsewhere'}, "the namespace of a robot is its name, 'left'"),
     ({'resource_string': '{robot: UR5}'}, "did you mean 'UR5e'"),
-    ({'resource_string': '{robot: /etc/passwd}'}, "unknown robot '/etc/passwd'"),
+    ({'resource_string': '{robot: /etc/passwd}'}, 'must not be read: only files below'),
     ({'resource_string': '{robot: [UR5e]}'}, 'robot: expected a name'),
     ({'resource_string': '{robot: UR5e, gripper: x.xml}'}, "unknown gripper 'x.xml'"),
     ({'resource_string': '{robot: UR5e, grip: none}'}, "unknown key 'grip'"),

@@ -346,6 +346,7 @@ def test_a_hundred_objects_come_and_go_without_a_trace(live):
     for number in range(100):
         now = delete(spawn(now, box(f'box{number}')), f'box{number}')
     assert now.plan.spec.to_xml() == xml
+    assert len(now.plan.spec.frames) == len(live.plan.spec.frames)
     assert now.data.qpos.tobytes() == live.data.qpos.tobytes()
 
 
