@@ -117,7 +117,7 @@ def carry_edits(compiled: mujoco.MjModel, edited: Any, target: Any, both: Elemen
     for name, size in _arrays('mjModel').items():
         before, after = getattr(compiled, name), getattr(edited, name)
         if not isinstance(after, np.ndarray) or not after.size or (
-                name not in _DERIVED and np.array_equal(before, after)):
+                name not in _DERIVED and before.tobytes() == after.tobytes()):
             continue
         other = getattr(target, name)
         old, new = both.rows(size, after, other)

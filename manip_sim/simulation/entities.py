@@ -52,12 +52,13 @@ class Entities:
         self._bodies: dict[str, int] = {
             robot: model.body(frame).id for robot, frame in robots.items()}
         self._joints: dict[str, tuple[int, int]] = {}
-        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
-            body = model.body(model.jnt_bodyid[joint])
-            if body.name and body.name not in roots:
-                self._bodies[body.name] = body.id
-                self._joints[body.name] = (int(model.jnt_qposadr[joint]),
-                                           int(model.jnt_dofadr[joint]))
+        free = model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
+        for body, *addresses in zip(*(field[free].tolist() for field in (
+                model.jnt_bodyid, model.jnt_qposadr, model.jnt_dofadr))):
+            name = mujoco.mj_id2name(model, _BODY, body)
+            if name and name not in roots:
+                self._bodies[name] = body
+                self._joints[name] = addresses[0], addresses[1]
 
     @property
     def names(self) -> list[str]:
