@@ -53,7 +53,8 @@ class ControlTogether:
         if not self._began:
             self._began = True
             self._begin([robot for interval in intervals for robot in interval.robots])
-        _follow(intervals)
+        if len(intervals) >= _LEAST:
+            _follow(intervals)
         arrived: list[SimulatedRobot] = []
         ticked: set[JointRows] = set()
         for interval in intervals:

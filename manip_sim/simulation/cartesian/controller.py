@@ -253,10 +253,11 @@ class CartesianController:
         target = self._targets[command.arm]
         self._end_twist(command, target, now_s)
         if self._servos.any_gives_effort_of(command.indices):
-            if command.arm not in self._found:
-                self.take(command.arm, HandEfforts(
-                    [self._following(command, target, now_s, duration_s)]), 0)
-            found, row = self._found.pop(command.arm)
+            if command.arm in self._found:
+                found, row = self._found.pop(command.arm)
+            else:
+                found, row = HandEfforts(
+                    [self._following(command, target, now_s, duration_s)]), 0
             efforts[command.indices] = found.efforts_of(row)
             if target.solve_s == -math.inf:
                 # What limits the hand is reported, and whether it rests, once in a control period.

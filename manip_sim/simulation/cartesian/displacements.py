@@ -12,7 +12,7 @@ the place where the hand is nearest, so the joints come to rest there. Nothing h
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import functools
 from typing import NamedTuple
 
@@ -103,6 +103,7 @@ class Displacements:
     def __init__(self, jacobians: FloatArray, tasks: FloatArray, low: FloatArray,
                  high: FloatArray, away: FloatArray, rested: Sequence[bool]) -> None:
         self._one, self._jacobians, self._tasks = tasks.ndim == 1, jacobians, tasks
+        self._rows: Callable[..., Iterable[tuple[FloatArray, ...]]] = _only if self._one else zip
         self.rests = [False] * len(rested)
         #: The displacements where not all of a task is possible, or a bound is met.
         self._bounded: dict[int, Displacement] = {}
@@ -119,9 +120,6 @@ class Displacements:
                 for result, found in zip(results, (one.step, one.drift, one.factor)):
                     result[:] = found
                 self.rests[row] = one.rests
-
-    def _rows(self, *arrays: FloatArray) -> Iterable[tuple[FloatArray, ...]]:
-        return (arrays,) if self._one else zip(*arrays)
 
     def _unbounded(self, low: FloatArray, high: FloatArray, away: FloatArray
                    ) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
@@ -170,8 +168,8 @@ class Displacements:
         ends[1] += first
         ends[2] += drift
         over = (ends < low) | (ends > high)
-        outside = [row for row, (far, whole, error) in enumerate(zip(
-            self._far, self._whole, missing))
+        outside = [
+            row for row, (far, whole, error) in enumerate(zip(self._far, self._whole, missing))
             if not (far <= _LARGEST and error <= _NEGLIGIBLE * whole)]
         if np.count_nonzero(over):
             met = np.flatnonzero(over.any(axis=(0, -1)))
@@ -201,6 +199,11 @@ class Displacements:
         return Displacement(
             step, drift, np.zeros(len(step), dtype=bool), factor, False, jacobian, task,
             easy=self._far[row] * SINGULAR <= 0.4 * self._whole[row])
+
+
+def _only(*arrays: FloatArray) -> tuple[tuple[FloatArray, ...]]:
+    """Return the arrays of one arm as those of its only row."""
+    return arrays,
 
 
 @functools.cache

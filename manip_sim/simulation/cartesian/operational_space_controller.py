@@ -66,13 +66,15 @@ class ArmJoints(NamedTuple):
 
     :ivar joints: where they are in arrays of all of them; ``qpos`` and ``dofs`` in those of MuJoCo
     :ivar limits: lowest and highest position, highest velocity, lowest and highest effort, and
-        damping, shape (6, n)
+        damping, each of shape (n,)
+    :ivar all_limits: the same as one array, shape (6, n)
     """
 
     joints: slice | IntArray
     qpos: slice | IntArray
     dofs: slice | IntArray
-    limits: FloatArray
+    limits: tuple[FloatArray, ...]
+    all_limits: FloatArray
 
 
 class FollowingHand(NamedTuple):
@@ -96,13 +98,6 @@ class FollowingHand(NamedTuple):
     now_s: float
     duration_s: float
 
-    def joints(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return Jacobian, position, velocity and posture of the joints, which may be views."""
-        own, arm = self.own, self.arm
-        physics = own.physics
-        return (self.tip.jacobian(physics.model, physics.data, arm.dofs), physics.qpos[arm.qpos],
-                physics.qvel[arm.dofs], own.posture[arm.joints])
-
     def forces(self, acceleration: FloatArray) -> FloatArray:
         """Return the forces of the joints for an acceleration, beside their damping, (n,)."""
         own, dofs = self.own, self.arm.dofs
@@ -115,14 +110,18 @@ class FollowingHand(NamedTuple):
         result += own.forces[dofs]
         return result
 
-    def look(self) -> tuple[bool, FloatArray | None, FloatArray]:
+    def look(self) -> tuple[bool, FloatArray | None, FloatArray, FloatArray, FloatArray,
+                            FloatArray, FloatArray]:
         """
-        Return whether the target rests, how it moves, and how far the hand is from it.
+        Return whether the target rests, and how it and the arm are and move; some are views.
 
-        :returns: velocity [m/s, rad/s], shape (6,), or None, and translation and rotation vector
-            to the target [m, rad], shape (6,)
+        :returns: whether it rests; its velocity [m/s, rad/s], shape (6,), or None; translation and
+            rotation vector to it [m, rad], shape (6,); Jacobian of the hand, shape (6, n);
+            position, velocity and posture of the joints, each of shape (n,)
         """
-        target, data, now_s = self.target, self.own.physics.data, self.now_s
+        own, target, arm, now_s = self.own, self.target, self.arm, self.now_s
+        physics = own.physics
+        data = physics.data
         twist, damping = None, self.settings.damping
         if target.twists is not None:
             twist = target.in_world(target.twists.at(now_s + self.duration_s / 2.0), data)
@@ -135,7 +134,9 @@ class FollowingHand(NamedTuple):
             goal, along, acceleration = target.reference(data, now_s)
             along = along + acceleration / damping
             twist = along if twist is None else twist + along
-        return still, twist, pose_error(goal, self.tip.view(data))
+        return (still, twist, pose_error(goal, self.tip.view(data)),
+                self.tip.jacobian(physics.model, data, arm.dofs), physics.qpos[arm.qpos],
+                physics.qvel[arm.dofs], own.posture[arm.joints])
 
 
 class HandEfforts:
@@ -147,45 +148,48 @@ class HandEfforts:
     """
 
     def __init__(self, hands: Sequence[FollowingHand]) -> None:
-        self._still, twists, errors = zip(*[hand.look() for hand in hands])
-        self._errors = _together(errors)
-        jacobians, position, self._velocity, posture = map(_together, zip(
-            *[hand.joints() for hand in hands]))
-        limits = _together([hand.arm.limits for hand in hands])
-        low, high, fastest, weakest, strongest, damping = (limits if len(hands) == 1
-                                                           else limits.swapaxes(0, 1))
+        one = self._one = len(hands) == 1
+        seen = [hand.look() for hand in hands]
+        twists: Sequence[FloatArray | None]
+        self._still: Sequence[bool]
+        if one:
+            still, twist, *arrays = seen[0]
+            self._still, twists, limits = [still], [twist], hands[0].arm.limits
+        else:
+            self._still, twists, *lists = zip(*seen)
+            arrays = [_together(rows) for rows in lists]
+            limits = tuple(_together([hand.arm.all_limits for hand in hands]).swapaxes(0, 1))
+        self._errors, jacobians, position, self._velocity, posture = arrays
+        low, high, fastest, weakest, strongest, damping = limits
         wanted = self._wanted = WantedMotions(
             jacobians, self._errors, twists, [hand.settings for hand in hands], fastest,
             low - position, high - position, posture - position,
             [hand.target.rests for hand in hands])
         accelerations, forces = wanted.accelerations(self._velocity), []
         for hand, rests, acceleration in zip(
-                hands, wanted.found.rests,
-                (accelerations,) if len(hands) == 1 else accelerations):
+                hands, wanted.found.rests, (accelerations,) if one else accelerations):
             hand.target.rests = rests
             forces.append(hand.forces(acceleration))
-        self._efforts = _together(forces)
+        self._efforts = forces[0] if one else _together(forces)
         self._efforts += damping * self._velocity
         np.maximum(self._efforts, weakest, out=self._efforts)
         np.minimum(self._efforts, strongest, out=self._efforts)
 
     def efforts_of(self, row: int) -> FloatArray:
         """Return the efforts of the joints of an arm [N m], shape (n,)."""
-        return self._efforts if len(self._still) == 1 else self._efforts[row]
+        return self._efforts if self._one else self._efforts[row]
 
     def solution(self, row: int) -> EffortSolution:
         """Return how near a hand is to its target, and what limits it."""
         error, velocity = self._errors, self._velocity
-        if len(self._still) > 1:
+        if not self._one:
             error, velocity = error[row], velocity[row]
         return EffortSolution(error, self._wanted.found.row(row), self._wanted.slowed(row),
                               self._still[row], velocity)
 
 
 def _together(found: Sequence[FloatArray]) -> FloatArray:
-    """Return arrays of one shape as one with a leading axis, or the only one."""
-    if len(found) == 1:
-        return found[0]
+    """Return arrays of one shape as one with a leading axis."""
     return np.concatenate(found).reshape(len(found), *found[0].shape)
 
 
@@ -224,11 +228,12 @@ class OperationalSpaceController:
         key = indices.tobytes()
         if key not in self._arms:
             servos = self._servos
+            limits = np.stack([
+                self._low[indices], self._high[indices], servos.velocity_limit[indices],
+                *servos.ranges['effort'][indices].T, servos.passive_damping[indices]])
             self._arms[key] = ArmJoints(
                 as_slice(indices), as_slice(servos.qpos[indices]), as_slice(servos.dofs[indices]),
-                np.stack([self._low[indices], self._high[indices],
-                          servos.velocity_limit[indices], *servos.ranges['effort'][indices].T,
-                          servos.passive_damping[indices]]))
+                tuple(limits), limits)
         return self._arms[key]
 
     def hand(self, tip: Frame, target: Target, indices: IntArray, settings: CartesianSettings,
