@@ -100,3 +100,15 @@ def test_an_included_file_takes_the_place_of_the_include(tmp_path):
     found = model(tmp_path, {}, main='<mujoco><b/><include file="a.xml"/><e/></mujoco>',
                   a='<any><c><d/></c><include file="c.xml"/></any>', c='<any><f/></any>').tree
     assert [element.tag for element in found.iter()] == ['mujoco', 'b', 'c', 'd', 'f', 'e']
+
+
+def test_what_an_include_that_is_a_root_includes_takes_its_place_too(tmp_path):
+    found = model(tmp_path, {}, main='<mujoco><b/><include file="a.xml"/><e/></mujoco>',
+                  a='<include file="c.xml"/>', c='<any><f><g/></f></any>').tree
+    assert [element.tag for element in found.iter()] == ['mujoco', 'b', 'f', 'g', 'e']
+
+
+def test_the_line_behind_an_include_is_that_of_its_own_file(tmp_path):
+    with pytest.raises(ModelError, match=r'main\.xml, line 4: nkey of size is more than 1000$'):
+        model(tmp_path, {}, a='<any>\n\n\n<b/>\n<b/></any>',
+              main='<mujoco>\n<include file="a.xml"/>\n<b/>\n<size nkey="1001"/></mujoco>')
