@@ -24,6 +24,8 @@ from manip_sim.simulation.physics import Physics
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+#: A force that a servo exerts so many ranges away from its place of rest stands for no limit.
+_NO_LIMIT_RANGES = 100.0
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -39,7 +41,7 @@ class GripperActuators:
     :ivar speeds: of the setpoints, so that no joint and none that is coupled to it exceeds its
         velocity limit [1/s]; infinite where none is declared
     :ivar overtravel: how far a setpoint is below and above its place of rest at full force, zero
-        where the force is not limited or the activation is, shape (n, 2)
+        where the force is not limited, or by an absurd number, or the activation is, shape (n, 2)
     :ivar terms: by actuator, the joints that make up its length, with their coefficients; empty
         where the length is no sum of joint positions
     :ivar couplings: among the joints of the gripper
@@ -229,6 +231,7 @@ class GripperActuators:
         if not limits or not self.is_servo[index] or model.actuator_actlimited[actuator]:
             return 0.0, 0.0
         low, high = np.max(limits, axis=0)[0], np.min(limits, axis=0)[1]
-        below, above = (max(force, 0.0) / self._gain[index] if np.isfinite(force) else 0.0
-                        for force in (-low, high))
-        return float(below), float(above)
+        below, above = (max(force, 0.0) / self._gain[index] for force in (-low, high))
+        farthest = _NO_LIMIT_RANGES * np.ptp(self.ranges[index])
+        return (float(below) if below < farthest else 0.0,
+                float(above) if above < farthest else 0.0)
