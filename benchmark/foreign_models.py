@@ -20,6 +20,9 @@ goes no further than to load them. Percentages by class and the causes of failur
 - follows: each arm a sine as below, or as well as it does if bodies may pass through each other.
 - grips: the fingers of each hand move by a third of their range, or until they touch something,
   when an action closes the hand, and back when one opens it.
+- weak: which of these two fail where an actuator of the file has too little effort for a sine,
+  against weight, friction and damping, or where the bare MJCF model follows as badly with the same
+  controls. The percentages leave out these, and the robots that bare ones do not hold either.
 
 Each row is one model in a process of its own:
 
@@ -58,6 +61,7 @@ import yaml
 from manip_sim.errors import DivergenceError, ManipSimError
 from manip_sim.models import compose, load_gripper, load_robot
 from manip_sim.models.robots import ManipulatorModel
+from manip_sim.simulation.actuator_properties import effort_range
 from manip_sim.simulation.simulation import Simulation
 
 HOLD_S, HELD, FALLEN = 10.0, 5e-3, 0.1
@@ -466,9 +470,10 @@ def check_as_found(name: str, moves: bool) -> dict[str, Any]:
     :param moves: whether to simulate it, too
     """
     row: dict[str, Any] = {'reason': []}
+    original = None
     if moves and class_of(name) == 'MJCF':
         try:
-            row['bare'] = bare_holds(Path(name))[1]
+            original, row['bare'] = bare_holds(Path(name))
         except Exception as error:
             row['reason'].append(f'MuJoCo: {" ".join(str(error).split())[:200]}')
     try:
@@ -481,7 +486,7 @@ def check_as_found(name: str, moves: bool) -> dict[str, Any]:
         return {**row, 'loads': False, 'reason': [str(error)]}
     row['parts'] = {part: len(found.joints) for part, found in simulation.robot.parts.items()
                     if found.atomic == (part,) and found.joints}
-    row['lost'] = sum('nothing touches' in sentence for sentence in robot.inferred)
+    row['lost'] = sum('nothing touches these' in sentence for sentence in robot.inferred)
     if not moves:
         return row
     row['holds'], why = holds(simulation, 5.0)
@@ -491,16 +496,21 @@ def check_as_found(name: str, moves: bool) -> dict[str, Any]:
         row['bare'] = False
     if (simulation.model.jnt_type == 0).any():
         simulation = _hung(simulation)
+    row['weak'] = {}
     arms = [name for name, part in simulation.robot.parts.items()
             if part.atomic == (name,) and name in ('arm', 'right', 'left') and part.actuators]
-    row['follows'] = worst_of(
-        [_arm_follows(simulation, arm, row) for arm in arms]) if arms else None
     hands = list(simulation.robot.grippers)
-    row['grips'] = worst_of([_grips(simulation, hand, row) for hand in hands]) if hands else None
+    for what, parts, moves_well in (('follows', arms, _arm_follows), ('grips', hands, _grips)):
+        try:
+            row[what] = worst_of(moves_well(simulation, part, row, original)
+                                 for part in parts) if parts else None
+        except DivergenceError as error:
+            row[what] = False
+            row['reason'].append(str(error))
     return row
 
 
-def _arm_follows(simulation: Simulation, part: str, row: dict[str, Any]) -> bool:
+def _arm_follows(simulation: Simulation, part: str, row: dict[str, Any], original: Any) -> bool:
     """Return whether an arm follows a sine of positions, if need be without contacts."""
     names = [joint for joint in simulation.robot.parts[part].driven_joints if joint]
     contacts = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -512,15 +522,68 @@ def _arm_follows(simulation: Simulation, part: str, row: dict[str, Any]) -> bool
     if residual.max() >= FOLLOWED:
         row['reason'].append(f'does not follow: {names[int(residual.argmax())]} '
                              f'{100 * residual.max():.0f} %')
+        _explain(simulation, part, 'follows', row, original)
     return bool(residual.max() < FOLLOWED)
 
 
-def _grips(simulation: Simulation, part: str, row: dict[str, Any]) -> bool:
+def _explain(simulation: Simulation, part: str, what: str, row: dict[str, Any], original: Any
+             ) -> None:
+    """Note if the actuators of a part are too weak, or those of the bare MJCF model do no more."""
+    why = _lack(simulation, part)
+    if not why and original is not None:
+        good, why = (hand_follows(simulation, part, original) if what == 'grips' else
+                     follows(simulation, part, 'position', original))
+        why = why if good == 'as bare' else ''
+    if why:
+        row['weak'][what] = True
+        row['reason'].append(why)
+
+
+def _lack(simulation: Simulation, part: str) -> str:
+    """Return which actuator of a part lacks effort for a sine, and how much, or nothing."""
+    simulation.reset()
+    model, robot = simulation.model, simulation.robot
+    names = [joint for joint in robot.parts[part].driven_joints if joint]
+    middle, swing = _room(model, names, robot.state().position[
+        [robot.joint_names.index(name) for name in names]])
+    ids = robot.parts[part].actuator_ids
+    ids = ids[model.actuator_trntype[ids] == int(mujoco.mjtTrn.mjTRN_JOINT)]
+    joints = model.actuator_trnid[ids, 0]
+    limits, dofs = effort_range(model, joints, ids), model.jnt_dofadr[joints]
+    if part in robot.grippers:  # Their servos exert what their stiffness gives.
+        reach = np.where((model.actuator_biasprm[ids, 1] < 0.0) & (model.jnt_limited[joints] != 0),
+                         model.actuator_gainprm[ids, 0] * np.ptp(model.jnt_range[joints], axis=1),
+                         np.inf)
+        limits = np.clip(limits, -reach[:, None], reach[:, None])
+    data, acceleration, needed = mujoco.MjData(model), np.zeros(model.nv), np.empty(model.nv)
+    own = [int(model.joint(name).dofadr[0]) for name in names]
+    omega = 2.0 * np.pi * FREQUENCY_HZ
+    for phase in np.linspace(0.0, 2.0 * np.pi, 9):
+        data.qpos[:] = simulation.data.qpos
+        data.qpos[[int(model.joint(name).qposadr[0]) for name in names]] = (
+            middle + swing * np.sin(phase))
+        data.qvel[own] = swing * omega * np.cos(phase)
+        acceleration[own] = -swing * omega**2 * np.sin(phase)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_mulM(model, data, needed, acceleration)
+        needed += data.qfrc_bias - data.qfrc_passive
+        needed += model.dof_frictionloss * np.where(data.qvel == 0.0, np.sign(needed),
+                                                    np.sign(data.qvel))
+        lacks = np.maximum(needed[dofs] - limits[:, 1], limits[:, 0] - needed[dofs])
+        index = int(lacks.argmax()) if len(lacks) else 0
+        if len(lacks) and lacks[index] >= 0.0:
+            return (f'{model.joint(joints[index]).name} needs {needed[dofs[index]]:.3g} N m or N, '
+                    f'its actuator has {limits[index, 0]:.3g} to {limits[index, 1]:.3g}')
+    return ''
+
+
+def _grips(simulation: Simulation, part: str, row: dict[str, Any], original: Any) -> bool:
     """Return whether a hand closes and opens again."""
     simulation.reset()
     robot, model = simulation.robot, simulation.model
     if not robot.parts[part].actuators:
         row['reason'].append(f'{part} has no actuators')
+        row['weak']['grips'] = True
         return False
     index = [robot.joint_names.index(name) for name in robot.parts[part].joints]
     spans = np.array([np.ptp(model.joint(name).range) if model.joint(name).limited[0] else 1.0
@@ -538,6 +601,7 @@ def _grips(simulation: Simulation, part: str, row: dict[str, Any]) -> bool:
     if not good:
         row['reason'].append(f'{part} does not grip: closes by {closing:.0%} of the range, '
                              f'opens by {opening:.0%}')
+        _explain(simulation, part, 'grips', row, original)
     return bool(good)
 
 
@@ -553,7 +617,7 @@ def check_folder(folder: Path, words: list[str], moves: bool) -> None:
     :param moves: whether to simulate them, too
     """
     rows = []
-    columns = ('loads', 'inferred', 'lost', 'bare', 'holds', 'follows', 'grips', 'parts')
+    columns = ('loads', 'inferred', 'lost', 'bare', 'holds', 'follows', 'grips', 'weak', 'parts')
     print(f'| model | {" | ".join(columns)} | reason |\n|{"---|" * (len(columns) + 2)}')
     for repository, path, expected in find_in_folder(folder, words):
         row = in_process('as found' if moves else 'as loaded', str(folder / repository / path))
@@ -572,7 +636,8 @@ def check_folder(folder: Path, words: list[str], moves: bool) -> None:
 def _mark(value: Any) -> str:
     """Return what a row shows of a value."""
     if isinstance(value, dict):
-        return ', '.join(f'{part} {joints}' for part, joints in value.items())
+        return ', '.join(name if number is True else f'{name} {number}'
+                         for name, number in value.items())
     return _MARKS[value] if value is None or isinstance(value, bool) else str(value)
 
 
@@ -582,11 +647,12 @@ def _sum_up(rows: list[dict[str, Any]]) -> None:
     for kind in ('MJCF', 'URDF', 'xacro'):
         own = [row for row in rows if row['class'] == kind]
         loaded = [row for row in own if row.get('loads')]
-        able = [row for row in loaded if row.get('bare') is not False]
+        able = [row for row in loaded if row.get('bare', kind != 'MJCF')]
         print(f'{kind}: {len(own)} files')
         for column, among in (('loads', own), ('inferred', own), ('holds', able),
                               ('follows', loaded), ('grips', loaded)):
-            counted = [row for row in among if among is own or row.get(column) is not None]
+            counted = [row for row in among if among is own or row.get(column) is not None
+                       and (row[column] or column not in row['weak'])]
             good = sum(bool(row.get(column)) for row in counted)
             share = f' ({good / len(counted):.0%})' if counted else ''
             print(f'  {column}: {good} of {len(counted)}{share}')
