@@ -16,7 +16,7 @@ from manip_sim.quoting import quoted_names
 #: Of a moving link whose file gives none, and the least moment of inertia [kg, kg m^2].
 _LEAST_KG, _LEAST_INERTIA = 1e-4, 1e-8
 #: Moments up to this one, or up to this share of the greatest, may be zero to MuJoCo [kg m^2].
-_ZERO, _ZERO_SHARE = 1e-15, 1e-7
+_ZERO, _ZERO_SHARE = 1e-14, 1e-7
 _PAIRS = [''.join(pair) for pair in combinations_with_replacement('xyz', 2)]
 
 
