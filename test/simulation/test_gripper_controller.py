@@ -243,8 +243,8 @@ def test_a_finger_that_is_pushed_past_the_end_of_its_range_does_not_press_on(run
 def test_no_finger_is_pressed_with_a_force_that_stands_for_no_limit(tmp_path, run):
     text = (Path(__file__).resolve().parents[1] / 'data/files/rubbing_fingers.urdf').read_text()
     file = tmp_path / 'strong.urdf'
-    file.write_text(text.replace('effort="70"', 'effort="1e7"').replace('friction="5"',
-                                                                       'friction="100"'))
+    file.write_text(text.replace('effort="70"', 'effort="1e7"').replace(
+        'friction="5"', 'friction="100"'))
     simulation = Simulation(compose(load_robot(file)))
     for action in (-1.0, 1.0, -1.0):
         simulation.robot.apply(simulation.robot.parse.action(GRIPPER, [action] * 2))
