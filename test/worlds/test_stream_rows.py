@@ -118,6 +118,12 @@ def command_a_joint(simulation):
     robot.apply(*robot.parse.joint_command(robot.joint_names[3:4], position=[-1.5]))
 
 
+def command_late(simulation):
+    simulation.robot.sensing.set('latency.command', 0.03)
+    command_a_joint(simulation)
+    simulation.robot.sensing.set('latency.command', 0.0)
+
+
 def close_the_gripper(simulation):
     simulation.robot.apply(simulation.robot.parse.action('right/gripper', [1.0]))
 
@@ -148,8 +154,9 @@ def diverge(simulation):
 
 
 @pytest.mark.parametrize('act', [
-    reset, restore, change_mode, command_a_joint, close_the_gripper, plan_a_trajectory,
-    set_a_timeout, arm_a_reflex, change_what_a_stream_is, push_a_joint, diverge])
+    reset, restore, change_mode, command_a_joint, command_late, close_the_gripper,
+    plan_a_trajectory, set_a_timeout, arm_a_reflex, change_what_a_stream_is, push_a_joint,
+    diverge])
 @pytest.mark.parametrize('commanded', [False, True])
 def test_what_happens_to_one_world_happens_as_in_its_simulation(streams, act, commanded):
     if commanded:  # While goals wait for the next period.
@@ -164,6 +171,15 @@ def test_what_happens_to_one_world_happens_as_in_its_simulation(streams, act, co
         streams.command(where=where)
         streams.advance()
     streams.check_equal()
+
+
+def test_a_timeout_that_is_set_ends_a_stream_as_in_its_simulation(streams):
+    streams.both(set_a_timeout)
+    for _ in range(4):
+        streams.advance()
+    streams.check_equal()
+    assert streams.worlds.robot[OTHER].joints.timeouts == (
+        streams.simulations[OTHER].robot.joints.timeouts)
 
 
 @pytest.mark.parametrize('read', [
