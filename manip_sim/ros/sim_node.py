@@ -83,6 +83,8 @@ class SimNode(Node):
         except RCLError as error:
             raise ManipSimError(without_source(error)) from error
         self.rejections = RejectionLog(self.get_logger())
+        #: What ends the threads that there are.
+        self._ends = contextlib.ExitStack()
         try:
             self._build()
         except ManipSimError:
@@ -110,6 +112,8 @@ class SimNode(Node):
                                 else CommandThread(self._inbox))
         # In lock-step, the thread of the physics waits for the answer to a state in any case.
         self.publishing = None if lockstep else PublishingThread(_MOST[value('stepping')])
+        if self.publishing is not None:
+            self._ends.callback(self.publishing.stop)
         self.thread = SimulationThread(
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot)
@@ -151,6 +155,11 @@ class SimNode(Node):
         self._publish_truth()
         self._journal = JournalPublisher(
             self, self.thread, self.rejections, self.declared, self._task)
+        # The last that is added here is the first to end.
+        for end in (self.cameras.stop, self._journal.close, self.thread.stop):
+            self._ends.callback(end)
+        if self._command_thread is not None:
+            self._ends.callback(self._command_thread.stop)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._world = world
@@ -336,7 +345,8 @@ class SimNode(Node):
         self._introduce()
 
     def destroy_node(self) -> None:
-        """Destroy the node, and before it its action servers, which rclpy would not destroy."""
+        """End the simulation and destroy the node, its action servers too, unlike rclpy."""
+        self.stop()
         if self.actions is not None:
             self.actions.destroy()
         super().destroy_node()
@@ -361,11 +371,5 @@ class SimNode(Node):
             self.actions.end()
 
     def stop(self) -> None:
-        """End the simulation; afterwards the node can be destroyed."""
-        if self._command_thread is not None:
-            self._command_thread.stop()
-        self.thread.stop()
-        self._journal.close()
-        if self.publishing is not None:
-            self.publishing.stop()
-        self.cameras.stop()
+        """End the simulation and all threads of the node; again, this does nothing."""
+        self._ends.close()

@@ -273,6 +273,24 @@ while time.monotonic() < end:
 """
 
 
+DESTROYED = """
+import rclpy
+from manip_sim.ros.sim_node import SimNode
+rclpy.init()
+node = SimNode()
+node.start()
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+def test_a_program_ends_that_destroys_a_running_node_without_stopping_it():
+    done = subprocess.run([sys.executable, '-c', DESTROYED], capture_output=True, text=True,
+                          check=True, timeout=300.0)
+    assert 'Panda in arena empty' in done.stdout + done.stderr
+    assert 'Traceback' not in done.stderr
+
+
 def segments(process):
     """Return the files of shared memory that a process maps."""
     maps = Path(f'/proc/{process.pid}/maps').read_text()
