@@ -73,7 +73,9 @@ class TriggeredSpawning:
             response.success = bool(answered.entity_name)
             response.message = answered.entity_name or answered.result.error_message
             return response
-        self._node.create_service(service_type, name, answer, callback_group=callback_group)
+        # The node has a service of this name already where simulation_interfaces is installed.
+        self._node.create_service(service_type, f'{name}_by_trigger', answer,
+                                  callback_group=callback_group)
 
 
 def stl(corners):
@@ -100,7 +102,7 @@ def test_a_mesh_that_takes_too_long_is_rejected_while_all_else_goes_on(
     spawning = TriggeredSpawning(node, tmp_path)
     spawning.request = request(uri='o.xml')
     states = client.listen(JointState, 'joint_states')
-    spawner = client.node.create_client(Trigger, 'manip_sim/spawn_entity')
+    spawner = client.node.create_client(Trigger, 'manip_sim/spawn_entity_by_trigger')
     client.spin_until(spawner.service_is_ready)
     begin = node.simulation.time_ns
     future = spawner.call_async(Trigger.Request())
@@ -124,7 +126,7 @@ def test_an_object_that_is_made_in_the_background_comes(serve, client, tmp_path)
     spawning = TriggeredSpawning(node, tmp_path)
     for uri, name in (('o.xml', 'o'), ('', 'ball')):
         spawning.request = request('{shape: sphere, size: 0.1, mass: 0.2, name: ball}', uri)
-        answer = client.call(Trigger, 'manip_sim/spawn_entity')
+        answer = client.call(Trigger, 'manip_sim/spawn_entity_by_trigger')
         assert answer.success, answer.message
         assert answer.message == name
     assert node.simulation.plan.object_names == ['cube', 'o', 'ball']
@@ -138,7 +140,7 @@ def test_an_arm_that_is_spawned_takes_commands_by_its_actuators(serve, client):
     spawning = TriggeredSpawning(node, folder)
     spawning.request = request(uri='stand_arm.xml')
     assert client.node.count_publishers('actuators/states') == 0
-    assert client.call(Trigger, 'manip_sim/spawn_entity').message == 'stand'
+    assert client.call(Trigger, 'manip_sim/spawn_entity_by_trigger').message == 'stand'
     states = client.listen(JointState, 'actuators/states')
     commands = client.node.create_publisher(JointState, 'actuators/command', 10)
     client.spin_until(lambda: states and commands.get_subscription_count())
@@ -146,7 +148,7 @@ def test_an_arm_that_is_spawned_takes_commands_by_its_actuators(serve, client):
     commands.publish(JointState(name=['stand_pan'], position=[0.6]))
     client.spin_until(lambda: abs(states[-1].position[0] - 0.6) < 1e-2)
     spawning.request = Plain(entity='stand')
-    client.call(Trigger, 'manip_sim/delete_entity')
+    client.call(Trigger, 'manip_sim/delete_entity_by_trigger')
     assert node.simulation.plan.object_names == ['cube']
     client.spin_until(lambda: client.node.count_publishers('actuators/states') == 0)
     commands.publish(JointState(name=['stand_pan'], position=[0.6]))
@@ -164,11 +166,11 @@ def test_a_command_for_what_was_deleted_before_its_period_is_told_and_the_node_g
     log = client.log()
     spawning = TriggeredSpawning(node, Path(__file__).resolve().parents[1] / 'data/files')
     spawning.request = request(uri='stand_arm.xml')
-    assert client.call(Trigger, 'manip_sim/spawn_entity').message == 'stand'
+    assert client.call(Trigger, 'manip_sim/spawn_entity_by_trigger').message == 'stand'
     client.publish(topic, message)
     client.spin_until(lambda: node._surroundings.statistics[counts].accepted == 1)
     spawning.request = Plain(entity='stand')
-    client.call(Trigger, 'manip_sim/delete_entity')
+    client.call(Trigger, 'manip_sim/delete_entity_by_trigger')
     assert client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False)).success
     states = client.listen(JointState, 'joint_states')
     client.spin_until(lambda: len(states) > 20)
@@ -184,7 +186,7 @@ def test_yaml_that_is_no_plain_data_is_answered(serve, client, text):
     node = serve(arena='table')
     spawning = TriggeredSpawning(node, Path())
     spawning.request = request(text)
-    answer = client.call(Trigger, 'manip_sim/spawn_entity')
+    answer = client.call(Trigger, 'manip_sim/spawn_entity_by_trigger')
     assert not answer.success
     assert answer.message.startswith('resource_string is invalid or unsafe YAML: ')
 

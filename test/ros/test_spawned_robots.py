@@ -6,6 +6,7 @@
 from dataclasses import replace
 import gc
 import json
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -270,7 +271,7 @@ def test_names_and_files(spawning, client, tmp_path):
 
 
 def test_streams_to_two_robots_of_a_node_in_another_process(client, monkeypatch):
-    monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent))
+    monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent), prepend=os.pathsep)
     with subprocess.Popen([sys.executable, '-m', 'spawning_node'], stdin=subprocess.PIPE,
                           stderr=subprocess.PIPE, text=True) as running:
         own = client.listen(JointState, 'joint_states')

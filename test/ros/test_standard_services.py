@@ -336,7 +336,7 @@ def test_name_that_is_taken_gets_a_number_if_it_may_be_changed(standard):
     ({'text': '{shape: sfere}'}, 'RESOURCE_PARSE_ERROR', 'sphere'),
     ({'text': BALL, 'w': 0.0}, 'INVALID_POSE', ''),
     ({'uri': 'https://example.com/can.xml'}, 'UNSUPPORTED_FORMAT', 'only paths and file://'),
-    ({'uri': '/tmp/can.sdf'}, 'UNSUPPORTED_FORMAT', 'only MJCF (.xml, .mjcf) and YAML'),
+    ({'uri': '/tmp/can.sdf'}, 'UNSUPPORTED_FORMAT', 'only MJCF (.xml, .mjcf), URDF and YAML'),
     ({'uri': 'nowhere/can.xml'}, 'RESOURCE_PARSE_ERROR', '/nowhere/can.xml')])
 def test_object_that_cannot_come_is_rejected(standard, request_, code, text):
     result = standard.spawn(**request_).result

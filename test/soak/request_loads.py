@@ -105,6 +105,9 @@ def requests(count: int, seed: int) -> list[Row]:
                 # rclpy answers no request that sets a value of an unknown type.
                 for parameter in getattr(request, 'parameters', ()):
                     parameter.value.type %= 10
+                # 2**64 steps are allowed, but take long.
+                if hasattr(request, 'steps'):
+                    request.steps %= 100
             return found
         for what, burst in (('parameters', parameters), ('services', services)):
             burst()
