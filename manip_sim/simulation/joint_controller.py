@@ -72,9 +72,9 @@ class JointController(ControlledJoints):
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""
-        if self._setpoints.moving or self._efforts_due or self.commands.waiting:
+        if self._generator.moving or self._efforts_due or self._ledger.waiting:
             return True
-        for command in self.commands.running:
+        for command in self._ledger.running:
             if isinstance(command, (JointTrajectory, BaseTwist)) or (
                     isinstance(command, CartesianCommand) and self.cartesian.moves(command)):
                 return True
@@ -88,8 +88,8 @@ class JointController(ControlledJoints):
     @property
     def resting(self) -> bool:
         """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
-        return not (self._setpoints.moving or self._written or self.commands.running
-                    or self.commands.waiting or self._timeouts.pending)
+        return not (self._generator.moving or self._written or self._ledger.running
+                    or self._ledger.waiting or self._timeouts.pending)
 
     @property
     def busy_parts(self) -> frozenset[str]:
@@ -303,6 +303,7 @@ class JointController(ControlledJoints):
         return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
 
     # ------------------------------------------------------------------ in the control loop
+    # Nothing else holds setpoints and commands during a period, and what is held moves.
 
     def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float, ends_s: FloatArray
                      ) -> None:
@@ -313,15 +314,16 @@ class JointController(ControlledJoints):
         :param period_s: length of the period [s]
         :param ends_s: when its intervals end, since it begins, if setpoints move [s], shape (k, 1)
         """
+        self.take_back()
         self.cartesian.period_s = period_s
-        self._setpoints.now_s = now_s
-        self._setpoints.begin_period(ends_s)
-        for command in list(self.commands.running):
+        self._generator.now_s = now_s
+        self._generator.begin_period(ends_s)
+        for command in list(self._ledger.running):
             if isinstance(command, CartesianCommand):
                 self.cartesian.begin_period(command, data)
             if (isinstance(command, JointSetpoint)
                     and all([MODES[mode].ends for mode in set(command.modes)])
-                    and self._setpoints.at_rest(command.indices)):
+                    and self._generator.at_rest(command.indices)):
                 self._finish(command, data, command.values)
         for part in self._timeouts.overdue(now_s):
             if part not in self.busy_parts and (part in self._targets_end
@@ -351,13 +353,13 @@ class JointController(ControlledJoints):
                 self._servos.rest(data)
                 self._written = False
             return
-        setpoints, servos = self._setpoints, self._servos
+        setpoints, servos = self._generator, self._servos
         setpoints.now_s = now_s
-        if self.commands.waiting:
+        if self._ledger.waiting:
             self._trajectories.start_due(
                 self.modes, now_s, duration_s, self.cartesian.period_s)
         # Setpoints of joints go on by themselves.
-        others = [c for c in self.commands.running if type(c) is not JointSetpoint]
+        others = [c for c in self._ledger.running if type(c) is not JointSetpoint]
         for command in others:
             if isinstance(command, CartesianCommand):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
@@ -380,8 +382,8 @@ class JointController(ControlledJoints):
     @property
     def plans(self) -> bool:
         """Whether all intervals that follow in the control period are planned."""
-        return (bool(self.plan) and not self.commands.waiting
-                and all([type(c) is JointSetpoint for c in self.commands.running]))
+        return (bool(self.plan) and not self._ledger.waiting
+                and all([type(c) is JointSetpoint for c in self._ledger.running]))
 
     def _end_trajectory(self, command: JointTrajectory, data: mujoco.MjData,
                         position: FloatArray) -> None:
