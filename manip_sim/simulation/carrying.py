@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 import weakref
 
@@ -149,16 +149,21 @@ def _assign(target: Any, rows: IntArray, values: Any) -> None:
 
 
 def _copy_fields(source: Any, target: Any) -> None:
-    for name in dir(source):
+    struct: Any = type(source)
+    for name in _fields(struct):
         value = getattr(source, name)
-        if name.startswith('_') or callable(value):
-            continue
         if isinstance(value, np.ndarray):
             getattr(target, name)[...] = value
         elif isinstance(value, (bool, int, float)):
             setattr(target, name, value)
         else:
             _copy_fields(value, getattr(target, name))
+
+
+@cache
+def _fields(struct: type) -> tuple[str, ...]:
+    return tuple(name for name in dir(struct) if not (
+        name.startswith('_') or callable(getattr(struct, name))))
 
 
 def carry_data(source: Any, target: Any, both: ElementMap) -> None:

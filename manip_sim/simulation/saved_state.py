@@ -100,19 +100,24 @@ class SavedStates:
                  efforts: ActuatorEfforts, robots: Mapping[str, SimulatedRobot]) -> None:
         self._physics, self._clock, self._steps, self._start = physics, clock, steps, start
         self._efforts, self._robots = efforts, robots
+        self._control: ControlState | None = self._find_control()
         physics.on_change(self.look_at_robots)
 
     def look_at_robots(self) -> None:
-        """Find all that has a state, anew when robots have come or gone."""
-        self._control = ControlState(
-            [self._efforts, *self._robots.values()],
-            (Clock, Physics, CartesianParser, CommandParser), _PASSING)
+        """Find all that has a state anew, as robots or the model have changed, when asked for."""
+        self._control = None
+
+    def _find_control(self) -> ControlState:
+        return ControlState([self._efforts, *self._robots.values()],
+                            (Clock, Physics, CartesianParser, CommandParser), _PASSING)
 
     @property
     def control(self) -> ControlState:
         """The state of control, of the present model."""
         for robot in self._robots.values():
             robot.joints.take_back()
+        if self._control is None:
+            self._control = self._find_control()
         return self._control
 
     def save(self, diverged: str | None) -> SimulationState:
