@@ -215,8 +215,11 @@ class ControlPeriods:
         if steps not in self._cuts:
             if len(self._cuts) == _REMEMBERED:
                 self._cuts.clear()
-            chunk = self._chunk(steps)
-            self._cuts[steps] = (chunk, *(self._cut(steps - chunk) if steps > chunk else ()))
+            chunks, left = [], steps
+            while left:
+                chunks.append(self._chunk(left))
+                left -= chunks[-1]
+            self._cuts[steps] = tuple(chunks)
         return self._cuts[steps]
 
     def ends_s(self, steps: int) -> FloatArray:
