@@ -61,7 +61,7 @@ def of_mesh(faces):
 
 def test_a_model_that_takes_too_long_is_rejected(monkeypatch):
     monkeypatch.setattr(archives, '_MAX_CPU_S', 1)
-    rejected(of_mesh(100_000), '^the model of the archive takes more than 1 s to compile')
+    rejected(of_mesh(100_000), '^the model of the archive takes more than 1 s to load')
     assert load_archive(of_mesh(50)).nmesh == 1
 
 
