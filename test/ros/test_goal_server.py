@@ -56,9 +56,9 @@ def offer(node, commands, thread, log):
 class Swinger:
     """A client of the action."""
 
-    def __init__(self, client):
+    def __init__(self, client, name=NAME):
         self.client = client
-        self.action = ActionClient(client.node, Fibonacci, NAME)
+        self.action = ActionClient(client.node, Fibonacci, name)
         client.spin_until(self.action.server_is_ready)
         self.told = []
 
@@ -192,15 +192,17 @@ def test_clients_are_told_when_the_node_ends(served, swinger):
     served.end_goals()
 
 
-def test_client_that_waits_for_its_goal_in_lockstep_gets_there(serve, client, monkeypatch):
+def test_client_that_waits_for_its_goal_in_lockstep_gets_there(client, monkeypatch):
     monkeypatch.setattr(sim_node, 'offer_actions', offer)
-    node = serve(stepping='lockstep')
-    swinger = Swinger(client)
+    # Another node may serve the action of the same name, and would answer too.
+    node = Served({'stepping': 'lockstep'}, ['--ros-args', '-r', '__ns:=/alone'])
+    swinger = Swinger(client, f'/alone/{NAME}')
     assert swinger.run(5) == SUCCEEDED
-    ends = node.simulation.time_ns
+    ends = node.node.simulation.time_ns
     assert 500_000_000 < ends < 700_000_000
     assert swinger.run(5) == SUCCEEDED
     swinger.close()
+    node.close()
 
 
 def test_a_node_that_is_gone_leaves_nothing_behind(served, client, monkeypatch):
