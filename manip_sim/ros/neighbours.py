@@ -22,6 +22,8 @@ from manip_sim.rclpy_internals import endpoint_counts
 _OWN_PROGRAMS = ('sim_view', 'pick_cube', 'hand_over')
 #: How similar the name of a topic that nobody takes must be to one that the node takes.
 _SIMILAR = 0.8
+#: The packages of services that every node has, so that a call of one may be for any other node.
+_OF_EVERY_NODE = ('rcl_interfaces', 'type_description_interfaces')
 #: How many conflicts are reported at most.
 _MOST = 20
 
@@ -131,7 +133,8 @@ class Neighbours:
     def _missed_services(self) -> Iterator[str]:
         """Yield a line for each service that others wait for, and that this node has otherwise."""
         node = self._node
-        own = dict(node.get_service_names_and_types_by_node(*self._own))
+        own = {service: kinds for service, kinds in node.get_service_names_and_types_by_node(
+            *self._own) if kinds[0].partition('/')[0] not in _OF_EVERY_NODE}
         for name, space in node.get_node_names_and_namespaces():
             if (name, space) == self._own or name in _OWN_PROGRAMS:
                 continue
@@ -145,8 +148,9 @@ class Neighbours:
                     yield (f'{service} is {_short(own[service][0])}; {client} calls it as '
                            f'{_short(kinds[0])}')
                 elif not node.count_services(service):
-                    last = [other for other in own if other.endswith(service.rpartition('/')[2])]
-                    for near in difflib.get_close_matches(service, last, n=1, cutoff=0.0):
+                    last = f"/{service.rpartition('/')[2]}"
+                    alike = [other for other in own if other.endswith(last)]
+                    for near in difflib.get_close_matches(service, alike, n=1, cutoff=0.0):
                         yield (f'{client} calls {quoted(service)}, which nobody offers; this node '
                                f'offers {near}')
 

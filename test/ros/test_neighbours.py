@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped, WrenchStamped
 from harness import Client
 import pytest
+from rcl_interfaces.srv import GetParameters
 import rclpy
 from rclpy.qos import qos_profile_sensor_data, QoSDurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -260,6 +261,9 @@ def test_what_matches_the_node_is_not_reported(serve, client):
     client.node.create_publisher(Float64MultiArray, 'temperature', 1)
     client.node.create_client(Trigger, 'manip_sim/reset')
     client.node.create_client(Trigger, 'doorbell')
+    # Of nodes that have not started yet: every node has the first, and "step" ends with the other.
+    client.node.create_client(GetParameters, 'planner/get_parameters')
+    client.node.create_client(Trigger, 'planner/ep')
     # Somebody else takes it.
     client.node.create_publisher(JointState, 'other/joint_command', 1)
     client.node.create_subscription(JointState, 'other/joint_command', print, 1)
