@@ -43,3 +43,4 @@ def test_of_many_names_the_first_are_shown():
 
 def test_what_is_counted_is_singular_or_plural():
     assert [counted(n, 'number') for n in (0, 1, 2)] == ['0 numbers', '1 number', '2 numbers']
+    assert [counted(n, 'body') for n in (0, 1, 2)] == ['0 bodies', '1 body', '2 bodies']

@@ -17,6 +17,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.lost_shapes import lost_shapes
+from manip_sim.quoting import counted
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.start_check import find_start_defects
 from manip_sim.simulation.start_defect import StartDefect
@@ -40,9 +41,8 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         note = f'Names in the files lack the prefixes {", ".join(prefixes)}.'
     if not defects:
         return f'{name}: nothing is wrong with the start', 0
-    count = '1 defect' if len(defects) == 1 else f'{len(defects)} defects'
-    lines = [f'{name}: {count}', *(f'- {defect.text}\n  fix: {defect.remedy}'
-                                   for defect in defects)]
+    lines = [f'{name}: {counted(len(defects), "defect")}',
+             *(f'- {defect.text}\n  fix: {defect.remedy}' for defect in defects)]
     return '\n'.join([*lines, note] if note else lines), 1
 
 

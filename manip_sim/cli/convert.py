@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 
 from manip_sim.cli.progress import ProgressBar
+from manip_sim.quoting import counted
 from manip_sim.records.converting import convert, records_in
 
 
@@ -16,5 +17,5 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     with ProgressBar('episodes') as progress:
         episodes, periods, notes = convert(records_in(options.files), options.to, options.out,
                                            progress.show, options.only_success)
-    return '\n'.join([*notes, f'{options.out} ({episodes} episodes, {periods} control periods)']
-                     ), 0
+    summary = f'{counted(episodes, "episode")}, {counted(periods, "control period")}'
+    return '\n'.join([*notes, f'{options.out} ({summary})']), 0

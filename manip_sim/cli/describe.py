@@ -17,6 +17,7 @@ from manip_sim.cli.description import describe
 from manip_sim.cli.tables import number, span, table, terminal_width
 from manip_sim.errors import ModelError
 from manip_sim.models import World
+from manip_sim.quoting import counted
 
 Row = dict[str, Any]
 #: By section of the description: the names of the columns, and the cells of a row.
@@ -102,11 +103,11 @@ def _as_yaml(world: World) -> str:
 
 def _summary(description: Row) -> str:
     lines = [f'{description["name"]} in arena {description["arena"]}, '
-             f'{description["mass_kg"]:.4g} kg, {len(description["joints"])} joints, '
-             f'{len(description["actuators"])} actuators']
+             f'{description["mass_kg"]:.4g} kg, {counted(len(description["joints"]), "joint")}, '
+             f'{counted(len(description["actuators"]), "actuator")}']
     defects = description['start_defects']
     if defects:
-        lines.append(f"The start has {len(defects)} defects, see 'manip_sim check'")
+        lines.append(f"The start has {counted(len(defects), 'defect')}, see 'manip_sim check'")
     return '\n'.join(lines)
 
 

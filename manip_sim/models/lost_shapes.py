@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from manip_sim.quoting import quoted
+from manip_sim.quoting import counted, quoted
 
 if TYPE_CHECKING:  # It reads models that say what they lost.
     from manip_sim.models.robots import RobotModel
@@ -91,9 +91,9 @@ def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
         first = group[0]
         untouched = '; nothing touches these links there' if kind == 'collision' else ''
         remedy = f'; {first.error.remedy}' if first.error.remedy else ''
-        found.append(f'left out: {len(group)} {kind} shapes of files that cannot be read, such as '
-                     f'{quoted(first.mesh)} ({first.error.why}) of {first.element} in '
-                     f'{file}{untouched}{remedy}')
+        found.append(f'left out: {counted(len(group), f"{kind} shape")} of files that cannot be '
+                     f'read, such as {quoted(first.mesh)} ({first.error.why}) of '
+                     f'{first.element} in {file}{untouched}{remedy}')
     return found
 
 

@@ -22,7 +22,7 @@ from manip_sim.models.held_models import HeldModel, held_name
 from manip_sim.models.loading import compile_spec, spec_from_string
 from manip_sim.models.object_model import SHAPE_GEOM
 from manip_sim.models.regular_files import check_file, Files
-from manip_sim.quoting import quoted
+from manip_sim.quoting import counted, quoted
 from manip_sim.resources import keep_in_cache, mesh_cache
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def mesh_spec(description: MeshDescription, folder: Path, where: str, files: Fil
         return spec, ['touched at its convex hull, as coacd, which finds convex parts, is not '
                       'installed']
     _add_parts(spec, parts, description, where)
-    return spec, [f'touched at {len(parts)} convex parts, found by coacd']
+    return spec, [f'touched at {counted(len(parts), "convex part")}, found by coacd']
 
 
 def _read(description: MeshDescription, folder: Path, where: str, files: Files | None

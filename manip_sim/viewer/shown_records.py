@@ -308,7 +308,7 @@ def described(entries: Iterable[Entry]) -> str:
     entries = list(entries)
     episodes = [entry for entry in entries if not entry.node]
     failed = sum(entry.success is False for entry in episodes)
-    found = [f'{len(episodes)} episodes, {failed} of them failed'] if episodes else []
+    found = [f'{counted(len(episodes), "episode")}, {failed} of them failed'] if episodes else []
     worlds = len(entries) - len(episodes)
     return ' and '.join(found + [f'{counted(worlds, "world")} of nodes'] * bool(worlds))
 

@@ -77,7 +77,7 @@ def test_the_pairs_of_the_srdf_beside_a_urdf_do_not_collide(tmp_path):
     write(tmp_path / 'arm.srdf', '<robot name="r"><disable_collisions link1="l3" link2="l1" '
           'reason="Never"/><disable_collisions link1="base" link2="nothing"/></robot>')
     robot = load_robot(write(tmp_path / 'arm.urdf', OVERLAPPING))
-    assert said(robot, '1 pairs of links do not collide, as its SRDF says')
+    assert said(robot, 'left out: collisions of 1 pair of links, as its SRDF says')
     assert not said(robot, 'overlap')
     assert robot.compile().nexclude == 1
 
@@ -127,7 +127,7 @@ def test_valid_inertias_stay_as_they_are(tmp_path):
 def test_shapes_of_size_zero_are_left_out_and_reported(tmp_path, tag, shape):
     text = SMALL.format(f'{SOLID}<{tag}><geometry>{shape}</geometry></{tag}>', 'fixed')
     robot = load_robot(write(tmp_path / 'arm.urdf', text))
-    assert said(robot, "left out: 1 shapes of size zero, of 'tool'")
+    assert said(robot, "left out: 1 shape of size zero, of 'tool'")
 
 
 def test_a_lost_collision_shape_is_a_warning_of_its_own(tmp_path):
@@ -135,8 +135,8 @@ def test_a_lost_collision_shape_is_a_warning_of_its_own(tmp_path):
     mesh = '<geometry><mesh filename="part.step"/></geometry>'
     text = SMALL.format(f'{SOLID}<visual>{mesh}</visual><collision>{mesh}</collision>', 'fixed')
     robot = load_robot(write(tmp_path / 'arm.urdf', text))
-    assert said(robot, '1 visual shapes of files that cannot be read')
-    assert said(robot, '1 collision shapes') == said(robot, 'nothing touches these links there')
+    assert said(robot, '1 visual shape of files that cannot be read')
+    assert said(robot, '1 collision shape ') == said(robot, 'nothing touches these links there')
 
 
 @pytest.mark.parametrize('suffix', ['.glb', '.ply', '.off', '.dae'])
@@ -211,7 +211,8 @@ def test_a_shape_that_touches_the_ground_by_a_pair_touches_that_of_the_arena(tmp
         'contype="0" conaffinity="0"', '<geom name="floor" type="plane" size="1 1 0.1"/>',
         '<contact><pair geom1="foot" geom2="floor" friction="0.7 0.7 0.01 0.001 0.001"/></contact>'
         )))
-    assert said(robot, "1 shapes touch the arena where contact pairs named the ground: 'foot'")
+    assert said(robot, 'contact of 1 shape with the arena, where contact pairs named the ground: '
+                       "'foot'")
     model = compose(robot, position=(0.0, 0.0, -0.25)).compile()
     foot = model.geom('robot0_foot')
     assert foot.friction.tolist() == [0.7, 0.01, 0.001]
@@ -246,7 +247,7 @@ def test_links_without_gravity_in_gazebo_need_no_effort_here(tmp_path, carried):
     if not carried:
         text = text.replace('>true<', '>false<').replace('<gravity>0<', '<gravity>1<')
     robot = load_robot(write(tmp_path / 'arm.urdf', text))
-    assert bool(said(robot, "no gravity on 2 links, as their <gazebo> elements say: 'upper', "
+    assert bool(said(robot, "no gravity on 2 links, as <gazebo> elements say: 'upper', "
                             "'lower'")) == carried
     simulation = Simulation(compose(robot, position=(0.0, 0.0, 1.0)))
     assert bool(simulation.start_defects) != carried
@@ -321,10 +322,10 @@ def test_an_mjcf_file_loads_without_meshes_that_give_no_mass(tmp_path):
     collision, visual = (sentence for sentence in robot.inferred
                          if isinstance(sentence, LostShape))
     assert collision == (
-        "left out: 1 collision shapes of files that cannot be read, such as 'shell' (no such "
+        "left out: 1 collision shape of files that cannot be read, such as 'shell' (no such "
         f"file: {DATA / 'shell.stl'}) of body 'link' in {file}; nothing touches these links "
         'there; put it there, or correct its name')
-    assert 'left out: 1 visual shapes' in visual and 'nothing touches' not in visual
+    assert 'left out: 1 visual shape ' in visual and 'nothing touches' not in visual
     model = robot.compile()
     assert (model.nmesh, model.npair, model.body('robot0_link').mass[0]) == (0, 0, 2.0)
     accepted = load_robot(write(tmp_path / 'arm.yaml', f'model: {file}\nmeshes: none'))

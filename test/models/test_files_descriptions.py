@@ -307,7 +307,7 @@ def test_an_arena_of_a_file_is_a_world_to_stand_in(tmp_path):
     write(tmp_path / 'hall.yaml', 'robot_position: [0.5, 0, 0]')
     arena = load_arena(file)
     assert arena.arena_name == 'hall' and arena.inferred == [
-        'left out: 1 keyframes without a name']
+        'left out: 1 keyframe without a name']
     model = compose(write(tmp_path / 'arm.xml', ARM), arena=arena).compile()
     np.testing.assert_allclose(model.body('robot0_base').pos, [0.5, 0.0, 0.02])
     assert model.body('block').pos[0] == 1.0

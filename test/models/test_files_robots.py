@@ -57,7 +57,7 @@ def test_what_is_no_robot_is_left_out_and_said(tmp_path):
     model = robot.compile()
     assert (model.nlight, model.ncam) == (0, 1)
     assert 'floor' not in [model.geom(i).name for i in range(model.ngeom)]
-    for what in ("1 lights of the world body ('top')", "1 grounds of the world body ('floor')"):
+    for what in ("1 light of the world body ('top')", "1 ground of the world body ('floor')"):
         assert f'left out: {what}' in said
 
 

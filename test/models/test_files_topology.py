@@ -52,7 +52,7 @@ def test_what_carries_both_arms_is_the_torso_and_a_table_beside_it_is_left_out()
     file = FILES / 'two_arms_on_a_column.xml'
     robot = load_robot(file)
     assert robot.torso_joints == ['robot0_j1', 'robot0_j2']
-    assert "left out: 1 bodies of the world body ('bench')" in robot.inferred
+    assert "left out: 1 body of the world body ('bench')" in robot.inferred
     parts = Simulation(compose(str(file))).robot.parts
     assert parts['right'].joints == ('robot0_right_j1', 'robot0_right_j2')
     assert parts['left'].joints == ('robot0_left_j1', 'robot0_left_j2')
@@ -131,7 +131,7 @@ def test_cameras_of_the_world_are_left_out_where_the_root_is_free(tmp_path):
                     f'{ROOT.format("<freejoint/>" + ARM)}</worldbody></mujoco>')
     robot = load_robot(file)
     assert robot.cameras == []
-    assert "left out: 1 cameras of the world body ('wide')" in robot.inferred
+    assert "left out: 1 camera of the world body ('wide')" in robot.inferred
 
 
 def test_a_rod_beside_a_longer_chain_is_no_second_arm(tmp_path):

@@ -189,7 +189,7 @@ def test_a_robot_loads_without_a_mesh_and_warns_with_link_and_remedy(tmp_path, n
     first, last = lost(load_robot(file))
     why, remedy = (text.format(folder=tmp_path) for text in (why, remedy))
     assert first == (
-        f"left out: 1 collision shapes of files that cannot be read, such as '{name}' ({why}) of "
+        f"left out: 1 collision shape of files that cannot be read, such as '{name}' ({why}) of "
         f"link 'upper' in {file}; nothing touches these links there; {remedy}")
     assert last == (f'no collision shape is left in {file}: nothing touches it, and it cannot be '
                     'seen')
@@ -218,7 +218,7 @@ def test_masses_and_motion_stay_without_any_mesh():
 def test_a_line_says_that_the_meshes_are_not_expected(tmp_path):
     robot = load_robot(write(tmp_path / 'arm.yaml', f'model: {NO_MESHES}\nmeshes: none\n'))
     assert not lost(robot)
-    assert [said for said in robot.inferred if 'left out: 1 visual shapes of files that' in said]
+    assert [said for said in robot.inferred if 'left out: 1 visual shape of files that' in said]
 
 
 def test_a_mesh_that_mujoco_cannot_read_is_replaced_or_left_out(tmp_path):
@@ -271,7 +271,7 @@ def test_of_meshes_beside_others_each_kind_is_told(tmp_path):
             f'{begin}<link name="upper">{shape.format(kind, "gone.stl")}{end}'))
         robot = load_robot(file)
         (sentence,) = lost(robot)
-        assert f'left out: 1 {kind} shapes' in sentence
+        assert f'left out: 1 {kind} shape of ' in sentence
         assert ('nothing touches' in sentence) == (kind == 'collision')
         assert robot.compile().nmesh == 1
 

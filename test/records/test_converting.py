@@ -148,7 +148,7 @@ def test_episodes_without_success_are_left_out_if_asked(recording, tmp_path, cap
     folder = tmp_path / 'set'
     assert main(['convert', str(recording), '--to', 'lerobot', '--only-success',
                  str(folder)]) == 0
-    assert '(1 episodes, ' in capsys.readouterr().out
+    assert '(1 episode, ' in capsys.readouterr().out
 
 
 def test_what_is_there_is_kept(recording, tmp_path, capsys):

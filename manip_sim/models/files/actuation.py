@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.models.files.body_tree import BodyTree
+from manip_sim.quoting import counted
 
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -190,5 +191,5 @@ def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
             servo.ctrlrange, servo.ctrllimited = model.jnt_range[joint], 1
         if force:
             servo.forcerange, servo.forcelimited = model.jnt_actfrcrange[joint], 1
-    return [f'position servos on {len(driven)} joints, with rotor inertia where there is none, '
-            'because the file has no actuators'] if driven else []
+    return [f'position servos on {counted(len(driven), "joint")}, with rotor inertia where '
+            'there is none, because the file has no actuators'] if driven else []

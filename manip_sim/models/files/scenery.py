@@ -17,7 +17,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.found_places import free_name
 from manip_sim.models.spec_edits import attach, delete_elements
-from manip_sim.quoting import quoted_names
+from manip_sim.quoting import counted, quoted_names
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -48,17 +48,20 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     if not roots:
         raise ModelError(f'{file} must have a body, found none')
     loose = [*world.geoms, *world.sites]
+    loose_counts = ' and '.join(counted(len(found), noun) for noun, found in (
+        ('shape', world.geoms), ('site', world.sites)) if found)
     free = [body for body in roots if _is_free(body)]
     # One that follows what was left out has nothing to look at.
     cameras = [camera for camera in cameras if camera.has_target(spec)]
     if cameras:
         names = quoted_names([camera.name for camera in cameras])
-        notes.append(f'left out: {len(cameras)} cameras of the world body ({names})' if free else
+        notes.append(f'left out: {counted(len(cameras), "camera")} of the world body ({names})'
+                     if free else
                      f'cameras of the world body on the root: {names}')
     if len(roots) == 1 and (free or not loose):
         delete_elements(spec, loose)
         if loose:
-            notes.append(f'left out: {len(loose)} shapes and sites of the world body')
+            notes.append(f'left out: {loose_counts} of the world body')
         if not free:
             root = model.body(roots[0].name)
             for camera in cameras:
@@ -68,7 +71,7 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
         raise ModelError(f'{file} must have exactly one root body, found {len(roots)}, one of '
                          f'which is free: {quoted_names([body.name for body in roots])}')
     name = free_name({body.name for body in spec.bodies}, 'root')
-    held = f' and {len(loose)} shapes and sites of the world body' if loose else ''
+    held = f' and {loose_counts} of the world body' if loose else ''
     notes.append(f"new root body '{name}' that holds "
                  f'{quoted_names([body.name for body in roots])}{held}')
     whole = _wrapped(spec, name)
@@ -111,14 +114,14 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
     objects = _objects(spec, tree)
     notes += _keep_on_ground(spec, grounds)
-    for what, elements in (('lights', list(world.lights)), ('grounds', grounds),
-                           ('bodies', objects)):
+    for what, elements in (('light', list(world.lights)), ('ground', grounds),
+                           ('body', objects)):
         names = [element.name for element in elements if element.name]
         if elements is objects:  # Of mocap bodies, who reads the file says what becomes of them.
             names = [body.name for body in objects if not body.mocap]
         if names or (elements and elements is not objects):
-            notes.append(f'left out: {len(names) or len(elements)} {what} of the world body'
-                         + (f' ({quoted_names(names)})' if names else ''))
+            notes.append(f'left out: {counted(len(names) or len(elements), what)} of the world '
+                         'body' + (f' ({quoted_names(names)})' if names else ''))
         if elements is not objects:
             delete_elements(spec, elements)
     delete_elements(spec, list(world.cameras))
@@ -144,8 +147,8 @@ def _keep_on_ground(spec: mujoco.MjSpec, grounds: list[Any]) -> list[str]:
             geom.friction, geom.solref, geom.solimp = pair.friction[[0, 2, 3]], pair.solref, (
                 pair.solimp)
             kept.append(geom.name)
-    return [f'{len(kept)} shapes touch the arena where contact pairs named the ground: '
-            f'{quoted_names(kept)}'] if kept else []
+    return [f'contact of {counted(len(kept), "shape")} with the arena, where contact pairs named '
+            f'the ground: {quoted_names(kept)}'] if kept else []
 
 
 def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:

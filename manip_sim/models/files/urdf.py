@@ -23,7 +23,7 @@ from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files, OneText
 from manip_sim.models.xml_check import check_xml, XmlModel
 from manip_sim.models.xml_limits import Budget
-from manip_sim.quoting import one_line, quoted, quoted_names
+from manip_sim.quoting import counted, one_line, quoted, quoted_names
 
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
 _LIGHT_KG, _LIGHT_INERTIA = 1e-3, 1e-6
@@ -211,8 +211,8 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
             if any(_is_zero(number) for number in sizes):
                 link.remove(shape)
                 dropped.append(str(link.get('name')))
-    return [f'left out: {len(dropped)} shapes of size zero, of {quoted_names(dropped)}'
-            ] if dropped else []
+    return [f'left out: {counted(len(dropped), "shape")} of size zero, of '
+            f'{quoted_names(dropped)}'] if dropped else []
 
 
 def _is_zero(number: str) -> bool:
@@ -277,7 +277,7 @@ def _take_gravity(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
                                  or said.get('1', said.get('true')) == 'turnGravityOff'):
             body.gravcomp = 1.0
             light.append(body.name)
-    return [f'no gravity on {len(light)} links, as their <gazebo> elements say: '
+    return [f'no gravity on {counted(len(light), "link")}, as <gazebo> elements say: '
             f'{quoted_names(light)}'] if light else []
 
 
