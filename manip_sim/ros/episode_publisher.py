@@ -48,7 +48,7 @@ class EpisodePublisher:
         #: Digests of the starts of all episodes that may be in a saved state, by what they are of.
         self._digests: dict[str, str] = {}
         self._published: tuple[int, Any] = (-1, None)
-        thread.restart_by(self._restart)
+        thread.changes.operations.restart = self._restart
         thread.observe(self._follow, look=self._is_another)
 
     def begin(self) -> None:

@@ -42,7 +42,7 @@ class JournalPublisher:
                  log: RejectionLog, parameters: Parameters,
                  task: TaskPublisher | None) -> None:
         self._output = create_output(node, log, BY_NAME['~/journal'])
-        self._thread, self._journal = thread, thread.journal
+        self._changes, self._journal = thread.changes, thread.changes.journal
         # Those that change while the node runs are in the state, too.
         self._parameters = parameters.values
         self._task = task
@@ -60,7 +60,8 @@ class JournalPublisher:
         count = self._output.subscribers
         if count > self._subscribers or self._journal.incomplete:
             self._journal.begin({
-                'parameters': self._parameters, 'objects': self._thread.objects,
+                'parameters': self._parameters,
+                'objects': self._changes.operations.objects,
                 'task_seed': None if self._task is None else self._task.seed}, self._publish)
         self._subscribers = count
         now_s = time.monotonic()

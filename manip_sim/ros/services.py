@@ -41,7 +41,8 @@ class SimulationServices:
                  'all parts take commands again'),
                 ('~/tare_wrench', partial(thread.change, 'tare'),
                  'external wrenches read zero now'),
-                ('~/save_state', thread.save, ''), ('~/restore_state', thread.restore, '')):
+                ('~/save_state', partial(thread.change, 'save'), ''),
+                ('~/restore_state', thread.restore, '')):
             node.create_service(Trigger, name, self._trigger(function, done))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

@@ -169,7 +169,8 @@ class SimNode(Node):
         #: What uses the value of a live parameter of no robot, by its name.
         self._uses: dict[str, Callable[[Any], None]] = {
             'real_time_factor': self.thread.set_real_time_factor,
-            'pause_at': self.thread.pause_at, 'seed': self.thread.set_seed,
+            'pause_at': self.thread.pause_at,
+            'seed': partial(setattr, self.thread, 'next_seed'),
             'keyframe': partial(self.thread.change, 'keyframe')}
         self.served: dict[Scope, ServedRobot] = {}
         for scope, robot in self.robots.items():
@@ -243,7 +244,7 @@ class SimNode(Node):
         for entry in ready:
             entry[1]()
         if ready:
-            self.thread.look_again()
+            self.thread.observers.look_again()
 
     def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
         # In ROS parameters, a list with one empty string stands for an empty list of strings.

@@ -56,7 +56,7 @@ class SurroundingsTopics(Publications):
         super().__init__()
         self._node, self._log, self._inbox = node, log, inbox
         self._surroundings, self._pulls = simulation.surroundings, simulation.pulls
-        self._thread = thread
+        self._changes = thread.changes
         self._prefix = frame_prefix
         self.statistics: dict[str, CommandStatistics] = {}
         self._take: dict[str, Callable[[str, Any], None]] = {
@@ -142,9 +142,9 @@ class SurroundingsTopics(Publications):
             message.name, message.position, message.velocity, message.effort)
         stamp_ns = messages.nanoseconds_of(message.header.stamp)
         if not controls:  # They go on as before, which answers a state too.
-            self._thread.at_next_period(f'{part}/', 'answer', stamp_ns=stamp_ns)
+            self._changes.at_next_period(f'{part}/', 'answer', stamp_ns=stamp_ns)
         for name, value in controls.items():
-            self._thread.at_next_period(
+            self._changes.at_next_period(
                 f'{part}/{name}', 'direct_command', part, name, found.control(name)[0], value,
                 stamp_ns=stamp_ns)
 
@@ -158,14 +158,14 @@ class SurroundingsTopics(Publications):
         position, orientation = message.pose.position, message.pose.orientation
         pose = Pose.checked([position.x, position.y, position.z], [
             orientation.x, orientation.y, orientation.z, orientation.w])
-        self._thread.at_next_period(f'objects/{name}', 'target', name, pose.position.tolist(),
-                                    pose.quat_xyzw.tolist())
+        self._changes.at_next_period(f'objects/{name}', 'target', name,
+                                     pose.position.tolist(), pose.quat_xyzw.tolist())
 
     def _pull(self, _: str, message: Marker) -> None:
         pulls, key = self._pulls, f'pull/{message.ns}'
         if message.action == Marker.DELETE:
             pulls.check_body(message.ns)
-            self._thread.at_next_period(key, 'end_pull', message.ns)
+            self._changes.at_next_period(key, 'end_pull', message.ns)
             return
         self._check_frame(message.header.frame_id)
         if message.action != Marker.ADD or message.type != Marker.ARROW or (
@@ -175,7 +175,7 @@ class SurroundingsTopics(Publications):
                                f'{counted(len(message.points), "point")}')
         point, target = ([end.x, end.y, end.z] for end in message.points)
         pulls.check(message.ns, point, target)
-        self._thread.at_next_period(
+        self._changes.at_next_period(
             key, 'pull', message.ns, point, target, message.id)
 
 

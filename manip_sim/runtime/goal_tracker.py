@@ -31,7 +31,7 @@ class GoalTracker:
         self._lock = threading.Lock()
         self._goals: tuple[Goal, ...] = ()
         thread.observe(self.observe, look=lambda: bool(self._goals))
-        thread.keep_busy(self.busy_parts)
+        thread.changes.commands.keep_busy(self.busy_parts)
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -47,7 +47,7 @@ class GoalTracker:
         """Submit the command of a goal and watch it from now on."""
         with self._lock:
             self._goals = (*self._goals, goal)
-        self._thread.look_again()
+        self._thread.observers.look_again()
         self._thread.submit([goal.command], robot=goal.robot.name)
 
     def cancel(self, goal: Goal) -> bool:
@@ -93,6 +93,6 @@ class GoalTracker:
                 self._goals = tuple(goal for goal in self._goals if goal.outcome is None)
         for goal in ended:
             if goal.outcome is not None and goal.outcome.ending is not Ending.SUCCEEDED:
-                self._thread.journal.withdrawn(
+                self._thread.changes.journal.withdrawn(
                     goal.robot.name, goal.command, goal.outcome.reason)
             self._ended(goal)

@@ -13,15 +13,13 @@ from typing import Any, TypeVar
 
 from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.runtime.calls import Calls
+from manip_sim.runtime.changes import PendingChanges
 from manip_sim.runtime.inbox import Inbox
-from manip_sim.runtime.noted_operations import NotedOperations
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer, Progress
-from manip_sim.runtime.pending_commands import BusyParts, PendingCommands
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Command, CommandHandle, Status
+from manip_sim.simulation.commands import Command, CommandHandle
 from manip_sim.simulation.robot_spawning import RobotsPlan
-from manip_sim.simulation.surroundings import ARENA
 
 T = TypeVar('T')
 #: For how long ``free`` runs idle control periods at once, at least one of them, wall time [s].
@@ -48,7 +46,11 @@ class SimulationThread:
     :param waits_for_arena: whether ``lockstep`` needs a command for joints of the arena, too
     :param flush: waits until others have seen what observers passed on; called at the end of each
         :meth:`call` of another thread, in that thread
-    :ivar journal: of what changes the simulation
+    :ivar stepping: as given
+    :ivar period_s: length of a control period in simulation time [s]
+    :ivar changes: commands and operations, and their journal
+    :ivar observers: that are called
+    :ivar next_seed: draws the start anew at the next reset; None: the start stays
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
@@ -62,27 +64,24 @@ class SimulationThread:
         self._simulation = simulation
         self._flush = flush
         self._steps = steps
-        self._stepping = stepping
-        self._report_failure = report_failure
-        self._observers = Observers()
+        self.period_s = steps * simulation.timestep_s
+        self.stepping = stepping
+        self.observers = Observers()
         # A stamp of zero means no stamp, so the first instant is that after one period.
         simulation.step_count = max(simulation.step_count, steps)
-        self._commands = PendingCommands(
-            simulation, (lockstep_parts or {}) if stepping == 'lockstep' else None)
+        self.changes = PendingChanges(
+            simulation, steps, (lockstep_parts or {}) if stepping == 'lockstep' else None,
+            waits_for_arena, report_failure or (lambda what, error: None))
         self._paused = paused
         self._stopping = False
         self._lock = threading.RLock()
         self._inbox = inbox or Inbox()
         self._calls = Calls(self._inbox)
-        self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
+        self._pacer = Pacer(self.period_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
         #: Whether observers are being called, and whether one has changed the state meanwhile.
         self._showing = self._show_again = False
-        self._waits_for_arena = waits_for_arena
-        #: For the next reset; None: the start stays.
-        self._seed: int | None = None
-        self._operations = NotedOperations(simulation, steps, self._report)
-        self.journal = self._operations.journal
+        self.next_seed: int | None = None
         #: When to pause [ns]; 0: never.
         self._pause_at_ns = 0
         #: How many control periods may be run at once if nothing but physics happens in them.
@@ -118,7 +117,7 @@ class SimulationThread:
             else every 20 ms; None: always call
         :raises ValueError: if the divider is less than 1
         """
-        self._observers.add(observer, every, look)
+        self.observers.add(observer, every, look)
 
     def unobserve(self, *observers: Observer) -> None:
         """
@@ -128,7 +127,7 @@ class SimulationThread:
         """
         def remove() -> None:
             for observer in observers:
-                self._observers.remove(observer)
+                self.observers.remove(observer)
         self.call(remove)
 
     def change_robots(self, plan: RobotsPlan) -> None:
@@ -139,22 +138,9 @@ class SimulationThread:
         """
         def change() -> None:
             self._simulation.change_robots(plan)
-            self._commands.look_at_robots()
-            self._observers.look_again()
+            self.changes.commands.look_at_robots()
+            self.observers.look_again()
         self.call(change, 'a robot came or went')
-
-    def look_again(self) -> None:
-        """Check at the end of the next control period which observers have to be called."""
-        self._observers.look_again()
-
-    def keep_busy(self, busy_parts: BusyParts) -> None:
-        """
-        Exempt parts from those that lock-step waits for, as it exempts parts with trajectories.
-
-        :param busy_parts: returns these atomic parts of a robot, given by its name; called in the
-            simulation's thread, must not call back
-        """
-        self._commands.keep_busy(busy_parts)
 
     def start(self) -> None:
         """Start the thread; it first shows the observers the present state."""
@@ -167,16 +153,6 @@ class SimulationThread:
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
         self._calls.end()
-
-    @property
-    def stepping(self) -> str:
-        """``realtime``, ``free`` or ``lockstep``."""
-        return self._stepping
-
-    @property
-    def period_s(self) -> float:
-        """Length of a control period in simulation time [s]."""
-        return self._steps * self._simulation.timestep_s
 
     @property
     def real_time_factor(self) -> float:
@@ -202,8 +178,8 @@ class SimulationThread:
             the present state, or if all commands for it have come already
         :raises UnknownNameError: if there is no such robot
         """
-        handles = self._commands.add(commands, stamp_ns, robot)
-        if self._stepping == 'lockstep' and threading.current_thread() is not self._thread:
+        handles = self.changes.commands.add(commands, stamp_ns, robot)
+        if self.stepping == 'lockstep' and threading.current_thread() is not self._thread:
             self._inbox.wake()
         return handles
 
@@ -218,7 +194,7 @@ class SimulationThread:
         :raises ManipSimError: if it cannot be done
         :raises SimulationEnded: as :meth:`call`
         """
-        return self.call(lambda: self._operations.run(operation, *arguments, using=using))
+        return self.call(lambda: self.changes.run(operation, *arguments, using=using))
 
     def call(self, function: Callable[[], T], unknown: str = '') -> T:
         """
@@ -240,7 +216,7 @@ class SimulationThread:
                 try:
                     return changing()
                 finally:
-                    self.journal.unknown(unknown)
+                    self.changes.journal.unknown(unknown)
         if threading.current_thread() is self._thread:
             return function()
         with self._lock:
@@ -251,24 +227,6 @@ class SimulationThread:
         finally:
             if self._flush is not None:
                 self._flush()
-
-    def at_next_period(self, key: str, operation: str, *arguments: Any, stamp_ns: int = 0) -> None:
-        """
-        Let the simulation's thread run an operation before its next control period; do not wait.
-
-        :param key: a later operation with the same key replaces one that waits; ``arena/<joint>``
-            of a command for a joint of the arena
-        :param operation: name of one of :class:`Operations`; what it raises is reported
-        :param arguments: what JSON can hold
-        :param stamp_ns: in lock-step, stamp of the state that it answers [ns]; 0: not given
-        :raises CommandError: in lock-step, if that is not the present state
-        """
-        self._commands.check_stamp(stamp_ns)
-        self._operations.add(key, operation, *arguments)
-
-    @property
-    def _misses_arena(self) -> bool:
-        return self._waits_for_arena and not self._operations.awaits(f'{ARENA}/')
 
     def pause(self, paused: bool) -> None:
         """
@@ -316,10 +274,9 @@ class SimulationThread:
         :raises ModelError: if the start cannot be drawn from a new seed; then nothing changes
         """
         def change() -> None:
-            self._operations.run('reset', self._seed, restart_time)
-            self._commands.clear('the simulation was reset')
-            self._operations.clear()
-            self._seed = None
+            self.changes.run('reset', self.next_seed, restart_time)
+            self.changes.clear('the simulation was reset')
+            self.next_seed = None
             self.at_start = True
             self._show_new()
         self.call(change)
@@ -327,36 +284,6 @@ class SimulationThread:
     def _show_new(self) -> None:
         self._pacer.restart(time.monotonic())
         self._show()
-
-    @property
-    def objects(self) -> list[list[Any]]:
-        """The objects, as :attr:`Operations.objects`."""
-        return self._operations.operations.objects
-
-    def restart_by(self, restart: Callable[[int | None], None]) -> None:
-        """
-        Let another function put the simulation back to its start at resets.
-
-        :param restart: takes the seed of the start, or None to keep the start
-        """
-        self._operations.operations.restart = restart
-
-    def set_seed(self, seed: int) -> None:
-        """
-        Draw the start anew at the next reset.
-
-        :param seed: as for ``Simulation.reset``
-        """
-        self._seed = seed
-
-    def save(self) -> str:
-        """
-        Save the present state in the only slot there is.
-
-        :returns: its digest
-        """
-        digest: str = self.change('save')
-        return digest
 
     def restore(self) -> str:
         """
@@ -369,9 +296,8 @@ class SimulationThread:
         :raises ModelError: if objects have come or gone since
         """
         def change() -> str:
-            digest: str = self._operations.run('restore')
-            self._commands.clear('a saved state was restored')
-            self._operations.clear()
+            digest: str = self.changes.run('restore')
+            self.changes.clear('a saved state was restored')
             self.at_start = False
             self._show_new()
             return digest
@@ -414,63 +340,42 @@ class SimulationThread:
             now = time.monotonic()
             if self._repeats:
                 held = self._paused or self._simulation.diverged is not None
-                if not held and self._commands.complete and not self._misses_arena:
+                if not held and self.changes.complete:
                     return True
                 if now >= self._repeat_at:
                     return False
                 self._inbox.wait(self._repeat_at - now)
-            elif self._stepping == 'free' or self._pacer.is_due(now):
+            elif self.stepping == 'free' or self._pacer.is_due(now):
                 return True
             else:
                 self._inbox.wait(self._pacer.deadline_s - now)
         return False
 
     @property
-    def _missing(self) -> dict[str, list[str]]:
-        return {**self._commands.missing, **({ARENA: [ARENA]} if self._misses_arena else {})}
-
-    @property
     def _repeats(self) -> bool:
         """Whether the present state is repeated, because no period is due by itself."""
-        return (self._paused or self._stepping == 'lockstep'
+        return (self._paused or self.stepping == 'lockstep'
                 or self._simulation.diverged is not None)
 
     def _period(self, most: int = 1) -> None:
         """Run a control period, or up to ``most`` while idle and without observers."""
-        self._operations.run_waiting()
-        # They may have been withdrawn meanwhile.
-        taken = [(name, command) for name, command in self._commands.take()
-                 if command.handle.is_active]
-        self.journal.commands(taken)
-        for name, command in taken:
-            self._apply(name, command)
+        self.changes.take_effect()
         pauses = self._pause_at_ns > self._simulation.time_ns
         with contextlib.suppress(DivergenceError):  # Observers see ``diverged``.
-            if most > 1 and not pauses and self._observers.absent and self._simulation.idle:
+            if most > 1 and not pauses and self.observers.absent and self._simulation.idle:
                 self._simulation.advance_idle(self._steps, most)
             else:
                 most = 1
                 self._simulation.advance(self._steps)
-        self.journal.period()
+        self.changes.journal.period()
         self.at_start = False
         if pauses and self._simulation.time_ns >= self._pause_at_ns:
             self._paused = True
         begin_s = self.progress.wall_s
         self._show(number=self._simulation.step_count // self._steps)
-        if self._stepping == 'free':
+        if self.stepping == 'free':
             fitting = int(_ROUND_S * most / max(self.progress.wall_s - begin_s, 1e-6))
             self._at_once = max(1, min(fitting, 2 * self._at_once))
-
-    def _apply(self, robot: str, command: Command) -> None:
-        try:
-            self._simulation.robots[robot].apply(command, period_s=self.period_s)
-        except Exception as error:
-            command.handle.end(Status.ABORTED, str(error))
-            self._report(', '.join(sorted(command.parts)), error)
-
-    def _report(self, what: str, error: Exception) -> None:
-        if self._report_failure is not None:
-            self._report_failure(what, error)
 
     def _show(self, number: int = 0) -> None:
         if self._showing:
@@ -478,11 +383,11 @@ class SimulationThread:
             return
         self._showing, self._show_again = True, False
         time_ns = self._simulation.time_ns
-        self._commands.may_answer(time_ns)
+        self.changes.commands.may_answer(time_ns)
         now = time.monotonic()
-        waits = self._stepping == 'lockstep' and not number
+        waits = self.stepping == 'lockstep' and not number
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s,
-                                 self._missing if waits else {})
+                                 self.changes.missing if waits else {})
         self._repeat_at = now + _REPEAT_S
-        self._observers.show(self._simulation, number, now, look=self._repeats)
+        self.observers.show(self._simulation, number, now, look=self._repeats)
         self._showing = False

@@ -55,14 +55,14 @@ class Session:
     def begin(self):
         """Begin, or begin again, as for a new subscriber."""
         about = {'parameters': self.given, 'task_seed': None}
-        self.thread.call(lambda: self.thread.journal.begin(
-            {**about, 'objects': self.thread.objects}, self.write))
+        self.thread.call(lambda: self.thread.changes.journal.begin(
+            {**about, 'objects': self.thread.changes.operations.objects}, self.write))
 
     def step(self, count):
         """Advance by some control periods; each is a message."""
         for _ in range(count):
             self.thread.step()
-            self.thread.call(self.thread.journal.flush)
+            self.thread.call(self.thread.changes.journal.flush)
 
     def act(self, periods, robot=None):
         """Let all parts follow sines."""
@@ -79,7 +79,7 @@ class Session:
     def close(self):
         """Complete the file."""
         self.thread.stop()
-        self.thread.journal.end()
+        self.thread.changes.journal.end()
         self._file.close()
 
 
@@ -152,12 +152,12 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
         thread.change(*operation)
         node.act(5)
     thread.change('mode', name, 'arm', 'position')
-    thread.save()
-    thread.at_next_period('pull', 'pull', 'cube', [0.5, 0.1, 1.0], [0.5, 0.0, 1.2], 1)
+    thread.change('save')
+    thread.changes.at_next_period('pull', 'pull', 'cube', [0.5, 0.1, 1.0], [0.5, 0.0, 1.2], 1)
     node.act(10)
     thread.restore()
     node.act(10)
-    thread.set_seed(7)
+    thread.next_seed = 7
     thread.reset()
     node.act(10)
     node.goals.start(trajectory(node))
@@ -250,11 +250,11 @@ def test_lost_messages_are_told_and_the_next_start_goes_on(session, verify, tmp_
 
 def test_what_cannot_be_repeated_is_told(session, verify):
     node = session(robot='UR5e')
-    node.thread.save()
+    node.thread.change('save')
     node.begin()
     node.step(2)
     node.thread.restore()
-    assert node.thread.journal.incomplete
+    assert node.thread.changes.journal.incomplete
     node.step(3)
     node.begin()
     node.step(4)
@@ -340,14 +340,14 @@ def test_scrambled_journals_end_in_lines_and_without_a_traceback(
     ], ids=['two robots', 'drawn start'])
 def test_drawn_starts_and_several_robots_are_repeated(given, session, verify):
     node = session(**given)
-    node.thread.set_seed(11)
+    node.thread.next_seed = 11
     node.thread.reset()
     for robot in node.simulation.robots.values():
         node.act(5, robot)
     node.begin()
     for robot in node.simulation.robots.values():
         node.act(20, robot)
-    node.thread.set_seed(12)
+    node.thread.next_seed = 12
     node.thread.reset()
     for robot in node.simulation.robots.values():
         node.act(100, robot)

@@ -122,12 +122,12 @@ def test_an_operation_of_a_period_that_fails_is_told_and_the_simulation_goes_on(
 
     def fail():
         raise KeyError('gone')
-    thread._operations.operations._named = {
+    thread.changes.operations._named = {
         'fail': fail, 'note': lambda: done.append(simulation.step_count - begin)}
     thread.start()
     begin = simulation.step_count
-    thread.at_next_period('pull/cube', 'fail')
-    thread.at_next_period('arena/door', 'note')
+    thread.changes.at_next_period('pull/cube', 'fail')
+    thread.changes.at_next_period('arena/door', 'note')
     thread.step()
     thread.stop()
     assert told == [('pull/cube', "'gone'")] and done == [0]
@@ -139,15 +139,15 @@ def test_a_reset_that_cannot_draw_its_start_changes_nothing():
 
     def fail(seed):
         raise ModelError(f'no room with {seed}')
-    thread.restart_by(fail)
+    thread.changes.operations.restart = fail
     thread.start()
-    thread.set_seed(3)
+    thread.next_seed = 3
     command = thread._simulation.robot.parse.action('arm', [0.1] * 7)
     (handle,) = thread.submit([command])
     done = []
-    operations = thread._operations.operations
+    operations = thread.changes.operations
     operations._named = {**operations._named, 'note': lambda: done.append(1)}
-    thread.at_next_period('pull/cube', 'note')
+    thread.changes.at_next_period('pull/cube', 'note')
     with pytest.raises(ModelError, match='no room with 3'):
         thread.reset()
     assert handle.is_active
@@ -241,7 +241,7 @@ def test_commands_that_wait_are_aborted_by_a_new_beginning(free, begin_again):
     thread = free(UR5e(), paused=True)
     robot = thread._simulation.robot
     thread.start()
-    thread.save()
+    thread.change('save')
     start = robot.state().position.copy()
     (handle,) = thread.submit(robot.parse.joint_command(['robot0_shoulder_pan_joint'], [0.3]))
     begin_again(thread)
@@ -256,7 +256,7 @@ def test_commands_that_wait_are_aborted_by_a_new_beginning(free, begin_again):
 def test_a_restored_state_is_no_start(free):
     thread = free(UR5e(), paused=True)
     thread.start()
-    thread.save()
+    thread.change('save')
     thread.reset()
     assert thread.at_start
     thread.restore()
@@ -288,9 +288,9 @@ def test_lockstep_waits_for_the_arena_only_if_it_is_told_to():
         thread = SimulationThread(Simulation(World([Panda()])), 5, 'lockstep',
                                   lockstep_parts={'robot0': ['arm']}, **waits)
         thread.submit([thread._simulation.robot.parse.action('arm', [0.0] * 7)])
-        assert thread._missing == ({'arena': ['arena']} if waits else {})
-        thread.at_next_period('arena/door', lambda: None)
-        assert thread._missing == {}
+        assert thread.changes.missing == ({'arena': ['arena']} if waits else {})
+        thread.changes.at_next_period('arena/door', lambda: None)
+        assert thread.changes.missing == {}
 
 
 def test_lockstep_waits_for_the_parts_of_every_robot(free):
