@@ -12,7 +12,7 @@ import pytest
 
 WITH_BLOCKS = [page for page in PAGES if blocks(page)]
 #: Blocks with a line that needs a program which CI has not: to be raised knowingly.
-NOT_EXECUTED = 50
+NOT_EXECUTED = 51
 
 
 def name(page):
@@ -50,6 +50,12 @@ def test_every_link_leads_to_a_file_and_a_heading(page):
     for target, heading in links(page):
         assert target.exists(), target
         assert not heading or heading in headings(target), f'{target}#{heading}'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=name)
+def test_text_behind_a_table_is_not_taken_for_a_row(page):
+    text = re.sub(r'^```.*?^```$', '', page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    assert not re.findall(r'^ *\|.*\n(?! *\||- |\n|\Z)(.*)$', text, re.MULTILINE)
 
 
 def test_a_shell_block_is_read_as_a_shell_reads_it():
