@@ -28,7 +28,6 @@ class PatchedBytes:
 
     :param serialize: returns the bytes of the message for a time [ns] and for numbers, shape
         (count,)
-    :param count: how many numbers it takes
     """
 
     def __init__(self, serialize: Callable[[int, FloatArray], bytes], count: int) -> None:

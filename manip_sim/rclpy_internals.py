@@ -105,8 +105,6 @@ def publish_bytes(publisher: Publisher, content: bytes) -> None:
     """
     Publish a serialized message as rclpy does, but without Python's global lock meanwhile.
 
-    :param publisher: of rclpy
-    :param content: the message
     :raises RCLError: if it cannot be published
     :raises InvalidHandle: if the publisher has been destroyed
     """

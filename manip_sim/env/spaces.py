@@ -19,11 +19,7 @@ def action_space(episode: Episode) -> gymnasium.spaces.Box:
 
 
 def observation_space(observation: Observation) -> gymnasium.Space[Observation]:
-    """
-    Return the space of observations.
-
-    :param observation: one of them
-    """
+    """Return the space of observations."""
     return gymnasium.spaces.Dict({  # type: ignore[return-value]
         key: gymnasium.spaces.Box(0, 255, value.shape, np.uint8) if value.dtype == np.uint8 else
         gymnasium.spaces.Box(-np.inf, np.inf, value.shape, np.float64)

@@ -40,7 +40,6 @@ def check_content(kind: str, suffix: str, content: bytes, name: str) -> None:
 
     :param kind: ``mesh`` or ``texture``
     :param suffix: of the file, in lower case
-    :param name: of the file, for messages
     :raises ModelError: if there is anything else in it, or too many faces or pixels
     """
     checks = _CHECKS.get(kind, {})
@@ -230,7 +229,6 @@ def places(kind: str, name: str, folder: AssetFolders) -> Iterator[Path]:
 
     :param kind: as of :class:`Reference`
     :param name: a path or URI
-    :param folder: of the model
     """
     root = Path(os.path.abspath(folder.folder))
     scheme, separator, rest = name.partition('://')

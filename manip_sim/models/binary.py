@@ -16,8 +16,6 @@ def to_binary(model: mujoco.MjModel) -> bytes:
     Return a model as MuJoCo writes it in a file ``.mjb``, exact to the last bit.
 
     Only the same release of MuJoCo reads it.
-
-    :param model: the compiled ``mujoco.MjModel``
     """
     buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
@@ -41,7 +39,6 @@ def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> list[Rounding]:
     """
     Return the fields of numbers in which two models differ, the greatest difference first.
 
-    :param model: a ``mujoco.MjModel``
     :param other: of the same world, such as one loaded from its MJCF
     """
     found = []

@@ -68,7 +68,6 @@ def read_gripper(text: str, where: str = 'gripper') -> str | dict[str, str]:
     Parse grippers by arm from a text such as ``{right: PandaGripper, left: none}``.
 
     :param text: YAML if it begins with a brace, else a name or file, which is returned as it is
-    :param where: where the text comes from, for messages
     :raises ModelError: if it is not YAML of names by arm
     """
     if not text.lstrip().startswith('{'):

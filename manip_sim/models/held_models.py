@@ -98,7 +98,6 @@ def hold_model(file: Path, files: Files) -> HeldModel:
     Read a model and all that it names.
 
     :param file: MJCF or URDF
-    :param files: those that may be read
     :raises ModelError: if a file must not be or cannot be read, is not what its suffix says, or
         something is too large
     """
@@ -126,9 +125,6 @@ def hold_tree(root: ElementTree.Element, file: Path, files: Files) -> HeldModel:
     Read all that a URDF names.
 
     :param root: of its elements, changed in place
-    :param file: where it was read from
-    :param files: as for :func:`hold_model`
-    :raises ModelError: as :func:`hold_model` does
     """
     held = HeldModel(str(file), is_light=False)
     held.xml = _hold_tree(root, {}, AssetFolders(file.parent), held, files, _LEFT_OUT_OF_ROBOTS)

@@ -91,8 +91,6 @@ class JointActuation:
     """
     The actuation of the joints of one subsystem.
 
-    :param joints: their names
-    :param where: what they belong to, for messages
     :param catalogue: values by subsystem, as :func:`read_catalogue` returns them
     :ivar joints: their names
     :ivar friction: None for that of the model
@@ -189,7 +187,6 @@ def single(value: float | Sequence[float], where: str) -> tuple[float, ...]:
     """
     Return a number, or one for each joint, as a tuple.
 
-    :param where: what it is for, for messages
     :raises ModelError: if it is neither, or a number is negative or not finite
     """
     try:

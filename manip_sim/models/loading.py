@@ -49,7 +49,6 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     """
     Compile a spec.
 
-    :param name: what it is, for the message
     :raises ModelError: with MuJoCo's message, or if a number that must be finite is not
     """
     try:

@@ -37,11 +37,7 @@ def check_prefix(prefix: str) -> None:
 
 
 class TakenNames:
-    """
-    The names of a spec, collected once for all that is attached to it.
-
-    :param spec: a ``mujoco.MjSpec``
-    """
+    """The names of a spec, collected once for all that is attached to it."""
 
     def __init__(self, spec: mujoco.MjSpec) -> None:
         self._spec = spec
@@ -63,7 +59,6 @@ class TakenNames:
 
         :param own: the spec to be attached
         :param prefix: what its names will begin with
-        :param part: what it is, for the message
         :raises ModelError: naming the element
         """
         lists = {elements: getattr(own, elements) for elements in self._by_list}

@@ -45,8 +45,6 @@ def check_object_name(name: str, where: str,
     """
     Reject a name that a body and topics cannot have.
 
-    :param where: what has the name, for the message
-    :param what: what it is a name of, for the message
     :raises ModelError: if it is not a letter followed by at most 63 letters, digits, underscores
     """
     if not _NAME.fullmatch(name) or name == 'world':

@@ -145,8 +145,6 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
     :param values: the keys of :class:`ShapeDescription`, :class:`MeshDescription` or
         :class:`FileDescription`
     :param kind: :class:`ObjectModel` or :class:`FixtureModel`
-    :param where: what has the values, for messages
-    :param folder: where relative paths begin
     :param files: those that may be read, as for :func:`create_object`
     :raises ModelError: if something is wrong with it
     """

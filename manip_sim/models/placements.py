@@ -79,7 +79,6 @@ def read_placements(given: Any, where: str) -> list[Placement]:
     Read areas by name.
 
     :param given: as in YAML
-    :param where: where they come from, for messages
     :raises ModelError: naming area and key
     """
     if not isinstance(given, Mapping):
@@ -177,9 +176,7 @@ def draw_places(placements: Sequence[Placement], sizes: Mapping[str, Extent], se
     """
     Return positions in ``world`` [m] and orientations w, x, y, z by object.
 
-    :param placements: the areas
     :param sizes: of the objects, by name
-    :param seed: a whole number from 0
     :raises ModelError: if the objects of an area do not fit into it
     """
     found: dict[str, tuple[FloatArray, FloatArray]] = {}

@@ -114,7 +114,6 @@ class Rule:
         """
         Return a draw, which depends on its arguments only.
 
-        :param seed: a whole number from 0
         :param key: of what is drawn, unique in its world
         :returns: one number for all, or one for each number of the quantity
         """

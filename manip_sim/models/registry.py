@@ -90,7 +90,6 @@ class Registry(Generic[T]):
         Nothing is imported.
 
         :param name: as for :func:`find_source`
-        :raises ModelError: as :func:`find_source` does
         """
         if name in self._classes or name in offers(self._group):
             return None
@@ -206,7 +205,6 @@ def import_submodules(package: str, path: list[str]) -> None:
     Import every module of a package, which registers its classes.
 
     :param package: the package's name
-    :param path: the package's ``__path__``
     """
     for module in pkgutil.iter_modules(path):
         importlib.import_module(f'{package}.{module.name}')

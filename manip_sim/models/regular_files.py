@@ -80,7 +80,11 @@ def _explained(file: Path, kind: str) -> Iterator[None]:
 
 
 class Files:
-    """The files that a model may be read from: all that the user of the process may read."""
+    """
+    The files that a model may be read from: all that the user of the process may read.
+
+    Others are for requests; where a parameter may be None, that stands for these.
+    """
 
     #: What to say of a file that is not found.
     rule = ''
@@ -155,7 +159,6 @@ class FilesBelow(Files):
         Check that a path is below the folders, whether there is a file or not.
 
         :param kind: what it is, for the message
-        :raises ModelError: if it is not
         """
         if not self._has(path):
             raise ModelError(
@@ -229,8 +232,6 @@ class KeptFiles(Files):
     Files that are read once, so that nobody can change them in between.
 
     A copy, also in another process, has what was read before, and reads nothing more.
-
-    :param files: those that may be read
     """
 
     def __init__(self, files: Files) -> None:
@@ -244,11 +245,7 @@ class KeptFiles(Files):
         return {**self.__dict__, '_files': None}
 
     def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
-        """
-        Return the content of a file, as at the first time.
-
-        :raises ModelError: as the files do, or if a copy has not got it
-        """
+        """Return the content of a file, as at the first time."""
         if file not in self._contents:
             if self._files is None:
                 raise ModelError(f'{kind} {quoted(str(file), 200)} was not read before')

@@ -209,11 +209,7 @@ def is_path(name: str) -> bool:
 
 
 def check_no_parameters(name: object, parameters: Any) -> None:
-    """
-    Reject parameters for a model from a file.
-
-    :raises ModelError: if there are any
-    """
+    """Reject parameters for a model from a file."""
     if parameters:
         raise ModelError(f'{quoted(name)} is a file, which takes no parameters, '
                          f'got {", ".join(parameters)}')

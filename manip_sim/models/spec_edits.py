@@ -22,13 +22,7 @@ _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 's
 
 
 def rename_body(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
-    """
-    Rename a body, and the references to it in other elements.
-
-    :param spec: the spec that has the body
-    :param body: the body
-    :param name: its new name
-    """
+    """Rename a body, and the references to it in other elements."""
     for element, attribute in _references_to_bodies(spec):
         if getattr(element, attribute) == body.name:
             setattr(element, attribute, name)
@@ -61,7 +55,6 @@ def body_for(spec: mujoco.MjSpec, what: str, name: str, body: str, others: Mappi
     """
     Return the body that a new element of a spec is fixed to.
 
-    :param what: the element, for messages
     :param name: its name, and ``body`` that of the body
     :param others: kinds of elements that may not have its name, and what to do if one has
     :raises ModelError: if one has
@@ -90,7 +83,6 @@ def attach(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.M
     """
     Attach a spec to another without MuJoCo's warnings; its global settings are left behind.
 
-    :param spec: the spec to attach to
     :param own: the spec to be attached, not to be used afterwards
     :param prefix: what its names will begin with
     :param frame: the frame to attach it to
@@ -156,7 +148,6 @@ def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:
 
     Elements of a spec cannot be moved, so their contents are.
 
-    :param actuators: the consecutive actuators
     :param count: how many of them go to the end
     """
     if not 0 < count < len(actuators):

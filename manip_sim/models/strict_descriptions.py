@@ -52,7 +52,6 @@ def checked(kind: type[M], values: Mapping[str, Any], where: str) -> M:
 
     :param kind: the model, which forbids extra keys
     :param values: by key
-    :param where: file and object that have the values, for the message
     :raises ModelError: on one line, naming the key that is unknown, missing or has a bad value
     """
     try:

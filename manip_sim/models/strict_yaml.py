@@ -91,9 +91,7 @@ def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = St
     """
     Return the mapping that a text holds.
 
-    :param where: what it is, for messages
     :param loader: decides the types of plain scalars
-    :raises ModelError: as :func:`read_yaml` does
     """
     if len(content) > _MAX_BYTES:
         raise ModelError(f'{where} is larger than {_MAX_BYTES} bytes')

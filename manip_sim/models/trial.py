@@ -38,7 +38,6 @@ def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
 
     What passed once is not tried again.
 
-    :param name: what it is, for messages
     :param xml: the model
     :param models: files of other models that it names
     :param assets: files of meshes and images that it names
@@ -65,7 +64,6 @@ def try_to_do(name: str, function: Callable[..., Any], *arguments: Any,
 
     What passed once is not tried again.
 
-    :param name: what it is, for messages
     :param function: of a module; imports nothing when it is called
     :param arguments: that can be pickled
     :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`

@@ -23,8 +23,6 @@ def as_numbers(values: ArrayLike, what: str, error: type[ManipSimError] = ModelE
     """
     Return numbers as an array of their own shape, always a copy.
 
-    :param what: what they are, for the message
-    :param error: the exception to raise
     :raises ManipSimError: that exception, if they are not numbers
     """
     try:
@@ -41,8 +39,6 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
     """
     Return numbers as an array of shape (length,), always a copy.
 
-    :param what: what they are, for the message
-    :param error: the exception to raise
     :raises ManipSimError: that exception, if they are not ``length`` finite numbers
     """
     found = as_numbers(values, what, error)
@@ -59,7 +55,6 @@ def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
     """
     Return a quaternion with unit norm, shape (4,), a copy.
 
-    :param what: what it is, for the message
     :raises ModelError: if it is not four finite numbers, all are zero, or its norm is infinite
     """
     quat = finite_numbers(values, 4, what)
@@ -77,8 +72,6 @@ def whole_number(value: object, least: int, what: str, error: type[ManipSimError
     Return a whole number.
 
     :param least: the lowest that is allowed
-    :param what: what it is, for the message
-    :param error: the exception to raise
     :raises ManipSimError: that exception, if it is no whole number from there
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
@@ -90,8 +83,6 @@ def positive_number(value: Any, what: str, error: type[ManipSimError] = ModelErr
     """
     Return a number above 0.
 
-    :param what: what it is, for the message
-    :param error: the exception to raise
     :raises ManipSimError: that exception, if it is no finite number above 0
     """
     if (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
@@ -104,7 +95,6 @@ def start_by_joint(part: str, joints: list[str], qpos: Any) -> dict[str, float]:
     """
     Return the start positions of joints, by name [rad or m].
 
-    :param part: whose joints they are, for the message
     :param qpos: one number for each joint, or None for no start
     :raises ModelError: if there is not one finite number for each joint
     """

@@ -73,8 +73,6 @@ def excess(tag: str, attributes: Mapping[str, str]) -> str:
     """
     Return which number in an element's attributes is too great.
 
-    :param tag: of the element
-    :param attributes: of the element, as text
     :returns: what is more than how much; empty if nothing is
     """
     for names, most in _MAX_PRODUCTS.get(tag, ()):
@@ -90,12 +88,7 @@ def excess(tag: str, attributes: Mapping[str, str]) -> str:
 
 
 def flex_vertices(tag: str, attributes: Mapping[str, str]) -> int:
-    """
-    Return how many vertices an element makes, but for those in a file.
-
-    :param tag: of the element
-    :param attributes: of the element, as text
-    """
+    """Return how many vertices an element makes, but for those in a file."""
     if tag == 'flexcomp':
         return max(product(attributes, 'count'), len(attributes.get('point', '').split()) // 3)
     if tag == 'flex':
@@ -112,7 +105,6 @@ def product(attributes: Mapping[str, str], *names: str) -> int:
     """
     Return the product of the numbers in attributes.
 
-    :param attributes: of an element, as text
     :param names: of those to multiply; one that is missing or below 1 counts as 1
     :returns: the product, at most 1e15
     """

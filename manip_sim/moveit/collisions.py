@@ -99,7 +99,6 @@ class _Sampler:
     Looks for collisions of a robot with itself.
 
     :param model: as from :func:`_without_filters`
-    :param robot: the robot
     :param links: names by id of the body
     :ivar bodies: ids of those with shapes that collide, parents first
     """

@@ -83,7 +83,6 @@ def text_files(package: str, robot: str) -> dict[str, str]:
     """
     Return the contents of the files by path.
 
-    :param package: name of the package
     :param robot: name of the robot, as in URDF and SRDF
     """
     return {

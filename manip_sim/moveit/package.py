@@ -184,9 +184,7 @@ def describe(model: mujoco.MjModel, robot: RobotModel, package: str,
     """
     Return the URDF of a robot, and the meshes that it names in its package, by path.
 
-    :param model: of the world
     :param robot: one of its robots
-    :param package: name of the package
     :param hardware: of the ``<ros2_control>`` tag; None for none
     """
     meshes = _meshes(model)

@@ -51,7 +51,6 @@ def build_files(package: str, what: str, dependencies: Iterable[str], folders: I
     """
     Return ``package.xml`` and ``CMakeLists.txt``.
 
-    :param package: name of the package
     :param what: beginning of its description
     :param dependencies: packages that it needs when it is used
     :param folders: that are installed

@@ -39,8 +39,6 @@ def intrinsics_of(model: mujoco.MjModel, camera: str, width: int, height: int) -
     A camera with a field of view has square pixels; one with a sensor size, focal length and
     principal point has those of its sensor, stretched to the image.
 
-    :param model: the ``mujoco.MjModel``
-    :param camera: its name
     :param width: of the image [pixels], as ``height``
     :raises ModelError: if the camera is orthographic
     """

@@ -76,11 +76,7 @@ class OffscreenRenderer:
         Render what a camera sees.
 
         :param data: a ``mujoco.MjData`` of the model, after ``mj_camlight``
-        :param camera: its name
         :param width: of the image [pixels], as ``height``, at most those of this renderer
-        :param rgb: with colours
-        :param depth: with depth
-        :param labels: with the ids of bodies
         """
         area = mujoco.MjrRect(0, 0, width, height)
         colours = np.empty((height, width, 3), np.uint8) if rgb else None

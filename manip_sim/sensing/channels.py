@@ -31,7 +31,6 @@ class Channel:
     The noise of one sensor.
 
     :param name: of the sensor, unique in its world
-    :param width: how many numbers it reads
     :ivar sd: standard deviation of the white noise, shape (width,), as the others are
     :ivar bias: standard deviation of the offset
     :ivar drift: standard deviation of the random walk after one second
@@ -69,7 +68,6 @@ class Channel:
         Return white noise, offset and drift.
 
         :param count: steps since the reset
-        :param timestep_s: length of a step [s]
         :returns: in the units of what is read, shape (width,)
         """
         total = np.zeros(self.width)
@@ -87,7 +85,6 @@ class Channel:
 
         :param exact: shape (width,)
         :param count: steps from the reset to their instant
-        :param timestep_s: length of a step [s]
         :returns: shape (width,), a copy
         """
         values = exact + self.noise(count, timestep_s)
@@ -123,7 +120,6 @@ class InstrumentChannel(Channel):
     """
     What an instrument of the model reads.
 
-    :param found: the instrument
     :param of_file: the attribute ``noise`` of its sensors, shape (length,)
     :param own_sd: standard deviation that each of its numbers has in any case, in its unit
     """
@@ -184,11 +180,7 @@ def _turned(quat_xyzw: FloatArray, by: FloatArray) -> FloatArray:
 
 
 def file_noise(model: mujoco.MjModel, found: Instrument) -> FloatArray:
-    """
-    Return the attribute ``noise`` of the sensors of an instrument, shape (length,).
-
-    :param model: the compiled ``mujoco.MjModel``
-    """
+    """Return the attribute ``noise`` of the sensors of an instrument, shape (length,)."""
     values = np.zeros(found.length)
     owner = np.repeat(model.sensor_noise, model.sensor_dim)
     values[found.targets] = owner[found.sources]

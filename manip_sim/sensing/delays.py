@@ -23,7 +23,6 @@ class Delay:
     The single delays of one way; they depend on the seed, the name and the step only.
 
     :param name: of the way, unique in its world
-    :param timestep_s: length of a physics step [s]
     :ivar mean_s: mean of the delays before those below zero become zero [s]
     :ivar jitter_s: their standard deviation [s]
     """
@@ -35,11 +34,7 @@ class Delay:
         self.set_seed(0)
 
     def set_seed(self, seed: int) -> None:
-        """
-        Draw from a seed from now on.
-
-        :param seed: a whole number from 0
-        """
+        """Draw from a seed from now on."""
         self._rows = NormalRows(seed, self._name, 1)
 
     @property

@@ -70,12 +70,7 @@ class ImageNoise:
 
 
 class CameraSensing(Generic[Scene]):
-    """
-    What a camera measures of the scenes before it, with the noise and latency of a robot.
-
-    :param camera: its name
-    :param sensing: what is measured of the robot
-    """
+    """What a camera measures of the scenes before it, with the noise and latency of a robot."""
 
     def __init__(self, camera: str, sensing: RobotSensing) -> None:
         self._camera = camera

@@ -66,7 +66,6 @@ class Instrument:
         """
         Return what the sensors measure at the instant of the last ``mj_forward``, exactly.
 
-        :param data: the ``mujoco.MjData``
         :returns: in SI units, shape (length,): of an IMU orientation x, y, z, w, angular velocity
             and acceleration, zero where it has no such sensor; of a force/torque sensor force and
             torque; else as MuJoCo gives it
@@ -97,8 +96,6 @@ def find_instruments(model: mujoco.MjModel) -> list[Instrument]:
     Return the instruments of a model, in the order of their first sensors.
 
     The names of their topics differ; where they would not, a number is added to the name.
-
-    :param model: the compiled ``mujoco.MjModel``
     """
     groups: list[tuple[str, list[int]]] = []
     open_groups: dict[tuple[str, int], list[int]] = {}
@@ -180,22 +177,13 @@ def _frame(model: mujoco.MjModel, sensor: int) -> str:
 
 
 def frame_of_site(model: mujoco.MjModel, site: int) -> str:
-    """
-    Return the name of the frame of a site, which differs from those of the bodies.
-
-    :param model: the compiled ``mujoco.MjModel``
-    :param site: its id
-    """
+    """Return the name of the frame of a site, which differs from those of the bodies."""
     name = _name(model, _SITE, site)
     return f'{name}_site' if mujoco.mj_name2id(model, _BODIES[0], name) >= 0 else name
 
 
 def instrument_sites(model: mujoco.MjModel) -> list[str]:
-    """
-    Return the names of the sites whose frames are those of messages.
-
-    :param model: the compiled ``mujoco.MjModel``
-    """
+    """Return the names of the sites whose frames are those of messages."""
     sites = [int(model.sensor_objid[n]) for n in range(model.nsensor)
              if _kind(model, n) != VALUES]
     return list(dict.fromkeys(filter(None, (_name(model, _SITE, site) for site in sites))))

@@ -92,8 +92,6 @@ class Lidar:
 
         The body that carries the lidar is transparent to it.
 
-        :param model: the ``mujoco.MjModel``
-        :param data: the ``mujoco.MjData``
         :returns: ring by ring [m], limited as :meth:`Rays.limited`, shape (rings * samples,)
         """
         site, count = int(model.site(self.name).id), len(self._flat)
@@ -112,7 +110,6 @@ class LidarChannel(Channel):
     """
     The noise of a lidar: white, on each distance.
 
-    :param lidar: the lidar
     :param own_sd: standard deviation that it has in any case [m]
     """
 
@@ -159,8 +156,6 @@ class Lidars(Mapping[str, Lidar]):
     """
     The lidars of a running world, by name; each has the seed, noise and latency of a robot.
 
-    :param present: holds the model and its data
-    :param found: the lidars
     :param sensing_of: returns what is measured of the robot that has a body
     """
 

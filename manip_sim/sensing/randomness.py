@@ -23,7 +23,6 @@ def generator(seed: int, name: str, count: int = 0) -> np.random.Generator:
     """
     Return a generator whose numbers depend on nothing but its arguments.
 
-    :param seed: a whole number from 0
     :param name: of what the numbers are for
     :param count: a whole number from 0, such as of steps
     """
@@ -37,9 +36,7 @@ class NormalRows:
     """
     Rows of independent standard normal numbers, one for each count, and their sums.
 
-    :param seed: a whole number from 0
     :param name: of what the numbers are for
-    :param width: of a row
     """
 
     def __init__(self, seed: int, name: str, width: int) -> None:
@@ -57,21 +54,13 @@ class NormalRows:
         return self._rows
 
     def row(self, count: int) -> FloatArray:
-        """
-        Return the row of a count, shape (width,).
-
-        :param count: a whole number from 0
-        """
+        """Return the row of a count, shape (width,)."""
         number, place = divmod(count, _BLOCK)
         row: FloatArray = self._block(number)[place]
         return row
 
     def sum(self, count: int) -> FloatArray:
-        """
-        Return the sum of the rows before a count: a random walk, shape (width,).
-
-        :param count: a whole number from 0
-        """
+        """Return the sum of the rows before a count: a random walk, shape (width,)."""
         number, place = divmod(count, _BLOCK)
         if number < self._walked:
             self._walked, self._before = 0, np.zeros(self._width)

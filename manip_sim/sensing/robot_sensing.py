@@ -78,7 +78,6 @@ class RobotSensing:
 
     :param name: of the robot, unique in its world
     :param steps: counts the steps
-    :param timestep_s: length of a step [s]
     :ivar settings: of noise, resolution and latency
     :ivar seed: of noise and jitter
     :ivar delays: of what is measured, images and commands, by ``state``, ``image``, ``command``
@@ -160,11 +159,7 @@ class RobotSensing:
         return self._channels[name][1]()
 
     def measured(self, name: str) -> FloatArray:
-        """
-        Return what is measured at present, a copy.
-
-        :param name: of a channel
-        """
+        """Return what is measured at present, a copy."""
         if not self.settings.measures:
             channel, read = self._channels[name]
             return read() if channel is None or not channel.is_noisy else self._measure(name)

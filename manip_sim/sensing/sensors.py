@@ -34,7 +34,6 @@ class Sensors(Mapping[str, FloatArray]):
 
     Each value is a copy, in the units and the order of MuJoCo.
 
-    :param present: holds the model and its data
     :param measure: returns what an instrument measures
     """
 

@@ -261,8 +261,6 @@ def cube(name: str, rgb: Iterable[float], edge_m: float = CUBE_M, friction: floa
     """
     Return the description of a light cube.
 
-    :param rgb: its colour
-    :param edge_m: [m]
     :param friction: sliding; in a contact the greater one of both counts
     """
     return {'name': name, 'shape': 'box', 'size': [edge_m] * 3, 'mass': 0.1, 'rgba': [*rgb, 1.0],

@@ -40,7 +40,6 @@ class DescribedTask(Task, registered=False):
     """
     A task by a description.
 
-    :param description: checked
     :param robot: as for ``compose``
     :param gripper: as for ``compose``
     :param composition: what else ``compose`` takes

@@ -41,11 +41,7 @@ class Policy(Protocol):
     """What chooses the actions of an episode."""
 
     def reset(self, seed: int) -> None:
-        """
-        Begin an episode.
-
-        :param seed: of the episode
-        """
+        """Begin an episode."""
 
     def act(self, observation: Any) -> FloatArray:
         """
@@ -60,7 +56,6 @@ class Hold:
     """
     What an expert wants of one arm: a pose of its hand and whether the gripper closes.
 
-    :param item: the arm
     :param position: of ``grip_site`` in ``world`` [m], shape (3,)
     :param rotation: of ``grip_site`` in ``world``, shape (3, 3)
     :ivar closing: from -1, open, to +1
@@ -203,12 +198,7 @@ def _gripper(arm: Hold) -> GripperModel:
 
 
 def fingers_side_by_side(model: mujoco.MjModel, arm: Hold) -> bool:
-    """
-    Return whether a gripper has several fingers on one side, as one with three fingers has.
-
-    :param model: of the simulation
-    :param arm: that has the gripper
-    """
+    """Return whether a gripper has several fingers on one side, as one with three fingers has."""
     geoms = _gripper(arm).important_geoms
     return any(len({int(model.geom(name).bodyid[0]) for name in geoms[side]}) > 1
                for side in ('left_fingerpad', 'right_fingerpad'))

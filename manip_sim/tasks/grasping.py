@@ -64,8 +64,6 @@ def held_only_by(simulation: Simulation, body: str, robot: SimulatedRobot, arm: 
     """
     Return whether an arm holds an object: two bodies of its gripper touch it, and nothing else.
 
-    :param body: of the object
-    :param robot: that has the arm
     :param arm: such as ``right``
     """
     touched = touching(simulation, body)

@@ -53,7 +53,6 @@ def create_actions(kind: str, simulation: Simulation) -> Actions:
     Return what actions of a kind do, and set the control modes of arms that they need.
 
     :param kind: one of :data:`ACTIONS`
-    :param simulation: whose robots they move
     :raises UnknownNameError: if there is no such kind
     """
     if kind not in ACTIONS:

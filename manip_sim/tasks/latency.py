@@ -96,9 +96,6 @@ def whole_steps(duration_s: float, timestep_s: float, what: str) -> int:
     """
     Return the number of physics steps in a duration.
 
-    :param duration_s: [s]
-    :param timestep_s: of the physics [s]
-    :param what: what the duration is, for the message
     :raises ModelError: if it is no whole number of timesteps
     """
     return whole_number(duration_s, timestep_s, what, 'timesteps')
@@ -108,9 +105,7 @@ def whole_number(duration_s: float, part_s: float, what: str, parts: str) -> int
     """
     Return the number of parts in a duration.
 
-    :param duration_s: [s]
     :param part_s: length of a part [s]
-    :param what: what the duration is, for the message
     :param parts: what the parts are, for the message
     :raises ModelError: if it is no whole number of parts
     """

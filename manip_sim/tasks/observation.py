@@ -35,7 +35,6 @@ class Observer:
     ``image/CAMERA``, rgb, shape (height, width, 3), for each camera.
 
     :param task: whose goal it reads
-    :param simulation: of the task's world
     :param pictures: renders the images of cameras; None for no images
     :ivar pictures: the same
     """

@@ -109,7 +109,6 @@ def views_of(given: Iterable[CameraLike], world: World, simulation: Simulation,
 
     :param given: names of cameras and descriptions
     :param world: composed with those descriptions
-    :param simulation: of the world
     :param image_size: width and height of all images; None for those of the cameras, as the node
         has them
     :raises UnknownNameError: if there is no such camera

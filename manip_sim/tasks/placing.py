@@ -82,13 +82,7 @@ def place(simulation: Simulation, name: str, position: FloatArray,
 
 
 def add_goal(arena: Arena, name: str, radius_m: float, flat: bool = False) -> None:
-    """
-    Add a mocap body to an arena that is only seen, such as the point to reach.
-
-    :param name: of the body
-    :param radius_m: of the sphere or disc [m]
-    :param flat: whether it is a disc
-    """
+    """Add a mocap body to an arena that is only seen, such as the point to reach."""
     shapes, size = mujoco.mjtGeom, [radius_m, 0.001, 0.0]
     body = arena.spec.worldbody.add_body(name=name, mocap=True)
     body.add_geom(name=f'{name}_visual', size=size, rgba=_GOAL_RGBA, contype=0, conaffinity=0,
@@ -100,7 +94,6 @@ def move_mocap(simulation: Simulation, name: str, position: FloatArray,
     """
     Move a mocap body; what follows from it in the data is computed later.
 
-    :param name: of the body
     :param position: in ``world`` [m], shape (3,)
     :param quat_wxyz: in ``world``
     """
@@ -120,10 +113,5 @@ def rotation_of(simulation: Simulation, body: str) -> FloatArray:
 
 
 def nearness(distance_m: float, scale_m: float = 0.1) -> float:
-    """
-    Return 1 for no distance, 1/2 at a scale, towards 0 far away.
-
-    :param distance_m: [m]
-    :param scale_m: [m]
-    """
+    """Return 1 for no distance, 1/2 at a scale, towards 0 far away."""
     return scale_m / (scale_m + distance_m)

@@ -122,7 +122,6 @@ def close(item: ArmAction, closing: FloatArray, period_s: float) -> None:
     """
     Command the gripper of an arm.
 
-    :param item: the arm
     :param closing: from -1, open, to +1, shape (1,); empty if nothing in the gripper moves
     :param period_s: length of the control period [s]
     """

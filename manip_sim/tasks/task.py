@@ -217,7 +217,6 @@ def usable_arms(robot: Any, with_fingers: bool) -> list[str]:
     """
     Return the arms of a robot that have a gripper.
 
-    :param robot: any robot model
     :param with_fingers: only those whose gripper closes
     """
     if not isinstance(robot, ManipulatorModel):

@@ -227,7 +227,6 @@ class Described:
     A description whose parts have been checked.
 
     :param values: the keys of :class:`TaskDescription`
-    :param where: what has them, for messages
     :param folder: that files of objects are relative to
     :param name: if ``values`` has none
     :raises ModelError: on one line, with the nearest valid names

@@ -67,7 +67,6 @@ class WipeTable(Task):
         """
         Return where the spots are, those that were wiped off below the floor.
 
-        :param simulation: of :attr:`world`
         :returns: in ``world`` [m], shape (n, 3), a view
         """
         first = int(simulation.model.body('spot0').mocapid[0])
@@ -75,11 +74,7 @@ class WipeTable(Task):
         return found
 
     def left(self, simulation: Simulation) -> BoolArray:
-        """
-        Return which spots are still on the table, shape (n,).
-
-        :param simulation: of :attr:`world`
-        """
+        """Return which spots are still on the table, shape (n,)."""
         found: BoolArray = self.spots(simulation)[:, 2] > 0.0
         return found
 

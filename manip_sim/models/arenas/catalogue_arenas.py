@@ -98,11 +98,7 @@ class DrawerArena(Arena):
     arena_name = 'drawer'
 
     def robot_position(self, robot: RobotModel) -> FloatArray:
-        """
-        Return the place of a robot in ``world`` [m], shape (3,), by default as at a table.
-
-        :param robot: the robot to place
-        """
+        """Return the place of a robot in ``world`` [m], shape (3,), by default as at a table."""
         if self.arena_name in robot.base_xpos_offset:
             return super().robot_position(robot)
         return TableArena(cube=False).robot_position(robot)

@@ -36,8 +36,6 @@ def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[in
     joints instead. Of several on one joint a position servo is kept. An actuator that is neither
     motor nor servo of a joint is kept, but of no part. Too light joints get rotor inertia.
 
-    :param spec: the ``mujoco.MjSpec``, changed in place
-    :param tree: of the same, compiled
     :param actuators: ids of the actuators, without those of hands
     :returns: names of the actuators that are of no part, and a sentence for each change
     """
@@ -166,8 +164,6 @@ def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     Their force limits are those of the joints. Of two joints that an equality constraint couples,
     the dependent one gets no servo.
 
-    :param spec: the ``mujoco.MjSpec``, changed in place
-    :param tree: of the same, compiled
     :returns: what was done, in sentences
     """
     model = tree.model

@@ -34,11 +34,7 @@ def side_of(names: Iterable[str]) -> str | None:
 
 
 class BodyTree:
-    """
-    The tree of bodies of a model, by ids; body 0 is the world.
-
-    :param model: a ``mujoco.MjModel``
-    """
+    """The tree of bodies of a model, by ids; body 0 is the world."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model

@@ -92,7 +92,6 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     """
     Create a base from a file and its description.
 
-    :param where: the file that the description was read from, for messages
     :raises ModelError: if the file cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """

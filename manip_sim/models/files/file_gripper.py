@@ -48,7 +48,6 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
     Fingers that point more than 45 degrees away from the mount's z axis are turned to it by
     quarter turns, and a palm that reaches farther than 50 mm behind the mount is moved in front.
 
-    :param spec: the ``mujoco.MjSpec``, changed in place
     :returns: what was done, in sentences
     """
     model, notes = tree.model, []

@@ -30,7 +30,6 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str, files: Files | N
     :param path: a model, a YAML file, or a folder; arguments may follow the name of a xacro file
     :param kind: the type of the description
     :param stem: the fixed name of a YAML file, without its suffix, such as ``robot``
-    :param files: those that a request may read; None: all
     :raises ModelError: if a file is missing, or it is not clear which one is meant
     """
     try:

@@ -103,8 +103,6 @@ class Fingers:
     """
     The moving parts of a hand.
 
-    :param tree: of a model with the hand
-    :param hand: the hand
     :param start: where joints start, by name [rad or m]
     """
 

@@ -43,7 +43,6 @@ def find_place(spec: mujoco.MjSpec, name: str, where: str) -> tuple[str, Any]:
     """
     Return ``body`` or ``site``, and the element of that name; a body goes before a site.
 
-    :param where: where the name comes from, for the message
     :raises UnknownNameError: if there is none
     """
     body = spec.body(name)
@@ -61,7 +60,6 @@ def add_body_at(spec: mujoco.MjSpec, model: mujoco.MjModel, place: tuple[str, An
     """
     Add a body without mass.
 
-    :param spec: the ``mujoco.MjSpec``
     :param model: the spec before edits, compiled; gives the poses of sites
     :param place: ``body`` or ``site``, and the element
     :param position: in the body or site [m], shape (3,)

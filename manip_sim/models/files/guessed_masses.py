@@ -25,7 +25,6 @@ def masses_from_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
     Say which moving links of a URDF have a mass that follows from their shapes.
 
     :param spec: from :func:`load_urdf`
-    :param model: the same, compiled
     """
     return [f"link '{body.name}' has no <inertial>: {model.body(body.name).mass[0]:.4g} kg from "
             f'its collision shapes at {max(geom.density for geom in _colliding(body)):.4g} kg/m^3'
@@ -39,7 +38,6 @@ def lighten(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
     Shapes for collisions are often thicker than the link, and there twice.
 
     :param spec: from :func:`load_urdf`, changed in place
-    :param model: the same, compiled
     :returns: a sentence if it was changed
     """
     guessed = list(_guessed(spec, model))

@@ -160,8 +160,6 @@ def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: l
     """
     Set the control ranges of a hand's actuators, as :func:`control_range` returns them.
 
-    :param spec: the ``mujoco.MjSpec``, changed in place
-    :param model: the same, compiled
     :returns: a sentence for each actuator without limits, whose range becomes [-1, 1]
     """
     notes = []

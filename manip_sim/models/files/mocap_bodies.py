@@ -129,7 +129,6 @@ class MocapBodies:
 
         :param spec: of the composition
         :param prefix: what the names of the robot begin with
-        :param part: the robot, for messages
         :param before: pose of the robot's root in its file, position and w, x, y, z, shape (7,)
         :param after: its pose in the composition
         :raises ModelError: if a name is taken
@@ -159,7 +158,6 @@ def find_mocap_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, key: int | Non
     Return the mocap bodies of a file, or None.
 
     :param spec: the file, not changed
-    :param model: the same, compiled
     :param key: id of the keyframe that the robot starts from, or None
     """
     bodies = {str(model.body(body).name): int(model.body_mocapid[body])

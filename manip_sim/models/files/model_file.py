@@ -48,7 +48,6 @@ def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
     with joints moved away from the ends of their ranges; and the middle of all ranges. The first
     one is taken unless another one has less overlap.
 
-    :param model: a ``mujoco.MjModel``
     :returns: ``qpos``, shape (nq,), and what was done, in sentences
     """
     zero, moved, _ = _with(model, lambda value, low, high: value if low <= value <= high
@@ -159,7 +158,6 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     :param servos: give joints position servos if the file has no actuators
     :param xacro_args: arguments of a xacro file, by name
     :param expects_meshes: as for :func:`load_urdf`
-    :param files: those that a request may read; None: all
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """

@@ -32,12 +32,9 @@ def exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[
     excluded with the fixed links that they move on. A URDF has no place for exclusions: there all
     links that overlap are excluded, and the pairs of the SRDF beside the file.
 
-    :param spec: the ``mujoco.MjSpec``, changed in place
     :param model: the same, compiled, as it was in the file
     :param start: where joints start, by name [rad or m]
-    :param file: where it was read from
     :param urdf: whether that is a URDF
-    :param files: those that a request may read; None: all
     :returns: what was done, in sentences
     """
     pairs, notes = disabled_pairs(file, files or Files()) if urdf else (set(), [])

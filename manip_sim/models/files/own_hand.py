@@ -34,7 +34,6 @@ class OwnHand(HandFromFile, registered=False):
 
     :param arm: the arm that carries it
     :param description: what the robot's description says of it
-    :param where: the file that the description was read from, for messages
     :param start: where the robot's joints start, by name [rad or m]
     """
 

@@ -27,7 +27,6 @@ def package_folders(package: str, file: Path, files: Files | None = None) -> Ite
 
     :param file: that names it; a folder above it counts if it has the name, or its
         ``package.xml`` has
-    :param files: those that a request may read; None: all
     """
     at = files or Files()
     if package == PACKAGE:  # A URDF that was written here.

@@ -73,11 +73,7 @@ def load_requested(given: Path | OneText, files: Files, idn: int | str = 0) -> F
 
 def load_held(file: Path, description: RobotDescription, where: str, files: KeptFiles,
               idn: int | str) -> FileRobot:
-    """
-    Load a robot from contents that were read before.
-
-    :raises ModelError: as :func:`load_requested` does
-    """
+    """Load a robot from contents that were read before."""
     with _of_strangers(file):
         plan = plan_robot(file, description, where, files)
         robot = (FileManipulator if plan.ends else FileRobot)(plan, idn)

@@ -74,8 +74,6 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     Read a robot and complete it.
 
     :param file: MJCF or URDF
-    :param where: the file that the description was read from, for messages
-    :param files: those that a request may read; None: all
     :raises ModelError: if the file or what the description says of it cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """

@@ -36,8 +36,6 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     with their actuators, roots of which one body moves beside a robot that floats.
 
     :param spec: the ``mujoco.MjSpec``, without keyframes; changed in place
-    :param model: the same, compiled
-    :param file: what it was read from, for messages
     :returns: the spec or, with a new root, another one, and a sentence for each change
     :raises ModelError: if no root remains, or one of several roots is free
     """

@@ -18,7 +18,6 @@ def start_pose(model_file: ModelFile, declared: Union[str, Mapping[str, float], 
     Return the start positions of scalar joints, by name [rad or m].
 
     :param declared: positions by joint [rad or m]; without one, a joint starts as in the file
-    :param where: the file that declares them, for messages
     :raises UnknownNameError: if there is no such joint
     :raises ModelError: if a position is outside the joint's range
     """

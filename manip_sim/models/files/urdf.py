@@ -42,7 +42,6 @@ def is_urdf(file: Path, files: Files | None = None) -> bool:
     """
     Return whether a file is URDF: by its ending, or because its first element is ``robot``.
 
-    :param files: those that a request may read; None: all
     :raises ModelError: if a request must not or cannot read it
     """
     if file.suffix.lower() in ('.urdf', XACRO):
@@ -79,7 +78,6 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
 
     :param xacro_args: arguments of a xacro file, by name
     :param expects_meshes: make the sentences on meshes that cannot be read a :class:`LostShape`
-    :param files: those that a request may read; None: all
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
     :raises ModelError: if it cannot be read
     """
@@ -95,11 +93,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
 
 
 def hold_urdf(file: Path, xacro_args: Mapping[str, str], files: Files) -> HeldModel:
-    """
-    Read a URDF file and all that it names, as :func:`load_urdf` does, without MuJoCo.
-
-    :raises ModelError: as :func:`load_urdf`
-    """
+    """Read a URDF file and all that it names, as :func:`load_urdf` does, without MuJoCo."""
     return _hold(_read(file, xacro_args, True, files)[0], file, files)
 
 

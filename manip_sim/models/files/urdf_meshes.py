@@ -29,7 +29,6 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool,
     Make the paths of meshes absolute; remove shapes that are missing or MuJoCo cannot read.
 
     :param expected: whether to warn of these shapes
-    :param files: those that a request may read; None: all
     :returns: sentences about them, a :class:`LostShape` each if they are expected
     """
     extension = robot.find('mujoco/compiler')

@@ -35,8 +35,6 @@ def add_tactile_sensors(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco
     the mesh of its points.
 
     :param spec: of a gripper
-    :param model: compiled from it
-    :param data: with its poses in a start of the fingers
     :param eef: the body that is the grasp frame
     :returns: names of the sensors of all pads, also of those that were there
     """

@@ -197,11 +197,7 @@ def classify(name: str) -> str:
 
 
 def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
-    """
-    Return the name of the joint that an actuator drives, or None.
-
-    :param actuator: id of the actuator
-    """
+    """Return the name of the joint that an actuator drives, or None."""
     kind = int(model.actuator_trntype[actuator])
     if kind not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
         return None

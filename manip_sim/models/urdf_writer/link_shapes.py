@@ -66,7 +66,6 @@ def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel,
     Left out: meshes without a file that others read, and rotated ones with a scale per axis.
 
     :param spec: the ``mujoco.MjSpec``, whose files are absolute paths
-    :param model: compiled from it
     :param held: the files whose contents the spec holds, by their names in it
     """
     found = {}

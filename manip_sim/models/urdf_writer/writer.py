@@ -67,9 +67,7 @@ class _UrdfWriter:
     """
     Writer of the URDF of one robot.
 
-    :param model: the compiled ``mujoco.MjModel``
     :param tree: links and joints
-    :param name: of the robot
     :param meshes: files of meshes by name
     """
 
