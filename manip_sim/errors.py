@@ -81,8 +81,6 @@ def describe_choices(name: object, available: Iterable[str]) -> str:
     """
     Suggest the nearest available names, and list what is available, in at most 240 characters.
 
-    :param name: what was requested
-    :param available: the names that exist
     :returns: a sentence part such as ``did you mean 'Panda'? available: Panda, UR5e``, with
         ``... and 3 more`` in place of the names for which there is no room
     """

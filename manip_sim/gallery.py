@@ -42,7 +42,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     Render robots with default gripper, open, and base, grippers and bases alone, and tasks.
 
-    :param arguments: the command line, by default that of the process
     :returns: exit code; 1 if a name is unknown or nothing can be rendered
     """
     options = _parser().parse_args(arguments)
@@ -83,7 +82,6 @@ def make_gallery(output: Path, names: Sequence[str] = ()) -> list[Path]:
     :param output: folder, created if it is missing
     :param names: of robots, grippers, bases and tasks; if empty, all but grippers and bases
         without visible shapes
-    :returns: the files written
     :raises UnknownNameError: if there is no such robot, gripper, base or task
     :raises ManipSimError: if nothing can be rendered
     """

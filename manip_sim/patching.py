@@ -47,11 +47,7 @@ class PatchedBytes:
         self._nanoseconds = np.flatnonzero(self._words == nanoseconds)
 
     def cut(self, size: int) -> None:
-        """
-        Leave out what is behind the message.
-
-        :param size: of the message [bytes]
-        """
+        """Leave out what is behind the message."""
         self._content = self._content[:size]
 
     def at(self, time_ns: int, numbers: FloatArray) -> bytes:
@@ -59,7 +55,6 @@ class PatchedBytes:
         Return the bytes of a message.
 
         :param time_ns: simulation time [ns]
-        :param numbers: as ``serialize`` takes them, shape (count,)
         """
         self._words[self._seconds], self._words[self._nanoseconds] = divmod(
             time_ns, 1_000_000_000)

@@ -17,7 +17,6 @@ def quoted(text: object, limit: int = _TEXT_LIMIT) -> str:
     Return a name or value in quotes, shortened, with unprintable characters escaped.
 
     :param text: what came from outside; a long one costs no more than a short one
-    :param limit: number of characters that are shown
     """
     text = text if isinstance(text, str) else str(text)
     return f'{text[:limit]!r}{"..." if len(text) > limit else ""}'
@@ -33,18 +32,13 @@ def quoted_names(names: Sequence[object], limit: int = _NAMES_LIMIT) -> str:
     Return names in quotes, separated by commas.
 
     :param names: what came from outside; only the first of many are shown
-    :param limit: number of names that are shown
     """
     shown = ', '.join(quoted(name) for name in names[:limit])
     return shown if len(names) <= limit else f'{shown} and {len(names) - limit} more'
 
 
 def one_line(text: str, limit: int = _LINE_LIMIT) -> str:
-    """
-    Return a text, shortened, with line ends and control characters escaped.
-
-    :param limit: number of characters of the text that are shown
-    """
+    """Return a text, shortened, with line ends and control characters escaped."""
     cut = text if len(text) <= limit else f'{text[:limit]}...'
     if cut.isprintable():
         return cut

@@ -52,7 +52,6 @@ def asset_path(kind: str, name: str) -> Path:
     Return the MJCF file of one part.
 
     :param kind: ``robots``, ``grippers``, ``bases`` or ``arenas``
-    :param name: the part's folder, such as ``panda``
     """
     return share_directory() / 'assets' / kind / name / f'{name}.xml'
 

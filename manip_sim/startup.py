@@ -24,7 +24,6 @@ def run_program(program: Callable[[], int]) -> int:
     Run a program that SIGINT, SIGTERM and SIGHUP end with code 0, from the first line on.
 
     :param program: imports what takes long, then takes over by :class:`EndSignals`
-    :returns: its exit code
     """
     exit_on_signals()
     open_standard_streams()
@@ -95,8 +94,6 @@ def leave(code: int, *abandoned: str) -> int:
     Return an exit code, or end the process at once if a thread runs that cannot be ended in it.
 
     A normal exit of Python would close OpenGL while a thread renders, or unload what compiles.
-
-    :param abandoned: names of such threads
     """
     import threading
     if any(thread.name in abandoned for thread in threading.enumerate()):

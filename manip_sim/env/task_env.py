@@ -164,9 +164,5 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
 
 def checked_count(count: Any) -> int:
-    """
-    Return a number of environments.
-
-    :raises ModelError: if it is no whole number from 1
-    """
+    """Return a number of environments."""
     return whole_number(count, 1, 'num_envs')

@@ -160,8 +160,6 @@ def unpacked_file(data: bytes, name: str, max_bytes: int) -> bytes:
     """
     Return a file of an archive from anywhere.
 
-    :param data: the archive
-    :param max_bytes: that are unpacked
     :raises ModelError: if there is no such file, or it is larger or cannot be unpacked
     """
     _check_list(data)

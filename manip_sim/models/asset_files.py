@@ -227,7 +227,6 @@ def places(kind: str, name: str, folder: AssetFolders) -> Iterator[Path]:
     """
     Yield where a file may be that an element names, the likeliest first.
 
-    :param kind: as of :class:`Reference`
     :param name: a path or URI
     """
     root = Path(os.path.abspath(folder.folder))
@@ -256,7 +255,6 @@ def check_image(path: Path, kind: str) -> None:
     Check that an image is not too large to be loaded.
 
     :param kind: ``texture`` or ``height field``; others are not looked at
-    :raises ModelError: if it has too many pixels
     """
     most = _MAX_PIXELS.get(kind)
     if most is None:

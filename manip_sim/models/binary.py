@@ -27,7 +27,6 @@ class Rounding:
     """
     A field of a model that differs in another one.
 
-    :ivar field: such as ``body_mass``
     :ivar difference: the greatest, in the unit of the field
     """
 

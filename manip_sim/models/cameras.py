@@ -38,7 +38,6 @@ class ImageSettings:
 
     :ivar width: [pixels], as ``height``
     :ivar rate_hz: images per second of simulation time [Hz]
-    :ivar depth: also depth images
     """
 
     width: int = 640
@@ -57,7 +56,6 @@ class CameraModel:
     :ivar position: in the frame of the body [m], shape (3,)
     :ivar quat_wxyz: of MuJoCo's camera, which looks along -z with y up, shape (4,)
     :ivar fovy_deg: vertical field of view [degrees]
-    :ivar images: size, rate and depth, as given or by default
     """
 
     name: str
@@ -68,12 +66,7 @@ class CameraModel:
     images: ImageSettings = ImageSettings()
 
     def attach(self, spec: mujoco.MjSpec) -> None:
-        """
-        Add the camera to the spec of a world.
-
-        :raises ModelError: if a camera or a body has its name already
-        :raises UnknownNameError: if there is no such body
-        """
+        """Add the camera to the spec of a world."""
         body = body_for(spec, f"camera '{self.name}'", self.name, self.body, {
             'camera': '; write its name alone to take that one', 'body': ''})
         body.add_camera(name=self.name, pos=self.position, quat=self.quat_wxyz,

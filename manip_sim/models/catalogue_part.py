@@ -16,12 +16,7 @@ from manip_sim.resources import asset_path
 
 
 class FromPart:
-    """
-    A class attribute that is read from ``part.yaml`` when it is first needed.
-
-    :param key: in the file
-    :param default: the value if the file lacks the key
-    """
+    """A class attribute that is read from ``part.yaml`` when it is first needed."""
 
     def __init__(self, key: str, default: Any) -> None:
         self.key = key

@@ -80,11 +80,7 @@ class HeldModel:
         return self.load_tried()
 
     def load_tried(self) -> mujoco.MjSpec:
-        """
-        Return a new spec, of a model that is compiled elsewhere first.
-
-        :raises ModelError: if it is no model
-        """
+        """Return a new spec, of a model that is compiled elsewhere first."""
         spec = spec_from_string(self.xml, Path(self.name), self.models, self.assets)
         for reference in references(spec):
             if reference.file not in self.assets:

@@ -64,7 +64,6 @@ class InitializationNoise:
 
         :param start: of the joints [rad or m], shape (n,)
         :param ranges: of the joints [rad or m], infinite where there is none, shape (n, 2)
-        :param robot: number of the robot in its world
         :returns: a copy, within the ranges, shape (n,); if the magnitude is 0, not changed at all
         """
         values = np.array(start, dtype=float)
@@ -87,11 +86,7 @@ def _checked_magnitude(magnitude: Any) -> float:
 
 
 def checked_seed(seed: Any) -> int:
-    """
-    Return a seed; None draws one.
-
-    :raises ModelError: if it is no whole number from 0
-    """
+    """Return a seed; None draws one."""
     if seed is None:
         return int(np.random.SeedSequence().generate_state(1)[0])
     return whole_number(seed, 0, 'seed')

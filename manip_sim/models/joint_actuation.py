@@ -92,7 +92,6 @@ class JointActuation:
     The actuation of the joints of one subsystem.
 
     :param catalogue: values by subsystem, as :func:`read_catalogue` returns them
-    :ivar joints: their names
     :ivar friction: None for that of the model
     :ivar torque_speed: None for the same torque at any speed
     """
@@ -109,7 +108,6 @@ class JointActuation:
         Choose the friction.
 
         :param friction: ``catalogue``, or the keys of :class:`Friction`
-        :raises ModelError: if the catalogue has none, or values cannot be used
         """
         values = self._chosen(friction, 'friction')
         self.friction = checked(Friction, values, f'friction of {self._where}')
@@ -125,7 +123,6 @@ class JointActuation:
         Choose the torque-speed curve.
 
         :param curve: ``catalogue``, or the keys of :class:`TorqueSpeed`
-        :raises ModelError: if the catalogue has none, or values cannot be used
         """
         values = self._chosen(curve, 'torque_speed')
         self.torque_speed = checked(TorqueSpeed, values, f'torque_speed of {self._where}')
@@ -196,12 +193,7 @@ def single(value: float | Sequence[float], where: str) -> tuple[float, ...]:
 
 
 def read_catalogue(folder: Path, subsystem: str) -> dict[str, Any] | None:
-    """
-    Return the values that the catalogue has for a subsystem, or None.
-
-    :param folder: of the robot's MJCF file
-    :raises ModelError: if the file cannot be used
-    """
+    """Return the values that the catalogue has for a subsystem, or None."""
     file = folder / FILE
     if not file.is_file():
         return None

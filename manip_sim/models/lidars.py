@@ -38,7 +38,6 @@ class LidarModel:
     :ivar body: name of that body in the composed world; ``world`` for none
     :ivar position: in the frame of the body [m], shape (3,)
     :ivar quat_wxyz: of its frame, with x ahead and z up, shape (4,)
-    :ivar rays: how many, where to, and how far
     :ivar rate_hz: scans per second of simulation time [Hz]
     :ivar noise: standard deviation of the white noise on distances [m]
     """
@@ -52,12 +51,7 @@ class LidarModel:
     noise: float = 0.0
 
     def attach(self, spec: mujoco.MjSpec) -> None:
-        """
-        Add the site of the lidar to the spec of a world.
-
-        :raises ModelError: if a site, a camera or a body has its name already
-        :raises UnknownNameError: if there is no such body
-        """
+        """Add the site of the lidar to the spec of a world."""
         body = body_for(spec, f"lidar '{self.name}'", self.name, self.body,
                         {'site': '', 'camera': '', 'body': ''})
         body.add_site(name=self.name, pos=self.position, quat=self.quat_wxyz,

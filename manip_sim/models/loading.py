@@ -122,8 +122,6 @@ def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None =
 
     :param models: contents of model files that are not on the disk, by the names in the text
     :param assets: likewise of meshes and images
-    :returns: a new ``mujoco.MjSpec``
-    :raises ModelError: if MuJoCo cannot read it
     """
     try:
         return mujoco.MjSpec.from_string(text, include=models or None,

@@ -30,7 +30,6 @@ class MissingMeshError(Exception):
     """
     A mesh is missing or cannot be read.
 
-    :param why: what is wrong
     :param remedy: what to do, or empty
     :param cause: the same for all meshes that this remedies together
     """
@@ -48,7 +47,6 @@ class Lost:
     :ivar kind: ``visual`` or ``collision``
     :ivar mesh: name of its file
     :ivar element: what has it, such as ``link 'base'``
-    :ivar error: what is wrong with the file
     """
 
     kind: str
@@ -77,11 +75,7 @@ def check_fetched(mesh: Path) -> None:
 
 
 def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
-    """
-    Return a sentence for each kind and cause.
-
-    :param file: that names the meshes
-    """
+    """Return a sentence for each kind and cause."""
     groups: dict[tuple[str, str], list[Lost]] = {}
     for lost in every:
         groups.setdefault((lost.kind, lost.error.cause), []).append(lost)

@@ -44,7 +44,6 @@ def mesh_spec(description: MeshDescription, folder: Path, where: str, files: Fil
     Mass and inertia are those of the convex hull, or of the parts, of constant density.
 
     :param files: those that may be read, whose contents are kept; None: all, by their paths
-    :raises ModelError: if a file cannot be used
     """
     spec = _read(description, folder, where, files)
     spec.compiler.balanceinertia = True

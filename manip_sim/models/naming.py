@@ -26,11 +26,7 @@ _WITH_DEFAULTS = ('joints', 'geoms', 'sites', 'cameras', 'lights', 'actuators', 
 
 
 def check_prefix(prefix: str) -> None:
-    """
-    Reject a prefix that names in ROS cannot begin with.
-
-    :raises ModelError: if it is not a letter followed by at most 63 letters, digits, underscores
-    """
+    """Reject a prefix that names in ROS cannot begin with."""
     if not _PREFIX.fullmatch(prefix):
         raise ModelError(f'prefix {prefix[:64]!r} cannot begin the names of joints and frames: '
                          'it needs a letter, then at most 63 letters, digits and underscores')
@@ -57,9 +53,7 @@ class TakenNames:
 
         MuJoCo would not compile the result, or would write XML that it cannot read again.
 
-        :param own: the spec to be attached
         :param prefix: what its names will begin with
-        :raises ModelError: naming the element
         """
         lists = {elements: getattr(own, elements) for elements in self._by_list}
         names = {elements: [name for element in each

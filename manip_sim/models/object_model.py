@@ -42,11 +42,7 @@ NOT_SPAWNED = {
 
 def check_object_name(name: str, where: str,
                       what: str = 'an object, its body and its topics') -> None:
-    """
-    Reject a name that a body and topics cannot have.
-
-    :raises ModelError: if it is not a letter followed by at most 63 letters, digits, underscores
-    """
+    """Reject a name that a body and topics cannot have."""
     if not _NAME.fullmatch(name) or name == 'world':
         raise ModelError(f'{where}: {quoted(name)} cannot be the name of {what}: it needs a '
                          'letter, then at most 63 letters, digits and underscores, and must not '

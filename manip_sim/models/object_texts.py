@@ -21,7 +21,6 @@ def object_from_text(text: OneText) -> tuple[bool, Callable[[], ObjectModel]]:
     Return whether an object is quickly made for sure, and return what makes it.
 
     :param text: MJCF, or a description in YAML
-    :raises ModelError: if it cannot be read; what makes the object may raise it too
     """
     if not text.content.startswith(b'<'):
         values = parse_yaml(text.read(text.file, 'YAML', MAX_REQUESTED), str(text.file))

@@ -83,7 +83,6 @@ def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
     """
     Create objects; a YAML file stands for all that it lists.
 
-    :param descriptions: as for :func:`create_object`
     :raises ModelError: as :func:`create_object`, and if two have the same name
     """
     objects: list[ObjectModel] = []
@@ -97,11 +96,7 @@ def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
 
 
 def check_object_names(objects: Iterable[ObjectModel]) -> None:
-    """
-    Reject two objects with the same name.
-
-    :raises ModelError: naming it and both origins
-    """
+    """Reject two objects with the same name."""
     by_name: dict[str, ObjectModel] = {}
     for item in objects:
         first = by_name.setdefault(item.name, item)
@@ -114,7 +109,6 @@ def load_objects(file: ObjectFile, files: Files | None = None) -> list[ObjectMod
     """
     Read the objects that a YAML file lists below its key ``objects``.
 
-    :param files: those that may be read, as for :func:`create_object`
     :raises ModelError: on one line, with file, object, key and the nearest valid names
     """
     path = Path(file)
@@ -144,9 +138,6 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
 
     :param values: the keys of :class:`ShapeDescription`, :class:`MeshDescription` or
         :class:`FileDescription`
-    :param kind: :class:`ObjectModel` or :class:`FixtureModel`
-    :param files: those that may be read, as for :func:`create_object`
-    :raises ModelError: if something is wrong with it
     """
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
     from manip_sim.models.mesh_objects import mesh_spec

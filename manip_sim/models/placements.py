@@ -34,8 +34,6 @@ class Placement:
 
     Objects count as upright cylinders about their frames. No two of all areas overlap.
 
-    :ivar name: of the area
-    :ivar objects: names of the objects
     :ivar low: least x and y of their frames in ``world`` [m]
     :ivar high: greatest x and y [m]
     :ivar z: height of the surface that they stand on in ``world`` [m]
@@ -75,12 +73,7 @@ class Extent:
 
 
 def read_placements(given: Any, where: str) -> list[Placement]:
-    """
-    Read areas by name.
-
-    :param given: as in YAML
-    :raises ModelError: naming area and key
-    """
+    """Read areas by name."""
     if not isinstance(given, Mapping):
         raise ModelError(f"{where}: 'placements' must hold areas by name, got {shown(given)}")
     return [_read(str(name), values, f'{where}: placement {quoted(name)}')
@@ -123,12 +116,7 @@ def _number(value: Any, key: str, where: str, least: float) -> float:
 
 
 def check_placed(placements: Sequence[Placement], objects: Iterable[ObjectModel]) -> None:
-    """
-    Reject areas of objects that do not exist, are only seen, or are in two areas.
-
-    :raises UnknownNameError: naming the nearest objects
-    :raises ModelError: if an object cannot be placed
-    """
+    """Reject areas of objects that do not exist, are only seen, or are in two areas."""
     by_name = {item.name: item for item in objects}
     placed: set[str] = set()
     for placement in placements:
@@ -176,7 +164,6 @@ def draw_places(placements: Sequence[Placement], sizes: Mapping[str, Extent], se
     """
     Return positions in ``world`` [m] and orientations w, x, y, z by object.
 
-    :param sizes: of the objects, by name
     :raises ModelError: if the objects of an area do not fit into it
     """
     found: dict[str, tuple[FloatArray, FloatArray]] = {}

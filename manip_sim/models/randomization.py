@@ -95,7 +95,6 @@ class Rule:
 
     :ivar group: one of :data:`GROUPS`
     :ivar pattern: of names, with ``*``, ``?`` and ``[...]`` as a shell has them
-    :ivar quantity: of the group
     :ivar way: ``absolute``, ``scale`` or ``offset``
     :ivar distribution: one of :data:`DISTRIBUTIONS`
     :ivar numbers: its two parameters, or its choices, as rows of numbers
@@ -204,7 +203,6 @@ class Randomization:
         """
         Return the rule of each property that is drawn, by ``group/name/quantity``.
 
-        :param names: of the elements of the world, by group
         :param strict: whether a pattern must match one
         :raises ModelError: if a pattern matches none, naming the nearest
         """

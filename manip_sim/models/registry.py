@@ -34,7 +34,6 @@ class Registry(Generic[T]):
     does not hide the others, and none replaces a class that is registered already.
 
     :param kind: what the classes are, for messages: ``robot``, ``gripper``, ``base``, ``arena``
-    :param base: what all of them derive from
     :param takes: the keyword arguments with which a class is created by name
     :param key: returns the name of a class, or None if it cannot be created by name
     """
@@ -88,8 +87,6 @@ class Registry(Generic[T]):
         Return the file or folder that a name stands for; None if it is a class or unknown.
 
         Nothing is imported.
-
-        :param name: as for :func:`find_source`
         """
         if name in self._classes or name in offers(self._group):
             return None
@@ -99,7 +96,6 @@ class Registry(Generic[T]):
         """
         Return the class of a name.
 
-        :raises UnknownNameError: if there is none, naming the nearest ones
         :raises ModelError: if the class cannot be created by name, or another package offers it
             and it cannot be imported
         """
@@ -121,11 +117,7 @@ class Registry(Generic[T]):
         return create(**arguments)
 
     def attribute(self, module: str, name: str) -> type[T]:
-        """
-        Return the class of a name as an attribute of a module, for its ``__getattr__``.
-
-        :raises AttributeError: if there is none, as for any module
-        """
+        """Return the class of a name as an attribute of a module, for its ``__getattr__``."""
         try:
             if not name.startswith('_'):
                 return self.get(name)
@@ -201,10 +193,6 @@ def _importing_from(offer: Offer) -> Iterator[None]:
 
 
 def import_submodules(package: str, path: list[str]) -> None:
-    """
-    Import every module of a package, which registers its classes.
-
-    :param package: the package's name
-    """
+    """Import every module of a package, which registers its classes."""
     for module in pkgutil.iter_modules(path):
         importlib.import_module(f'{package}.{module.name}')

@@ -21,7 +21,6 @@ def read_file(file: Path, kind: str, max_bytes: int) -> bytes:
     """
     Return the content of a file.
 
-    :param kind: what it is, for the message, such as ``MJCF file``
     :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
     with _explained(file, kind):
@@ -34,7 +33,6 @@ def check_file(file: Path, kind: str, max_bytes: int) -> None:
     """
     Check that a file can be read, without reading it.
 
-    :param kind: what it is, for the message, such as ``mesh file``
     :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
     with _explained(file, kind):
@@ -90,11 +88,7 @@ class Files:
     rule = ''
 
     def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
-        """
-        Return the content of a file, as :func:`read_file` does.
-
-        :raises ModelError: if it must not or cannot be read
-        """
+        """Return the content of a file, as :func:`read_file` does."""
         return read_file(file, kind, max_bytes)
 
     def first(self, places: Sequence[Path]) -> Path:
@@ -142,8 +136,6 @@ class FilesBelow(Files):
         Return the content of a file, as :func:`read_file` does.
 
         What a file outside the folders is, and whether it is there, makes no difference.
-
-        :raises ModelError: if it is not below the folders, or cannot be read
         """
         with _explained(file, kind):
             self.check(file, kind)
@@ -155,11 +147,7 @@ class FilesBelow(Files):
                 return stream.read(max_bytes)
 
     def check(self, path: Path, kind: str) -> None:
-        """
-        Check that a path is below the folders, whether there is a file or not.
-
-        :param kind: what it is, for the message
-        """
+        """Check that a path is below the folders, whether there is a file or not."""
         if not self._has(path):
             raise ModelError(
                 f'{kind} {quoted(str(path), 200)} must not be read: only files below '
@@ -189,8 +177,6 @@ class OneText(Files):
     """
     No file but a text that somebody sent in place of one.
 
-    :param text: the content
-    :param name: what it is called in messages
     :ivar file: what to read it as
     """
 

@@ -84,8 +84,6 @@ def attach(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.M
     Attach a spec to another without MuJoCo's warnings; its global settings are left behind.
 
     :param own: the spec to be attached, not to be used afterwards
-    :param prefix: what its names will begin with
-    :param frame: the frame to attach it to
     """
     _yield_globals(own, spec)
     if not prefix and spec.assets and not own.assets:
@@ -128,11 +126,7 @@ def name_main_default(own: mujoco.MjSpec) -> None:
 
 
 def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
-    """
-    Delete elements other than bodies, and the sensors and contact pairs that refer to them.
-
-    :param spec: the ``mujoco.MjSpec`` that has them
-    """
+    """Delete elements other than bodies, and the sensors and contact pairs that refer to them."""
     names = {element.name for element in elements if element.name}
     for sensor in [s for s in spec.sensors if s.objname in names or s.refname in names]:
         spec.delete(sensor)

@@ -51,7 +51,6 @@ def checked(kind: type[M], values: Mapping[str, Any], where: str) -> M:
     Return values as a pydantic model.
 
     :param kind: the model, which forbids extra keys
-    :param values: by key
     :raises ModelError: on one line, naming the key that is unknown, missing or has a bad value
     """
     try:

@@ -88,11 +88,7 @@ def read_yaml(file: str | os.PathLike[str], loader: type[StrictLoader] = StrictL
 
 def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = StrictLoader
                ) -> dict[str, Any]:
-    """
-    Return the mapping that a text holds.
-
-    :param loader: decides the types of plain scalars
-    """
+    """Return the mapping that a text holds."""
     if len(content) > _MAX_BYTES:
         raise ModelError(f'{where} is larger than {_MAX_BYTES} bytes')
     try:

@@ -38,7 +38,6 @@ def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
 
     What passed once is not tried again.
 
-    :param xml: the model
     :param models: files of other models that it names
     :param assets: files of meshes and images that it names
     :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`
@@ -48,11 +47,7 @@ def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
 
 
 def compile_held(xml: str, models: Mapping[str, bytes], assets: Mapping[str, bytes]) -> None:
-    """
-    Compile a model.
-
-    :raises ModelError: if it does not compile
-    """
+    """Compile a model."""
     from manip_sim.models.loading import compile_spec, spec_from_string
     compile_spec(spec_from_string(xml, Path('it'), models, assets), 'it')
 
@@ -65,7 +60,6 @@ def try_to_do(name: str, function: Callable[..., Any], *arguments: Any,
     What passed once is not tried again.
 
     :param function: of a module; imports nothing when it is called
-    :param arguments: that can be pickled
     :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`
     :raises ModelError: if the function does, or does not end within the limits
     """

@@ -71,7 +71,6 @@ def whole_number(value: object, least: int, what: str, error: type[ManipSimError
     """
     Return a whole number.
 
-    :param least: the lowest that is allowed
     :raises ManipSimError: that exception, if it is no whole number from there
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:

@@ -33,7 +33,6 @@ class AssetFolders:
     """
     The folders in which a model looks for asset files with relative names.
 
-    :ivar folder: of the model's file
     :ivar meshdir: of its compiler settings, as ``texturedir``
     :ivar prefix: of its elements, if an ``attach`` element adds them, else empty
     """
@@ -60,12 +59,7 @@ class XmlFacts:
 
 
 def check_xml(file: Path) -> XmlFacts:
-    """
-    Read all XML files of a model, and reject what could crash the process.
-
-    :param file: MJCF or URDF
-    :raises ModelError: naming file and line
-    """
+    """Read all XML files of a model, and reject what could crash the process."""
     model = XmlModel(file, Budget())
     return XmlFacts(model.root == 'robot', model.folders, model.mesh_files)
 
@@ -89,10 +83,7 @@ class XmlModel:
     """
     One model: its file and all that it includes; models that it attaches have their own.
 
-    :param file: MJCF or URDF
-    :param budget: what its files may still use
     :param loaded_by: the files of models that are being loaded, the outermost first
-    :param files: those that it may be loaded from
     :raises ModelError: naming file and line
     :ivar root: tag of its root element, ``mujoco`` or ``robot``
     :ivar tree: its root element, with what included files hold in place of the includes

@@ -33,7 +33,6 @@ class Limits:
     """
     What all files of a model together may use.
 
-    :ivar bytes: of XML
     :ivar files: that it is loaded from; one that is used twice counts twice
     :ivar depth: to which files may load each other
     :ivar made: bodies, geoms and so on that ``replicate``, ``composite`` and the like make

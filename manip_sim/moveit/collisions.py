@@ -38,7 +38,6 @@ def disabled_pairs(world: World, robot: RobotModel, links: Mapping[int, str],
     cannot move relative to one another. ``Default``: they touch in a posture. ``Always``: they
     collide in all random configurations. ``Never``: they come near each other in none of them.
 
-    :param robot: in the world
     :param links: names by id of the body
     :param postures: links that touch in one of these are not checked against each other
     """

@@ -117,9 +117,7 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
     """
     Write a package that starts ros2_control for the only robot of a world.
 
-    :param world: with one robot
     :param folder: becomes the package and gives it its name; must be new or empty
-    :param hardware: of the ``<ros2_control>`` tag
     :param given: parameters of the node that serves the same world
     :returns: what was left out of the URDF, in sentences
     :raises ModelError: if the folder cannot be used, or the robot has no joints to control
@@ -159,12 +157,7 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
 
 
 def controlling(world: World, hardware: Hardware) -> Controlling:
-    """
-    Return which controllers of the package MoveIt uses, those of the first mode, by joint.
-
-    :param world: with one robot
-    :param hardware: of the ``<ros2_control>`` tag
-    """
+    """Return which controllers of the package MoveIt uses, those of the first mode, by joint."""
     simulation = Simulation(world)
     found: dict[str, tuple[str, str, list[str]]] = {}
     urdf, _ = describe(simulation.model, choose_robot(world), 'unused', hardware)

@@ -80,11 +80,7 @@ ros2 launch {package} moveit.launch.py
 
 
 def text_files(package: str, robot: str) -> dict[str, str]:
-    """
-    Return the contents of the files by path.
-
-    :param robot: name of the robot, as in URDF and SRDF
-    """
+    """Return the contents of the files by path."""
     return {
         **build_files(package, f'MoveIt configuration of {robot}', _DEPENDENCIES, FOLDERS,
                       'install(FILES .setup_assistant DESTINATION share/${PROJECT_NAME})\n'),

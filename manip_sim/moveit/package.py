@@ -181,12 +181,7 @@ def _contents(world: World, package: str, controlling: Controlling | None
 
 def describe(model: mujoco.MjModel, robot: RobotModel, package: str,
              hardware: Hardware | None = None) -> tuple[Urdf, dict[str, bytes]]:
-    """
-    Return the URDF of a robot, and the meshes that it names in its package, by path.
-
-    :param robot: one of its robots
-    :param hardware: of the ``<ros2_control>`` tag; None for none
-    """
+    """Return the URDF of a robot, and the meshes that it names in its package, by path."""
     meshes = _meshes(model)
     uris = {key: _mesh_file(package, name) for key, (name, _) in meshes.items()}
     urdf = write_urdf(model, robot, uris, hardware)

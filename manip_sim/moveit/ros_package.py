@@ -67,7 +67,6 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     Write all files of a package, or none.
 
     :param folder: new or empty
-    :param files: contents by path
     """
     with tempfile.TemporaryDirectory(dir=folder.parent) as unfinished:
         for name, content in files.items():

@@ -37,13 +37,11 @@ class Group:
     """
     A planning group.
 
-    :ivar name: in the SRDF
     :ivar part: name of the part that it is
     :ivar joints: scalar joints, in the order of the part
     :ivar active: those of them that are planned for: neither followers nor passive
     :ivar driven: those that a trajectory for the part's controller names
     :ivar base: and ``tip``: first and last link, where it is a chain; else empty
-    :ivar links: of a gripper
     :ivar parent: of a gripper: the group that it is on
     :ivar parent_link: of a gripper: the last link of that group
     :ivar subgroups: names of the groups that it consists of instead
@@ -175,7 +173,6 @@ def find_postures(simulation: Simulation, robot: SimulatedRobot) -> list[GroupSt
     Return the start posture, and those of each empty gripper opened (-1) and closed (+1).
 
     :param simulation: at its start; it is there again afterwards
-    :param robot: of this simulation
     """
     start = _positions(simulation, robot)
     postures = [GroupState(START, None, start)]
@@ -217,7 +214,6 @@ def write_srdf(name: str, groups: Iterable[Group], postures: Iterable[GroupState
     """
     Return the SRDF.
 
-    :param name: of the robot, as in the URDF
     :param groups: the planning groups; one that consists of others comes after them
     :param postures: that become group states
     :param passive: joints that are not planned for

@@ -88,11 +88,7 @@ class CameraSensing(Generic[Scene]):
         self._scenes.record(count, scene, self.sensing.delays['image'].steps(count))
 
     def measured(self, scene: Scene) -> tuple[Scene, ImageNoise | None]:
-        """
-        Return the newest scene that has arrived, and the noise of its image.
-
-        :param scene: of the present instant
-        """
+        """Return the newest scene that has arrived, and the noise of its image."""
         count = self.sensing.count
         if self.delays:
             self.record(scene)

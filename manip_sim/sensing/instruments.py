@@ -44,7 +44,6 @@ class Instrument:
     :ivar name: of the site that they share, or of the sensor
     :ivar kind: one of :data:`KINDS`
     :ivar frame: name of the site or body that it is fixed to; empty if there is none
-    :ivar sensors: names of the sensors
     :ivar types: their types, such as ``gyro``
     :ivar elements: names of what they are sensors of, such as a joint
     :ivar sources: places in ``sensordata``, shape (n,)

@@ -76,7 +76,6 @@ class Lidar:
     A lidar in a world.
 
     :param name: of the lidar and of its site, whose x is ahead and whose z is up
-    :param rays: its rays
     :ivar directions: of the rays in the frame of the site, shape (rings, samples, 3)
     """
 

@@ -33,11 +33,7 @@ def generator(seed: int, name: str, count: int = 0) -> np.random.Generator:
 
 
 class NormalRows:
-    """
-    Rows of independent standard normal numbers, one for each count, and their sums.
-
-    :param name: of what the numbers are for
-    """
+    """Rows of independent standard normal numbers, one for each count, and their sums."""
 
     def __init__(self, seed: int, name: str, width: int) -> None:
         self._seed, self._name, self._width = seed, name, width

@@ -33,8 +33,6 @@ class ExternalWrenchChannel(Channel):
 
     The noise of the sensor comes with the turned sign, is filtered as the wrench is, and a tare
     takes it away as it is at that moment.
-
-    :param of: the sensor
     """
 
     def __init__(self, of: WrenchChannel) -> None:
@@ -77,9 +75,6 @@ class RobotSensing:
     the settings and the steps since the reset, and not on who reads what when.
 
     :param name: of the robot, unique in its world
-    :param steps: counts the steps
-    :ivar settings: of noise, resolution and latency
-    :ivar seed: of noise and jitter
     :ivar delays: of what is measured, images and commands, by ``state``, ``image``, ``command``
     """
 
@@ -108,8 +103,6 @@ class RobotSensing:
         Add what is measured.
 
         :param name: of the channel; one of this name is replaced
-        :param read: returns the exact numbers
-        :param channel: its noise; None if it has none
         """
         if channel is not None:
             channel.set_seed(self.seed)

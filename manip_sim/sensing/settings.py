@@ -19,8 +19,6 @@ class SensingQuantity:
     """
     Something that can be set.
 
-    :ivar meaning: what it is, a sentence
-    :ivar unit: its unit
     :ivar maximum: greatest value; the least is 0, which is off
     """
 
@@ -141,11 +139,7 @@ class SensingSettings:
         return {name: value for name, value in self._values.items() if value}
 
     def replace(self, values: Mapping[str, float]) -> None:
-        """
-        Set all quantities; those that are not named to zero.
-
-        :param values: by name, as for :meth:`set`
-        """
+        """Set all quantities; those that are not named to zero."""
         self._values = dict.fromkeys(QUANTITIES, 0.0)
         self._look()
         for name, value in values.items():

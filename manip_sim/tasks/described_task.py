@@ -40,9 +40,6 @@ class DescribedTask(Task, registered=False):
     """
     A task by a description.
 
-    :param robot: as for ``compose``
-    :param gripper: as for ``compose``
-    :param composition: what else ``compose`` takes
     :raises ModelError: if the robot cannot do it, or a name is not in the world
     """
 

@@ -47,7 +47,6 @@ class Policy(Protocol):
         """
         Return the action of the next control period.
 
-        :param observation: of the present instant
         :returns: as for :class:`PoseActions`
         """
 

@@ -28,11 +28,7 @@ def touching(simulation: Simulation, body: str) -> set[int]:
 
 
 def bodies_of_gripper(simulation: Simulation, robot: SimulatedRobot, arm: str) -> set[int]:
-    """
-    Return the ids of the bodies of a gripper.
-
-    :param arm: such as ``right``
-    """
+    """Return the ids of the bodies of a gripper."""
     gripper = robot.parts[f'{arm}/gripper'].gripper
     assert gripper is not None
     return {int(simulation.model.body(name).id) for name in gripper.bodies}
@@ -61,11 +57,7 @@ def pressure(simulation: Simulation, bodies: Collection[int], on: Collection[str
 
 
 def held_only_by(simulation: Simulation, body: str, robot: SimulatedRobot, arm: str) -> bool:
-    """
-    Return whether an arm holds an object: two bodies of its gripper touch it, and nothing else.
-
-    :param arm: such as ``right``
-    """
+    """Return whether two bodies of an arm's gripper touch an object, and nothing else does."""
     touched = touching(simulation, body)
     return touched <= bodies_of_gripper(simulation, robot, arm) and len(touched) >= 2
 

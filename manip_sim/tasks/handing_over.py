@@ -58,9 +58,6 @@ class HandOver(Task):
         """
         Return the world, with two robots if one has not two arms with grippers.
 
-        :param robot: as for ``compose``
-        :param gripper: as for ``compose``
-        :param composition: all else that ``compose`` gets, with arena and objects of the task
         :raises ModelError: as ``compose`` does, and for what is about one robot if there are two
         """
         world = super().compose(robot, gripper, composition)

@@ -71,9 +71,7 @@ class JointActions:
 
     :param simulation: whose robots they move; the control mode of their arms is changed
     :param mode: ``position`` [rad], ``velocity`` [rad/s] or ``effort`` [N m]
-    :ivar mode: the same
     :ivar arms: of each arm, the names of its joints, and where their goals and the gripper's are
-    :ivar size: length of an action
     """
 
     def __init__(self, simulation: Simulation, mode: str) -> None:
@@ -104,14 +102,7 @@ class JointActions:
         return found
 
     def apply(self, action: ArrayLike, period_s: float) -> None:
-        """
-        Let an action take effect with the next control period.
-
-        :param action: shape (size,); numbers beyond the bounds are clamped
-        :param period_s: length of the control period [s]
-        :raises CommandError: if the length is wrong or a number is not finite; then nothing
-            changes
-        """
+        """Let an action take effect with the next control period."""
         numbers = finite_numbers(action, self.size, 'an action')
         for item, names, goals, gripper in self.arms:
             item.robot.apply(*item.robot.parse.joint_command(

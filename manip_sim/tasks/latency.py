@@ -105,8 +105,6 @@ def whole_number(duration_s: float, part_s: float, what: str, parts: str) -> int
     """
     Return the number of parts in a duration.
 
-    :param part_s: length of a part [s]
-    :param parts: what the parts are, for the message
     :raises ModelError: if it is no whole number of parts
     """
     count = duration_s / part_s

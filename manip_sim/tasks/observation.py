@@ -34,9 +34,7 @@ class Observer:
     ``eef_pose``, shape (objects, 7)) if there are free bodies; ``goal``, as the task has it; and
     ``image/CAMERA``, rgb, shape (height, width, 3), for each camera.
 
-    :param task: whose goal it reads
     :param pictures: renders the images of cameras; None for no images
-    :ivar pictures: the same
     """
 
     def __init__(self, task: Task, simulation: Simulation, pictures: Pictures | None = None

@@ -56,11 +56,7 @@ class Pictures:
         self._lose.atexit = False
 
     def take(self, simulation: Simulation) -> dict[str, NDArray[np.uint8]]:
-        """
-        Return an image of each camera, shape (height, width, 3), rgb.
-
-        :param simulation: whose present instant is shown
-        """
+        """Return an image of each camera, shape (height, width, 3), rgb."""
         assert self._renderer is not None, 'these pictures are closed'
         _free_lost()
         self._context.make_current()
@@ -107,7 +103,6 @@ def views_of(given: Iterable[CameraLike], world: World, simulation: Simulation,
     """
     Return width and height of the images [pixels], by camera.
 
-    :param given: names of cameras and descriptions
     :param world: composed with those descriptions
     :param image_size: width and height of all images; None for those of the cameras, as the node
         has them

@@ -27,12 +27,7 @@ _GOAL_RGBA = (0.1, 0.8, 0.2, 0.5)
 
 
 def draw(random: np.random.Generator, low: ArrayLike, high: ArrayLike) -> FloatArray:
-    """
-    Return numbers that are evenly distributed in a box.
-
-    :param low: the least, shape (n,)
-    :param high: the greatest, shape (n,)
-    """
+    """Return numbers that are evenly distributed in a box."""
     lowest: FloatArray = np.asarray(low, dtype=float)
     highest: FloatArray = np.asarray(high, dtype=float)
     numbers: FloatArray = lowest + (highest - lowest) * random.random(len(lowest))
@@ -73,7 +68,6 @@ def place(simulation: Simulation, name: str, position: FloatArray,
     """
     Place an object, at rest.
 
-    :param name: of the free body
     :param position: of its frame in ``world`` [m], shape (3,)
     :param quat_wxyz: of its frame in ``world``
     """

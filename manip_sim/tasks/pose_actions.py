@@ -28,9 +28,7 @@ class ArmAction:
     """
     The part of an action that is for one arm.
 
-    :ivar robot: that has the arm
     :ivar arm: ``right`` or ``left``
-    :ivar hand: its frames
     :ivar pose: where the six numbers of the hand are
     :ivar gripper: where the number of the gripper is; empty if nothing in it moves
     """
@@ -123,7 +121,6 @@ def close(item: ArmAction, closing: FloatArray, period_s: float) -> None:
     Command the gripper of an arm.
 
     :param closing: from -1, open, to +1, shape (1,); empty if nothing in the gripper moves
-    :param period_s: length of the control period [s]
     """
     if len(closing):
         part = f'{item.arm}/gripper'

@@ -95,11 +95,7 @@ class Contact(Condition):
 
 
 class Held(Condition):
-    """
-    The gripper holds an object: two of its bodies touch it, and nothing else does.
-
-    :ivar held: the object
-    """
+    """The gripper holds an object: two of its bodies touch it, and nothing else does."""
 
     held: str
 
@@ -108,7 +104,6 @@ class JointInRange(Condition):
     """
     A joint is in a range.
 
-    :ivar joint: of one axis
     :ivar low: least position [m or rad]
     :ivar high: greatest position [m or rad]
     """
@@ -122,7 +117,6 @@ class Speed(Condition):
     """
     A body is slow.
 
-    :ivar speed: the body
     :ivar below: what its speed in ``world`` must be below [m/s]
     """
 
@@ -172,7 +166,6 @@ class Mark(_Strict):
     """
     A mark that is only seen, and part of the observation.
 
-    :ivar name: of its body
     :ivar radius: of the sphere or disc [m]
     :ivar flat: whether it is a disc
     """

@@ -65,11 +65,7 @@ class ArenaParameter:
         return f'{self.low:g} to {self.high:g} {self.unit}'.rstrip()
 
     def check(self, value: Any, arena: str) -> None:
-        """
-        Reject a value of the wrong type or outside the limits.
-
-        :raises ModelError: naming arena, parameter and limits
-        """
+        """Reject a value of the wrong type or outside the limits."""
         if isinstance(self.default, bool):
             fits = isinstance(value, bool)
         else:
@@ -81,11 +77,7 @@ class ArenaParameter:
 
 
 def check_arguments(parameters: Iterable[ArenaParameter], arena: str, **arguments: Any) -> None:
-    """
-    Check arguments of an arena's constructor.
-
-    :raises ModelError: naming arena, parameter and limits
-    """
+    """Check arguments of an arena's constructor."""
     for parameter in parameters:
         if parameter.argument in arguments:
             parameter.check(arguments[parameter.argument], arena)

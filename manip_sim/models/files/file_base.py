@@ -89,12 +89,7 @@ class FileMobileBase(FileBase, MobileBaseModel, registered=False):
 
 def base_of_file(file: Path, description: BaseDescription, where: str, idn: int | str = 0
                  ) -> FileBase:
-    """
-    Create a base from a file and its description.
-
-    :raises ModelError: if the file cannot be used
-    :raises UnknownNameError: if the description has a name that the file lacks
-    """
+    """Create a base from a file and its description."""
     model_file = read_model(file, servos=False, xacro_args=description.xacro_values,
                             expects_meshes=description.meshes is None)
     model = compile_alone(model_file.spec, str(file))

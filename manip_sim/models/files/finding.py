@@ -28,7 +28,6 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str, files: Files | N
     such as ``robot.yaml``, that names it or has no other model beside it.
 
     :param path: a model, a YAML file, or a folder; arguments may follow the name of a xacro file
-    :param kind: the type of the description
     :param stem: the fixed name of a YAML file, without its suffix, such as ``robot``
     :raises ModelError: if a file is missing, or it is not clear which one is meant
     """

@@ -27,7 +27,6 @@ class FoundArm:
     Where an arm ends.
 
     :ivar kind: ``body`` or ``site``
-    :ivar name: of that body or site
     :ivar hand: the hand that the arm carries in the same file, or None
     :ivar why: how it was found, for messages
     """

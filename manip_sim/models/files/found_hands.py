@@ -28,7 +28,6 @@ class FoundHand:
     A hand within a robot: all that is below a body.
 
     :ivar body: id of that body; its own joints are not of the hand
-    :ivar joints: ids of the joints of the hand
     :ivar actuators: ids of the actuators that act only on these
     """
 
@@ -105,7 +104,6 @@ def lone_hand(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     That is a hand with all joints of the file, or at least three chains on one fixed body.
 
     :param subsystems: by id of the joint
-    :param hands: from :func:`find_hands`
     """
     scalar = {joint for joint in range(tree.model.njnt) if tree.is_scalar(joint)}
     if len(scalar) < tree.model.njnt or any(subsystems[joint] != 'arm' for joint in scalar):

@@ -40,11 +40,7 @@ def free_name(taken: Collection[str], wanted: str) -> str:
 
 
 def find_place(spec: mujoco.MjSpec, name: str, where: str) -> tuple[str, Any]:
-    """
-    Return ``body`` or ``site``, and the element of that name; a body goes before a site.
-
-    :raises UnknownNameError: if there is none
-    """
+    """Return ``body`` or ``site``, and the element of that name; a body goes before a site."""
     body = spec.body(name)
     if body is not None and name != 'world':
         return 'body', body

@@ -21,11 +21,7 @@ _POSES = 50
 
 
 def masses_from_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
-    """
-    Say which moving links of a URDF have a mass that follows from their shapes.
-
-    :param spec: from :func:`load_urdf`
-    """
+    """Say which moving links of a URDF have a mass that follows from their shapes."""
     return [f"link '{body.name}' has no <inertial>: {model.body(body.name).mass[0]:.4g} kg from "
             f'its collision shapes at {max(geom.density for geom in _colliding(body)):.4g} kg/m^3'
             for body in _guessed(spec, model)]
@@ -36,9 +32,6 @@ def lighten(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
     Reduce the density of shapes that give a link its mass, if motors could not carry the links.
 
     Shapes for collisions are often thicker than the link, and there twice.
-
-    :param spec: from :func:`load_urdf`, changed in place
-    :returns: a sentence if it was changed
     """
     guessed = list(_guessed(spec, model))
     share = _carried_share(model, [model.body(body.name).id for body in guessed])

@@ -20,8 +20,6 @@ def load_mjcf(file: Path, expects_meshes: bool) -> tuple[mujoco.MjSpec, list[str
     """
     Read a spec from an MJCF file, without the shapes whose meshes are missing.
 
-    :param expects_meshes: as for :func:`load_urdf`
-    :returns: as :func:`load_urdf` does
     :raises ModelError: if it cannot be read, or the mass of a body follows from a missing mesh
     """
     missing: dict[str, MissingMeshError] = {}

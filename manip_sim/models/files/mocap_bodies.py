@@ -30,12 +30,8 @@ class Weld:
     """
     A weld constraint between a mocap body and another body.
 
-    :ivar name: of the constraint, may be empty
     :ivar bodies: names in the file, in its order
     :ivar data: as compiled, with the relative pose, shape (11,)
-    :ivar active: whether it holds at the start
-    :ivar solref: of the constraint
-    :ivar solimp: of the constraint
     """
 
     name: str
@@ -50,7 +46,6 @@ class Weld:
         """
         Return the mocap body of the weld, and its pose at which the weld is at rest, shape (7,).
 
-        :param names: of mocap bodies
         :param places: position and quaternion w, x, y, z of the other bodies, shape (7,)
         """
         # MuJoCo keeps the anchor in the second body, that in the first one, and the rotation from
@@ -73,9 +68,7 @@ class MocapBodies:
     The mocap bodies of a file.
 
     :ivar spec: the file with nothing else, not to be changed
-    :ivar names: in the file
     :ivar poses: position [m] and quaternion w, x, y, z at the start, by name, shape (7,)
-    :ivar welds: between them and other bodies
     :ivar from_keyframe: whether a keyframe says where they start
     :ivar unheld: names of other bodies that constraints other than welds of bodies tie to them
     """
@@ -104,7 +97,6 @@ class MocapBodies:
         """
         Return them where their welds are at rest when the robot starts, unless a keyframe says.
 
-        :param model: the robot, compiled
         :param start: where its scalar joints start, by name [rad or m]
         """
         if self.from_keyframe:
@@ -127,11 +119,9 @@ class MocapBodies:
         """
         Add them to a composition that has the robot.
 
-        :param spec: of the composition
         :param prefix: what the names of the robot begin with
         :param before: pose of the robot's root in its file, position and w, x, y, z, shape (7,)
         :param after: its pose in the composition
-        :raises ModelError: if a name is taken
         """
         own = self.spec.copy()
         TakenNames(spec).add(own, prefix + _APART, part)
@@ -157,7 +147,6 @@ def find_mocap_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, key: int | Non
     """
     Return the mocap bodies of a file, or None.
 
-    :param spec: the file, not changed
     :param key: id of the keyframe that the robot starts from, or None
     """
     bodies = {str(model.body(body).name): int(model.body_mocapid[body])

@@ -126,7 +126,6 @@ class ModelFile:
     """
     A robot, hand or base as read from a file.
 
-    :ivar file: where it was read from
     :ivar spec: the ``mujoco.MjSpec`` with one root body and no keyframes
     :ivar tree: of the compiled model as it was in the file
     :ivar start: where scalar joints start, by name [rad or m]
@@ -156,8 +155,6 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
         file, else what :func:`choose_pose` returns
     :param wanted: a keyframe to take instead
     :param servos: give joints position servos if the file has no actuators
-    :param xacro_args: arguments of a xacro file, by name
-    :param expects_meshes: as for :func:`load_urdf`
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """
@@ -226,12 +223,7 @@ def _infer_inertias_once(spec: mujoco.MjSpec) -> None:
 
 
 def compile_alone(spec: mujoco.MjSpec, name: str) -> Any:
-    """
-    Compile a part that may have no mass of its own.
-
-    :returns: a new ``mujoco.MjModel``
-    :raises ModelError: with MuJoCo's message
-    """
+    """Compile a part that may have no mass of its own."""
     compiler = spec.compiler
     bounds = compiler.boundmass, compiler.boundinertia
     compiler.boundmass, compiler.boundinertia = _MIN_MASS_KG, _MIN_INERTIA

@@ -32,9 +32,7 @@ def exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[
     excluded with the fixed links that they move on. A URDF has no place for exclusions: there all
     links that overlap are excluded, and the pairs of the SRDF beside the file.
 
-    :param model: the same, compiled, as it was in the file
     :param start: where joints start, by name [rad or m]
-    :param urdf: whether that is a URDF
     :returns: what was done, in sentences
     """
     pairs, notes = disabled_pairs(file, files or Files()) if urdf else (set(), [])

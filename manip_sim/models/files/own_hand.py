@@ -32,8 +32,6 @@ class OwnHand(HandFromFile, registered=False):
 
     It comes with the robot and cannot be mounted elsewhere.
 
-    :param arm: the arm that carries it
-    :param description: what the robot's description says of it
     :param start: where the robot's joints start, by name [rad or m]
     """
 
@@ -49,12 +47,7 @@ class OwnHand(HandFromFile, registered=False):
         self._important_geoms = {**type(self)._important_geoms, **description.geoms_by_role}
 
     def add_to(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand) -> None:
-        """
-        Add the grasp frame and sensors to the robot's spec.
-
-        :param tree: of the robot as it was in the file
-        :param hand: the hand in that tree
-        """
+        """Add the grasp frame and sensors to the robot's spec."""
         self.inferred += fill_control_ranges(spec, tree.model, list(hand.actuators))
         self._add_grasp_frame(spec, tree, hand, f'{self.idn}_hand_')
         bodies = hands_of_hand(tree, hand)
@@ -69,12 +62,7 @@ class OwnHand(HandFromFile, registered=False):
         self._actuators = [str(tree.model.actuator(a).name) for a in hand.actuators]
 
     def bind(self, robot: RobotModel, model: mujoco.MjModel) -> None:
-        """
-        Record the elements of the hand.
-
-        :param robot: with this hand
-        :param model: the robot, compiled alone
-        """
+        """Record the elements of the hand."""
         self._robot = robot
         self.file = robot.file
         self._own_model, self._spec = model, robot._spec
@@ -104,11 +92,7 @@ class OwnHand(HandFromFile, registered=False):
         return {*self._joints, *self._actuators}
 
     def remove_from(self, spec: mujoco.MjSpec) -> None:
-        """
-        Delete the hand; a body that the arm moves remains, with nothing of the hand on it.
-
-        :param spec: of the robot
-        """
+        """Delete the hand; a body that the arm moves remains, with nothing of the hand on it."""
         body = spec.body(self._body)
         joints, moves = set(self._joints), len(body.joints) > 0
         for child in list(body.bodies):
@@ -156,19 +140,11 @@ class OwnHand(HandFromFile, registered=False):
 
     def set_mount_pose(self, pos: ArrayLike | None = None,
                        quat_wxyz: ArrayLike | None = None) -> None:
-        """
-        Reject the pose: the robot's file says where its hand is.
-
-        :raises ModelError: always
-        """
+        """Reject the pose: the robot's file says where its hand is."""
         raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
 
     def clone(self, idn: int | str) -> OwnHand:
-        """
-        Reject copying: there is one such hand.
-
-        :raises ModelError: always
-        """
+        """Reject copying: there is one such hand."""
         raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
 
     def attach_to(self, spec: mujoco.MjSpec, frame: Any) -> None:

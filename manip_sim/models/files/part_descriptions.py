@@ -188,7 +188,6 @@ def read_description(file: Path, kind: type[DescriptionT], files: Files | None =
     """
     Read a description from a YAML file.
 
-    :param kind: the type of the description
     :raises ModelError: if it cannot be read or a value is of the wrong kind
     :raises UnknownNameError: if it has an unknown key, naming the nearest ones
     """

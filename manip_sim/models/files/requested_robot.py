@@ -47,8 +47,6 @@ def load_requested(given: Path | OneText, files: Files, idn: int | str = 0) -> F
     the catalogue, meshes are not converted, and xacro is not expanded.
 
     :param given: what :func:`find_model` takes, or a URDF or MJCF text
-    :param files: those that may be read; of a text, none
-    :param idn: number or word in names
     :raises ModelError: on one line, if a file must not be or cannot be read, or it takes too long,
         is too large or is no robot
     :raises UnknownNameError: if the description has a key or name that is not known

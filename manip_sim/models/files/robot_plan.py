@@ -38,10 +38,6 @@ class RobotPlan:
     """
     A robot's file, completed by its description and by inference.
 
-    :ivar file: the model
-    :ivar description: what the YAML file says
-    :ivar where: the file that the description was read from, for messages
-    :ivar spec: the ``mujoco.MjSpec``, completed
     :ivar start: where scalar joints start, by name [rad or m]
     :ivar subsystems: by name of the joint, without joints of hands
     :ivar ends: the end effector body by arm; empty for a robot without arms
@@ -73,7 +69,6 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     """
     Read a robot and complete it.
 
-    :param file: MJCF or URDF
     :raises ModelError: if the file or what the description says of it cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """

@@ -79,12 +79,7 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
 
 
 class _CameraOfWorld:
-    """
-    A camera of the world body, which moves to a root.
-
-    :param model: a ``mujoco.MjModel`` with it
-    :param camera: in the spec
-    """
+    """A camera of the world body, which moves to a root."""
 
     def __init__(self, model: mujoco.MjModel, camera: Any) -> None:
         self.name = str(camera.name)

@@ -76,10 +76,8 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     first number of its ``user``, the effort limit its actuator force range; zero is no limit. A
     mimic joint is coupled by an equality constraint.
 
-    :param xacro_args: arguments of a xacro file, by name
     :param expects_meshes: make the sentences on meshes that cannot be read a :class:`LostShape`
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
-    :raises ModelError: if it cannot be read
     """
     robot, notes = _read(file, xacro_args or {}, expects_meshes, files)
     spec = (spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)

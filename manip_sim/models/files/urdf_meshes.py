@@ -28,7 +28,6 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool,
     """
     Make the paths of meshes absolute; remove shapes that are missing or MuJoCo cannot read.
 
-    :param expected: whether to warn of these shapes
     :returns: sentences about them, a :class:`LostShape` each if they are expected
     """
     extension = robot.find('mujoco/compiler')

@@ -78,7 +78,6 @@ def expanded(file: Path, arguments: Mapping[str, str]) -> str:
     ``$(find PACKAGE)`` is looked up as ``package://`` is. The file may read others and compute,
     so it must be one that the user of the process has chosen.
 
-    :param arguments: values by name
     :raises ModelError: with xacro's message, or if xacro is not installed
     :raises UnknownNameError: if the file has no such argument
     """

@@ -225,10 +225,7 @@ def add_standard_elements(spec: mujoco.MjSpec, mount: mujoco.MjsBody, eef: mujoc
     """
     Add the standard sites and sensors that a hand lacks.
 
-    :param spec: the ``mujoco.MjSpec`` that the hand is in
     :param mount: its root body, which gets the force/torque sensor
-    :param eef: the body that is the grasp frame
-    :param prefix: what the names of sites and sensors begin with
     """
     present = {site.name for site in spec.sites}
     reach = _AXIS_SITE_OFFSET_M

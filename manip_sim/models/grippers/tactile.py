@@ -34,8 +34,6 @@ def add_tactile_sensors(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco
     sensor is named like the touch sensor, with ``_tactile`` at its end, and so are the shape and
     the mesh of its points.
 
-    :param spec: of a gripper
-    :param eef: the body that is the grasp frame
     :returns: names of the sensors of all pads, also of those that were there
     """
     present, names = {sensor.name for sensor in spec.sensors}, []
@@ -75,7 +73,6 @@ class _Grid:
 
     :param points: in the frame of the pad [m], shape (rows, columns, 3)
     :param frames: normal and tangents, shape (rows, columns, 3, 3)
-    :param closed: whether the last column is beside the first one
     """
 
     def __init__(self, points: FloatArray, frames: FloatArray, closed: bool = False) -> None:

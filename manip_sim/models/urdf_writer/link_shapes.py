@@ -141,7 +141,6 @@ class Shape:
     A shape of a link.
 
     :ivar tag: ``box``, ``cylinder``, ``sphere`` or ``mesh``
-    :ivar attributes: of the XML element
     :ivar position: in the link [m], shape (3,)
     :ivar rotation: in the link, shape (3, 3)
     """

@@ -64,12 +64,7 @@ def write_urdf(model: mujoco.MjModel, robot: RobotModel,
 
 
 class _UrdfWriter:
-    """
-    Writer of the URDF of one robot.
-
-    :param tree: links and joints
-    :param meshes: files of meshes by name
-    """
+    """Writer of the URDF of one robot."""
 
     def __init__(self, model: mujoco.MjModel, tree: KinematicTree, name: str,
                  meshes: Mapping[str, MeshFile]) -> None:
