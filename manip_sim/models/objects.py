@@ -109,6 +109,7 @@ def load_objects(file: ObjectFile, files: Files | None = None) -> list[ObjectMod
     """
     Read the objects that a YAML file lists below its key ``objects``.
 
+    :param files: those that may be read, as for :func:`create_object`
     :raises ModelError: on one line, with file, object, key and the nearest valid names
     """
     path = Path(file)
@@ -138,6 +139,10 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
 
     :param values: the keys of :class:`ShapeDescription`, :class:`MeshDescription` or
         :class:`FileDescription`
+    :param kind: :class:`ObjectModel` or :class:`FixtureModel`
+    :param folder: where relative paths begin
+    :param files: those that may be read, as for :func:`create_object`
+    :raises ModelError: if something is wrong with it
     """
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
     from manip_sim.models.mesh_objects import mesh_spec

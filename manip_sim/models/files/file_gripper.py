@@ -21,9 +21,8 @@ from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.found_hands import FoundHand
 from manip_sim.models.files.found_places import quat_wxyz_of
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
-from manip_sim.models.files.model_file import compile_alone, read_model
+from manip_sim.models.files.model_file import compile_alone, read_model, start_pose
 from manip_sim.models.files.part_descriptions import GripperDescription
-from manip_sim.models.files.start import start_pose
 from manip_sim.models.files.xacro_expansion import stem_of
 
 #: Fingers that reach less far give no direction [m].

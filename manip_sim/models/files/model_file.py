@@ -1,31 +1,32 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read a model file, MJCF or URDF, for the first time: one tree, named, with a free start pose."""
+"""Read a model file, MJCF or URDF, for the first time: one tree, named, with a start pose."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Union
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.errors import UnknownNameError
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
-from manip_sim.models.files.guessed_masses import lighten, masses_from_shapes
-from manip_sim.models.files.mjcf_meshes import load_mjcf
+from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.held_models import hold_robot
-from manip_sim.models.loading import compile_spec, name_unnamed_elements
+from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
+from manip_sim.models.lost_shapes import Lost, LostShape, MissingMeshError, warnings_of
 from manip_sim.models.regular_files import Files
+from manip_sim.quoting import quoted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
@@ -163,7 +164,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     if urdf:
         spec, notes = load_urdf(file, xacro_args, expects_meshes, files)
     elif files is None:
-        spec, notes = load_mjcf(file, expects_meshes)
+        spec, notes = _load_mjcf(file, expects_meshes)
     else:
         spec = hold_robot(file, files).load_tried()
     notes += _gravity_of_file(spec)
@@ -293,3 +294,63 @@ def shape_heights(model: mujoco.MjModel, data: mujoco.MjData, which: BoolArray |
     counts = has_size if which is None else has_size & which
     heights: FloatArray = np.stack([middle - half, middle + half], axis=1)[counts]
     return heights
+
+
+def _load_mjcf(file: Path, expects_meshes: bool) -> tuple[mujoco.MjSpec, list[str]]:
+    """
+    Read a spec from an MJCF file, without the shapes whose meshes are missing.
+
+    :raises ModelError: if it cannot be read, or the mass of a body follows from a missing mesh
+    """
+    missing: dict[str, MissingMeshError] = {}
+    spec = load_spec(file, missing)
+    lost = []
+    for geom in list(spec.geoms) if missing else []:
+        if geom.meshname in missing:
+            error = missing[geom.meshname]
+            if _gives_mass(spec, geom):
+                raise ModelError(f'{file}: body {quoted(geom.parent.name)} has its mass from mesh '
+                                 f'{quoted(geom.meshname)}: {error.why}; {error.remedy}, or give '
+                                 'the body an <inertial>')
+            kind = 'collision' if geom.contype or geom.conaffinity else 'visual'
+            lost.append(Lost(kind, geom.meshname, f'body {quoted(geom.parent.name)}', error))
+            for pair in [pair for pair in spec.pairs if geom.name
+                         and geom.name in (pair.geomname1, pair.geomname2)]:
+                spec.delete(pair)
+            spec.delete(geom)
+    for mesh in [mesh for mesh in spec.meshes if mesh.name in missing]:
+        spec.delete(mesh)
+    said = warnings_of(lost, file)
+    return spec, [LostShape(sentence) for sentence in said] if expects_meshes else said
+
+
+def _gives_mass(spec: mujoco.MjSpec, geom: Any) -> bool:
+    body, ruled = geom.parent, mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    if geom.mass == 0.0 or geom.density == 0.0 or body.name == 'world':
+        return False
+    return not body.explicitinertial or int(spec.compiler.inertiafromgeom) == int(ruled)
+
+
+def start_pose(model_file: ModelFile, declared: Union[str, Mapping[str, float], None],
+               where: object) -> dict[str, float]:
+    """
+    Return the start positions of scalar joints, by name [rad or m].
+
+    :param declared: positions by joint [rad or m]; without one, a joint starts as in the file
+    :raises UnknownNameError: if there is no such joint
+    :raises ModelError: if a position is outside the joint's range
+    """
+    start = dict(model_file.start)
+    if declared is None or isinstance(declared, str):
+        return start
+    model = model_file.tree.model
+    for name, position in declared.items():
+        if name not in start:
+            raise UnknownNameError(f"joint in 'start' of {where}", name, start)
+        joint = model.joint(name)
+        low, high = joint.range
+        if joint.limited[0] and not low <= position <= high:
+            raise ModelError(f"'start' of joint '{name}' in {where} must be within {low:g} to "
+                             f'{high:g}, got {position:g}')
+        start[name] = float(position)
+    return start

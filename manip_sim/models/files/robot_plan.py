@@ -15,17 +15,15 @@ from manip_sim.algebra import length
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.classification import classify_joints
-from manip_sim.models.files.found_arms import find_arms, FoundArm
+from manip_sim.models.files.found_arms import classify_joints, find_arms, FoundArm
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below, lone_hand
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.mocap_bodies import MocapBodies
-from manip_sim.models.files.model_file import ModelFile, read_model
+from manip_sim.models.files.model_file import ModelFile, read_model, start_pose
 from manip_sim.models.files.overlaps import exclude_overlaps
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
-from manip_sim.models.files.start import start_pose
 from manip_sim.models.regular_files import Files
 
 _KEYFRAMES = ('home',)

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.files.inertias import make_physical
+from manip_sim.models.files.link_masses import make_physical
 from manip_sim.models.files.urdf_meshes import find_meshes
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.held_models import hold_tree, HeldModel, ROBOT_LIMITS

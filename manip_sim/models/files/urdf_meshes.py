@@ -1,26 +1,32 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find the meshes that a URDF names; leave out those that are missing, as RViz does, and tell."""
+"""Find the meshes that a URDF names, and convert what MuJoCo cannot read; leave out the rest."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+import hashlib
+import logging
 from pathlib import Path
 import re
+from typing import Any
 from xml.etree import ElementTree
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES
-from manip_sim.models.files.mesh_conversion import converted, SUFFIXES
 from manip_sim.models.files.package_folders import package_folders
 from manip_sim.models.lost_shapes import (
     check_fetched, Lost, LostShape, MissingMeshError, warnings_of)
 from manip_sim.models.regular_files import Files
-from manip_sim.quoting import quoted
+from manip_sim.quoting import one_line, quoted
+from manip_sim.resources import keep_in_cache, mesh_cache
 
 _MESHES = ('.stl', '.obj', '.msh')
 _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
+_CONVERTIBLE = ('.dae', '.glb', '.gltf', '.ply', '.off')
+_MAX_BYTES = 200_000_000
+_MAX_FACES = 2_000_000
 
 
 def find_meshes(robot: ElementTree.Element, file: Path, expected: bool,
@@ -68,10 +74,10 @@ def _read(mesh: Path, files: Files | None) -> Path:
     check_fetched(found)
     if found.suffix.lower() in _MESHES:
         return found
-    if found.suffix.lower() not in SUFFIXES:
-        raise MissingMeshError(f'not one of {", ".join((*_MESHES, *SUFFIXES))}',
+    if found.suffix.lower() not in _CONVERTIBLE:
+        raise MissingMeshError(f'not one of {", ".join((*_MESHES, *_CONVERTIBLE))}',
                                'convert it to STL or OBJ')
-    made, why = converted(found)
+    made, why = _converted(found)
     if made is None:
         raise MissingMeshError(why)
     return made
@@ -121,3 +127,42 @@ def _elsewhere(path: Path, file: Path) -> Iterator[Path]:
         for number, part in enumerate(path.parts[1:-1], start=2):
             for root in package_folders(part, file):
                 yield root.joinpath(*path.parts[number:])
+
+
+def _converted(mesh: Path) -> tuple[Path | None, str]:
+    """
+    Return an OBJ file with the shape of a mesh, in metres, or None and why not.
+
+    It is in ``$XDG_CACHE_HOME/manip_sim/meshes``, by the content of the mesh, and is made once.
+
+    :param mesh: a file of one of :data:`_CONVERTIBLE`
+    """
+    try:
+        import trimesh
+    except ImportError:
+        return None, 'trimesh, which converts it, is not installed: pip install trimesh pycollada'
+    try:
+        if mesh.stat().st_size > _MAX_BYTES:
+            return None, f'it is larger than {_MAX_BYTES // 1_000_000} MB'
+        content = mesh.read_bytes()
+        key = hashlib.sha256(b'2' + mesh.suffix.lower().encode() + content).hexdigest()
+        target = mesh_cache() / f'{key}.obj'
+        if not target.is_file():
+            _convert(trimesh, mesh, target)
+        return target, ''
+    except Exception as error:  # Each format has a reader with exceptions of its own.
+        logging.getLogger(__name__).debug('cannot convert %s', mesh, exc_info=True)
+        return None, one_line(f'{type(error).__name__}: {error}', 120)
+
+
+def _convert(trimesh: Any, mesh: Path, target: Path) -> None:
+    scene = trimesh.load_scene(mesh)
+    # As URDF's readers do, take the unit of a Collada file, but not its upward axis.
+    scale = trimesh.units.unit_conversion(scene.units, 'meters') if scene.units else 1.0
+    whole = scene.to_mesh()
+    whole.apply_scale(scale)
+    if not len(whole.faces) or len(whole.faces) > _MAX_FACES:
+        raise ValueError(f'it has {len(whole.faces)} faces')
+    text = trimesh.exchange.obj.export_obj(
+        trimesh.Trimesh(whole.vertices, whole.faces), include_normals=False)
+    keep_in_cache(target, text.encode())
