@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, TYPE_CHECKING, TypeVar, Union
@@ -13,12 +13,12 @@ from typing import Any, TYPE_CHECKING, TypeVar, Union
 import mujoco
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.held_models import hold_model, HeldModel, LIMITS
+from manip_sim.models.held_models import HeldModel, hold_model, LIMITS
 from manip_sim.models.loading import load_spec
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
-from manip_sim.models.regular_files import Files
+from manip_sim.models.regular_files import Files, OneText
 from manip_sim.models.sources import find_source, is_of_others
-from manip_sim.models.strict_yaml import parse_yaml, read_yaml
+from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
 from manip_sim.quoting import quoted, shown
 
 __all__ = ['check_object_names', 'create_described', 'create_object', 'create_objects',
@@ -34,6 +34,8 @@ _MAX_DOF = 100
 P = TypeVar('P', ObjectModel, FixtureModel)
 ObjectFile = Union[str, PathLike[str]]
 Description = Union[ObjectModel, Mapping[str, Any], ObjectFile]
+#: Name of an object that has none.
+UNNAMED = 'object'
 
 
 def create_object(description: Description, files: Files | None = None) -> ObjectModel:
@@ -212,3 +214,22 @@ def _read(file: Path, name: str | None = None, files: Files | None = None) -> Ob
 def _own_name(spec: mujoco.MjSpec) -> str:
     roots = spec.worldbody.bodies
     return (roots[0].name if roots else '') or str(spec.modelname)
+
+
+def object_from_text(text: OneText) -> tuple[bool, Callable[[], ObjectModel]]:
+    """
+    Return whether an object is quickly made for sure, and return what makes it.
+
+    :param text: MJCF, or a description in YAML
+    """
+    if not text.content.startswith(b'<'):
+        values = parse_yaml(text.read(text.file, 'YAML', MAX_REQUESTED), str(text.file))
+        return True, lambda: create_object({'name': UNNAMED, **values}, text)
+    model = hold_model(text.file, text)
+    return model.is_light, lambda: named_by_itself(object_from_model(model, UNNAMED))
+
+
+def named_by_itself(item: ObjectModel) -> ObjectModel:
+    """Return an object with the name of its root body."""
+    item.name = item.spec.worldbody.bodies[0].name or UNNAMED
+    return item

@@ -10,7 +10,7 @@ from typing import Any
 
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.object_model import check_object_name
-from manip_sim.models.object_texts import object_from_text
+from manip_sim.models.objects import object_from_text
 from manip_sim.models.regular_files import OneText
 from manip_sim.quoting import quoted
 from manip_sim.simulation.poses import Pose, Twist

@@ -18,8 +18,8 @@ from manip_sim.sensing.delays import InTransit
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.numbers import finite_numbers
 from manip_sim.simulation.randomized import Drawn
+from manip_sim.tasks.actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
-from manip_sim.tasks.joint_actions import create_actions
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY, whole_steps
 from manip_sim.tasks.observation import Observation, Observer
 from manip_sim.tasks.pictures import Pictures

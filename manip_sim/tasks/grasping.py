@@ -28,7 +28,11 @@ def touching(simulation: Simulation, body: str) -> set[int]:
 
 
 def bodies_of_gripper(simulation: Simulation, robot: SimulatedRobot, arm: str) -> set[int]:
-    """Return the ids of the bodies of a gripper."""
+    """
+    Return the ids of the bodies of a gripper.
+
+    :param arm: such as ``right``
+    """
     gripper = robot.parts[f'{arm}/gripper'].gripper
     assert gripper is not None
     return {int(simulation.model.body(name).id) for name in gripper.bodies}
@@ -57,7 +61,13 @@ def pressure(simulation: Simulation, bodies: Collection[int], on: Collection[str
 
 
 def held_only_by(simulation: Simulation, body: str, robot: SimulatedRobot, arm: str) -> bool:
-    """Return whether two bodies of an arm's gripper touch an object, and nothing else does."""
+    """
+    Return whether an arm holds an object: two bodies of its gripper touch it, and nothing else.
+
+    :param body: of the object
+    :param robot: that has the arm
+    :param arm: such as ``right``
+    """
     touched = touching(simulation, body)
     return touched <= bodies_of_gripper(simulation, robot, arm) and len(touched) >= 2
 

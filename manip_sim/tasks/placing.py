@@ -27,7 +27,12 @@ _GOAL_RGBA = (0.1, 0.8, 0.2, 0.5)
 
 
 def draw(random: np.random.Generator, low: ArrayLike, high: ArrayLike) -> FloatArray:
-    """Return numbers that are evenly distributed in a box."""
+    """
+    Return numbers that are evenly distributed in a box.
+
+    :param low: the least, shape (n,)
+    :param high: the greatest, shape (n,)
+    """
     lowest: FloatArray = np.asarray(low, dtype=float)
     highest: FloatArray = np.asarray(high, dtype=float)
     numbers: FloatArray = lowest + (highest - lowest) * random.random(len(lowest))
@@ -68,6 +73,7 @@ def place(simulation: Simulation, name: str, position: FloatArray,
     """
     Place an object, at rest.
 
+    :param name: of the free body
     :param position: of its frame in ``world`` [m], shape (3,)
     :param quat_wxyz: of its frame in ``world``
     """
@@ -76,7 +82,13 @@ def place(simulation: Simulation, name: str, position: FloatArray,
 
 
 def add_goal(arena: Arena, name: str, radius_m: float, flat: bool = False) -> None:
-    """Add a mocap body to an arena that is only seen, such as the point to reach."""
+    """
+    Add a mocap body to an arena that is only seen, such as the point to reach.
+
+    :param name: of the body
+    :param radius_m: of the sphere or disc [m]
+    :param flat: whether it is a disc
+    """
     shapes, size = mujoco.mjtGeom, [radius_m, 0.001, 0.0]
     body = arena.spec.worldbody.add_body(name=name, mocap=True)
     body.add_geom(name=f'{name}_visual', size=size, rgba=_GOAL_RGBA, contype=0, conaffinity=0,
@@ -88,6 +100,7 @@ def move_mocap(simulation: Simulation, name: str, position: FloatArray,
     """
     Move a mocap body; what follows from it in the data is computed later.
 
+    :param name: of the body
     :param position: in ``world`` [m], shape (3,)
     :param quat_wxyz: in ``world``
     """
@@ -107,5 +120,10 @@ def rotation_of(simulation: Simulation, body: str) -> FloatArray:
 
 
 def nearness(distance_m: float, scale_m: float = 0.1) -> float:
-    """Return 1 for no distance, 1/2 at a scale, towards 0 far away."""
+    """
+    Return 1 for no distance, 1/2 at a scale, towards 0 far away.
+
+    :param distance_m: [m]
+    :param scale_m: [m]
+    """
     return scale_m / (scale_m + distance_m)
