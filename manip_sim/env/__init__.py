@@ -7,9 +7,42 @@ Environments of gymnasium for the tasks; the import registers them.
 It needs the extra ``env``: ``pip install manip_sim[env]``.
 """
 
-from manip_sim.env.registration import env_id, register_tasks
+from __future__ import annotations
+
+import gymnasium
+
 from manip_sim.env.task_env import TaskEnv
 from manip_sim.env.task_vector_env import TaskVectorEnv
+from manip_sim.resources import PACKAGE
+from manip_sim.tasks import task_names
+
+#: The environment of any task, which it takes as ``task``, such as a YAML file.
+DESCRIBED = f'{PACKAGE}/Task-v0'
+
+
+def env_id(task: str) -> str:
+    """
+    Return the name of a task's environment.
+
+    :param task: such as ``pick_cube``
+    """
+    return f'{PACKAGE}/{"".join(word.capitalize() for word in task.split("_"))}-v0'
+
+
+def register_tasks() -> None:
+    """
+    Register an environment for each task, also those of other packages, and one for any.
+
+    Call it again after defining a task of your own; what is registered already stays.
+    """
+    given = {DESCRIBED: {}, **{env_id(task): {'task': task} for task in task_names()}}
+    for name, keywords in given.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                id=name, entry_point='manip_sim.env.task_env:TaskEnv',
+                vector_entry_point='manip_sim.env.task_vector_env:TaskVectorEnv',
+                kwargs=keywords, nondeterministic=False)
+
 
 register_tasks()
 

@@ -12,13 +12,13 @@ from types import MappingProxyType
 from typing import Any
 
 import gymnasium
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from manip_sim.env.spaces import action_space, observation_space
 from manip_sim.errors import DivergenceError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.validation import whole_number
-from manip_sim.tasks import Setting, Task
+from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation
 from manip_sim.tasks.pictures import CameraLike, Pictures
@@ -166,3 +166,17 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
 def checked_count(count: Any) -> int:
     """Return a number of environments."""
     return whole_number(count, 1, 'num_envs')
+
+
+def action_space(episode: Episode) -> gymnasium.spaces.Box:
+    """Return the space of an episode's actions, in their units."""
+    low, high = episode.actions.bounds.T
+    return gymnasium.spaces.Box(low, high, dtype=np.float64)
+
+
+def observation_space(observation: Observation) -> gymnasium.Space[Observation]:
+    """Return the space of observations."""
+    return gymnasium.spaces.Dict({  # type: ignore[return-value]
+        key: gymnasium.spaces.Box(0, 255, value.shape, np.uint8) if value.dtype == np.uint8 else
+        gymnasium.spaces.Box(-np.inf, np.inf, value.shape, np.float64)
+        for key, value in observation.items()})

@@ -14,8 +14,7 @@ from gymnasium.vector.utils import batch_space
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from manip_sim.env.spaces import action_space, observation_space
-from manip_sim.env.task_env import checked_count, SEEDS
+from manip_sim.env.task_env import action_space, checked_count, observation_space, SEEDS
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.tasks import Episode, Setting, Task

@@ -1,9 +1,15 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one place that converts between MuJoCo's quaternions (w, x, y, z) and ROS's (x, y, z, w)."""
+"""
+The one place that converts rotations: MuJoCo's quaternions (w, x, y, z) to and from others.
+
+Those are ROS's quaternions (x, y, z, w), matrices, and roll, pitch and yaw.
+"""
 
 from __future__ import annotations
+
+import math
 
 import mujoco
 import numpy as np
@@ -50,3 +56,27 @@ def relative_quat_wxyz(quat_parent: ArrayLike, quat_child: ArrayLike) -> FloatAr
     mujoco.mju_mulQuat(relative, inverse, np.asarray(quat_child, dtype=float))
     mujoco.mju_normalize4(relative)
     return relative if relative[0] >= 0.0 else -relative
+
+
+def matrix_of(quat_wxyz: ArrayLike) -> FloatArray:
+    """Return the rotation matrix of a quaternion w, x, y, z of unit length, shape (3, 3)."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quat_wxyz, dtype=float))
+    return matrix.reshape(3, 3)
+
+
+def rpy_of(rotation: FloatArray) -> FloatArray:
+    """
+    Return roll, pitch and yaw about fixed axes [rad], shape (3,).
+
+    Pitch and roll are those of the matrix after undoing the yaw, so that the three together are
+    still exact where the pitch is 90 degrees, and roll and yaw are about one axis.
+
+    :param rotation: matrix, shape (3, 3)
+    """
+    r = rotation
+    yaw = math.atan2(r[1, 0], r[0, 0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    pitch = math.atan2(-r[2, 0], c * r[0, 0] + s * r[1, 0])
+    roll = math.atan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1])
+    return np.array([roll, pitch, yaw])

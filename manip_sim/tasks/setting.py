@@ -15,11 +15,10 @@ from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import shown
 from manip_sim.simulation import Simulation
-from manip_sim.tasks.creating import create_task
 from manip_sim.tasks.episode import Episode
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.pictures import CameraLike, descriptions, Pictures, views_of
-from manip_sim.tasks.task import Task
+from manip_sim.tasks.task import create_task, Task
 
 
 @dataclass(frozen=True)

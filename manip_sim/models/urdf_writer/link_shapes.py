@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The shapes and meshes of links, mesh files that a URDF refers to, and meshes as STL."""
+"""The shapes and meshes of links, mesh files that a URDF refers to, and numbers as its text."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.urdf_writer.urdf_numbers import matrix_of, text_of
+from manip_sim.models.quaternion import matrix_of
 from manip_sim.resources import PACKAGE, share_directory
 
 #: A sphere of radius 1 [m], for ellipsoids.
@@ -31,6 +32,8 @@ _LEVELS = 3
 _GEOM = mujoco.mjtGeom
 #: Groups of geoms that MuJoCo shows by default.
 _SHOWN_GROUPS = 3
+#: Smaller numbers are zeros with the rounding error of a product of two rotations.
+_NOTHING = 1e-16
 
 
 @dataclass(frozen=True)
@@ -206,3 +209,16 @@ def shapes_of(model: mujoco.MjModel, geom: int, meshes: Mapping[str, MeshFile]) 
         if file is not None:
             yield Shape('mesh', {'filename': file.uri, 'scale': text_of(file.scale)},
                         position + rotation @ file.position, rotation @ file.rotation)
+
+
+def text_of(values: ArrayLike) -> str:
+    """Return numbers as the shortest text of the same doubles; less than 1e-16 becomes 0."""
+    if isinstance(values, float):
+        return _shortest(float(values))
+    return ' '.join(map(_shortest, np.asarray(values, dtype=float).reshape(-1).tolist()))
+
+
+def _shortest(number: float) -> str:
+    if abs(number) < _NOTHING:
+        return '0'
+    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)

@@ -15,14 +15,15 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.loading import compile_spec
+from manip_sim.models.quaternion import matrix_of, rpy_of
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer.hardware import add_hardware, Hardware
 from manip_sim.models.urdf_writer.joints import (
     actuated_joints, effort_limit, find_mimics, Mimic, velocity_limit)
 from manip_sim.models.urdf_writer.kinematic_tree import Joint, KinematicTree, Link, robot_tree
 from manip_sim.models.urdf_writer.link_shapes import (
-    collides, files_of_meshes, geoms_of_body, is_seen, MeshFile, rgba_of, Shape, shapes_of)
-from manip_sim.models.urdf_writer.urdf_numbers import matrix_of, rpy_of, text_of
+    collides, files_of_meshes, geoms_of_body, is_seen, MeshFile, rgba_of, Shape, shapes_of,
+    text_of)
 from manip_sim.models.world import World
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
