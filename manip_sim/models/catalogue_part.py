@@ -28,7 +28,7 @@ class FromPart:
 
 class CataloguePart(MujocoXMLModel):
     """
-    A part whose class names a folder of ``assets``; the numbers are in the folder.
+    A part whose class is created with a ``folder`` of ``assets``; the numbers are in it.
 
     ``part.yaml`` has the keys of descriptions of users' files, and a few more. A folder without
     one has only what its MJCF file says.
@@ -43,6 +43,10 @@ class CataloguePart(MujocoXMLModel):
     _data: ClassVar[dict[str, Any]]
     #: The MJCF file, relative to the folder; by default it is named like the folder.
     _model = FromPart('model', None)
+
+    def __init_subclass__(cls, folder: str = '', **kwargs: Any) -> None:
+        cls._folder = folder or cls._folder
+        super().__init_subclass__(**kwargs)
 
     def __init__(self, idn: int | str = 0) -> None:
         super().__init__(self.model_file(), idn=idn)

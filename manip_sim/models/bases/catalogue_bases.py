@@ -19,43 +19,29 @@ class _CatalogueMobileBase(_CatalogueBase, MobileBaseModel, registered=False):
     sideways = FromPart('sideways', True)
 
 
-class NoActuationBase(_CatalogueMobileBase):
+class NoActuationBase(_CatalogueMobileBase, folder='no_actuation_base'):
     """A fixed frame without mass or shape, for robots that stand on their own feet."""
 
-    _folder = 'no_actuation_base'
 
-
-class NullMobileBase(_CatalogueMobileBase):
+class NullMobileBase(_CatalogueMobileBase, folder='null_mobile_base'):
     """Forward, side and yaw joints without mass, so the robot's root must have mass."""
 
-    _folder = 'null_mobile_base'
 
-
-class NullMount(_CatalogueBase, MountModel):
+class NullMount(_CatalogueBase, MountModel, folder='null_mount'):
     """A frame without mass or shape at the robot's foot, for robots that stand on the floor."""
 
-    _folder = 'null_mount'
 
-
-class OmronMobileBase(_CatalogueMobileBase):
+class OmronMobileBase(_CatalogueMobileBase, folder='omron_mobile_base'):
     """Vehicle that drives forward and sideways, turns, lifts the robot from 0.7 m to 1.04 m."""
 
-    _folder = 'omron_mobile_base'
 
-
-class PMB2Base(_CatalogueMobileBase):
+class PMB2Base(_CatalogueMobileBase, folder='pmb2_base'):
     """Round vehicle of PAL Robotics that drives forward and turns, 0.29 m to the torso's foot."""
 
-    _folder = 'pmb2_base'
 
-
-class RethinkMinimalMount(_CatalogueBase, MountModel):
+class RethinkMinimalMount(_CatalogueBase, MountModel, folder='rethink_minimal_mount'):
     """Baxter's pedestal, without controller box, 0.862 m from the floor to the robot's foot."""
 
-    _folder = 'rethink_minimal_mount'
 
-
-class RethinkMount(_CatalogueBase, MountModel):
+class RethinkMount(_CatalogueBase, MountModel, folder='rethink_mount'):
     """Sawyer's pedestal, with controller box, 0.912 m from the floor to the arm's foot."""
-
-    _folder = 'rethink_mount'

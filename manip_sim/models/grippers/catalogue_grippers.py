@@ -82,22 +82,16 @@ class CatalogueGripper(CataloguePart, GripperModel, registered=False):
             super().start_at(command)
 
 
-class FourierLeftHand(CatalogueGripper):
+class FourierLeftHand(CatalogueGripper, folder='fourier_left_hand'):
     """Left hand of the GR-1, with eleven joints and six motors."""
 
-    _folder = 'fourier_left_hand'
 
-
-class FourierRightHand(CatalogueGripper):
+class FourierRightHand(CatalogueGripper, folder='fourier_right_hand'):
     """Right hand of the GR-1, the mirror image of the left one."""
 
-    _folder = 'fourier_right_hand'
 
-
-class JacoThreeFingerGripper(CatalogueGripper):
+class JacoThreeFingerGripper(CatalogueGripper, folder='jaco_three_finger_gripper'):
     """Kinova hand that opens and closes."""
-
-    _folder = 'jaco_three_finger_gripper'
 
 
 class JacoThreeFingerDexterousGripper(JacoThreeFingerGripper):
@@ -106,46 +100,32 @@ class JacoThreeFingerDexterousGripper(JacoThreeFingerGripper):
     _action = FromPart('each_action', {})
 
 
-class NullGripper(CatalogueGripper):
+class NullGripper(CatalogueGripper, folder='null_gripper'):
     """A grasp frame and a force-torque sensor, without mass and without shape."""
 
-    _folder = 'null_gripper'
 
-
-class PalGripper(CatalogueGripper):
+class PalGripper(CatalogueGripper, folder='pal_gripper'):
     """Two fingers of PAL Robotics, each with a motor of its own, 90 mm stroke."""
 
-    _folder = 'pal_gripper'
 
-
-class PandaGripper(CatalogueGripper):
+class PandaGripper(CatalogueGripper, folder='panda_gripper'):
     """Franka hand that opens and closes."""
 
-    _folder = 'panda_gripper'
 
-
-class RethinkGripper(CatalogueGripper):
+class RethinkGripper(CatalogueGripper, folder='rethink_gripper'):
     """Rethink gripper that opens and closes."""
 
-    _folder = 'rethink_gripper'
 
-
-class Robotiq140Gripper(CatalogueGripper):
+class Robotiq140Gripper(CatalogueGripper, folder='robotiq_140_gripper'):
     """Robotiq 2F-140 that opens and closes."""
 
-    _folder = 'robotiq_140_gripper'
 
-
-class Robotiq85Gripper(CatalogueGripper):
+class Robotiq85Gripper(CatalogueGripper, folder='robotiq_85_gripper'):
     """Robotiq 2F-85 that opens and closes."""
 
-    _folder = 'robotiq_85_gripper'
 
-
-class RobotiqThreeFingerGripper(CatalogueGripper):
+class RobotiqThreeFingerGripper(CatalogueGripper, folder='robotiq_three_finger_gripper'):
     """Robotiq gripper that opens and closes all fingers, fingers 1 and 2 side by side."""
-
-    _folder = 'robotiq_three_finger_gripper'
 
 
 class RobotiqThreeFingerDexterousGripper(RobotiqThreeFingerGripper):
@@ -154,13 +134,9 @@ class RobotiqThreeFingerDexterousGripper(RobotiqThreeFingerGripper):
     _action = FromPart('each_action', {})
 
 
-class SO101Gripper(CatalogueGripper):
+class SO101Gripper(CatalogueGripper, folder='so101_gripper'):
     """Jaw of the SO-101 that closes on a fixed one."""
 
-    _folder = 'so101_gripper'
 
-
-class WipingGripper(CatalogueGripper):
+class WipingGripper(CatalogueGripper, folder='wiping_gripper'):
     """Eraser with a touch sensor at each corner of its wiping surface."""
-
-    _folder = 'wiping_gripper'

@@ -69,52 +69,37 @@ class CatalogueRobot(CataloguePart, ManipulatorModel, registered=False):
                 **{arena: tuple(position) for arena, position in self._placement.items()}}
 
 
-class Baxter(CatalogueRobot):
+class Baxter(CatalogueRobot, folder='baxter'):
     """Two seven-joint arms and a screen, 2.2 kg payload each, 1.2 m reach."""
 
-    _folder = 'baxter'
 
-
-class FR3(CatalogueRobot):
+class FR3(CatalogueRobot, folder='fr3'):
     """Seven-joint arm, 3 kg payload, 0.855 m reach, with faster joints than the Panda."""
 
-    _folder = 'fr3'
 
-
-class GR1(CatalogueRobot):
+class GR1(CatalogueRobot, folder='gr1'):
     """Humanoid of 1.65 m: torso, head, two seven-joint arms and two six-joint legs."""
 
-    _folder = 'gr1'
 
-
-class IIWA(CatalogueRobot):
+class IIWA(CatalogueRobot, folder='iiwa'):
     """Seven-joint arm, 7 kg payload, 0.8 m reach."""
 
-    _folder = 'iiwa'
 
-
-class Jaco(CatalogueRobot):
+class Jaco(CatalogueRobot, folder='jaco'):
     """Seven-joint arm of carbon fibre with a spherical wrist."""
 
-    _folder = 'jaco'
 
-
-class Kinova3(CatalogueRobot):
+class Kinova3(CatalogueRobot, folder='kinova3'):
     """Seven-joint arm, four of them without end stops, 4 kg payload, 0.902 m reach."""
 
-    _folder = 'kinova3'
 
-
-class Panda(CatalogueRobot):
+class Panda(CatalogueRobot, folder='panda'):
     """Seven-joint arm, 3 kg payload, 0.855 m reach."""
 
-    _folder = 'panda'
 
-
-class PandaOmron(Panda):
+class PandaOmron(Panda, folder='panda_omron'):
     """The Panda, by default on the Omron base."""
 
-    _folder = 'panda_omron'
     _torso_start = FromPart('torso_start', ())
 
     @property
@@ -131,31 +116,21 @@ class PandaOmron(Panda):
         return np.array([lifted.get(joint, 0.0) for joint in self.base.joints])
 
 
-class SO101(CatalogueRobot):
+class SO101(CatalogueRobot, folder='so101'):
     """Five-joint arm of printed parts and hobby servos, 0.34 m reach with the hand down."""
 
-    _folder = 'so101'
 
-
-class Sawyer(CatalogueRobot):
+class Sawyer(CatalogueRobot, folder='sawyer'):
     """Seven-joint arm with a screen, 4 kg payload, 1.26 m reach."""
 
-    _folder = 'sawyer'
 
-
-class Tiago(CatalogueRobot):
+class Tiago(CatalogueRobot, folder='tiago'):
     """Mobile robot with a lifting torso, a head and a seven-joint arm, 3 kg payload."""
 
-    _folder = 'tiago'
 
-
-class UR5e(CatalogueRobot):
+class UR5e(CatalogueRobot, folder='ur5e'):
     """Six-joint arm, 5 kg payload, 0.85 m reach."""
 
-    _folder = 'ur5e'
 
-
-class XArm7(CatalogueRobot):
+class XArm7(CatalogueRobot, folder='xarm7'):
     """Seven-joint arm, 3.5 kg payload, 0.7 m reach; four of its joints turn twice around."""
-
-    _folder = 'xarm7'
