@@ -14,16 +14,14 @@ import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
-from manip_sim.models.object_model import check_object_name
 from manip_sim.models.quaternion import NO_TURN
 from manip_sim.models.spec_edits import body_for
-from manip_sim.quoting import quoted
 
 MAX_PIXELS = 4096
 MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 10_000.0
 MIN_FOVY_DEG, MAX_FOVY_DEG = 1.0, 170.0
 if TYPE_CHECKING:
-    from manip_sim.models.camera_description import CameraDescription
+    from manip_sim.models.placed_descriptions import CameraDescription
 
 #: From a frame that looks along x with z up to MuJoCo's camera, which looks along -z with y up.
 _TO_MUJOCO = np.array([0.5, 0.5, -0.5, -0.5])
@@ -86,12 +84,8 @@ def create_camera(description: Camera) -> CameraModel:
     if isinstance(description, CameraModel):
         return description
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.models.camera_description import CameraDescription
-    from manip_sim.models.strict_descriptions import checked
-    name = description.get('name')
-    where = 'camera without a name' if name is None else f'camera {quoted(name)}'
-    found = checked(CameraDescription, description, where)
-    check_object_name(found.name, 'camera', 'a camera and its topics')
+    from manip_sim.models.placed_descriptions import CameraDescription, read_mounted
+    found, _ = read_mounted(CameraDescription, 'camera', description)
     given: dict[str, Any] = {'width': found.width, 'height': found.height, 'rate_hz': found.rate,
                              'depth': found.depth}
     position = np.array(found.position or [0.0, 0.0, 0.0], dtype=float)

@@ -14,10 +14,8 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
-from manip_sim.models.object_model import check_object_name
 from manip_sim.models.quaternion import NO_TURN
 from manip_sim.models.spec_edits import body_for
-from manip_sim.quoting import quoted
 from manip_sim.sensing.lidars import Rays
 
 #: Rays of one lidar at most, as many as the densest ones on the market have: 128 rings of 2048.
@@ -71,12 +69,8 @@ def create_lidar(description: LidarLike) -> LidarModel:
     if isinstance(description, LidarModel):
         return description
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.models.lidar_description import LidarDescription
-    from manip_sim.models.strict_descriptions import checked
-    name = description.get('name')
-    where = 'lidar without a name' if name is None else f'lidar {quoted(name)}'
-    found = checked(LidarDescription, description, where)
-    check_object_name(found.name, 'lidar', 'a lidar and its topics')
+    from manip_sim.models.placed_descriptions import LidarDescription, read_mounted
+    found, where = read_mounted(LidarDescription, 'lidar', description)
     given = found.model_dump(exclude_none=True)
     rays = Rays(**{key: value for key, value in given.items() if key in Rays.__annotations__})
     for low, high in (('angle_min', 'angle_max'), ('elevation_min', 'elevation_max'),

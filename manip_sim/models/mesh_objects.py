@@ -26,7 +26,7 @@ from manip_sim.quoting import counted, quoted
 from manip_sim.resources import keep_in_cache, mesh_cache
 
 if TYPE_CHECKING:
-    from manip_sim.models.object_descriptions import MeshDescription
+    from manip_sim.models.placed_descriptions import MeshDescription
 
 _SUFFIXES = {'mesh': ('.obj', '.stl'), 'texture': ('.png',)}
 #: As visual shapes and collision shapes have in the catalogue.

@@ -25,8 +25,7 @@ __all__ = ['check_object_names', 'create_described', 'create_object', 'create_ob
            'FixtureModel', 'load_objects', 'object_from_model', 'ObjectModel']
 
 if TYPE_CHECKING:
-    from manip_sim.models.object_descriptions import (
-        FileDescription, ShapeDescription)
+    from manip_sim.models.placed_descriptions import FileDescription, ShapeDescription
 
 _YAML = ('.yaml', '.yml')
 #: Greatest number of degrees of freedom of an object that is spawned.
@@ -148,7 +147,7 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
     """
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
     from manip_sim.models.mesh_objects import mesh_spec
-    from manip_sim.models.object_descriptions import kind_of, MeshDescription, ShapeDescription
+    from manip_sim.models.placed_descriptions import kind_of, MeshDescription, ShapeDescription
     from manip_sim.models.strict_descriptions import checked
     try:
         form = kind_of(values)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 from manip_sim.errors import describe_choices, ModelError
-from manip_sim.models.object_descriptions import Coordinate
 from manip_sim.models.objects import create_object, ObjectModel
+from manip_sim.models.placed_descriptions import Coordinate
 from manip_sim.models.strict_descriptions import (
     BaseModel, BeforeValidator, checked, ConfigDict, Field, model_validator, Number, StrictBool)
 from manip_sim.quoting import quoted, shown

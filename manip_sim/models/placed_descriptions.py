@@ -1,23 +1,29 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The description of an object in YAML or a mapping: keys, units and limits."""
+"""Descriptions in YAML or a mapping of objects, cameras and lidars: keys, units and limits."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices
-from manip_sim.models.object_model import MAX_MASS_KG, MIN_MASS_KG, SIZES
+from manip_sim.models.cameras import (
+    MAX_FOVY_DEG, MAX_PIXELS, MAX_RATE_HZ, MIN_FOVY_DEG, MIN_RATE_HZ)
+from manip_sim.models.lidars import MAX_NOISE_M, MAX_RANGE_M, MAX_RAYS, MAX_RINGS
+from manip_sim.models.object_model import (
+    check_object_name, MAX_MASS_KG, MIN_MASS_KG, SIZES)
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.strict_descriptions import (
-    BaseModel, BeforeValidator, ConfigDict, Field, model_validator, Number, StrictBool)
-from manip_sim.quoting import counted, shown
+    BaseModel, BeforeValidator, checked, ConfigDict, Field, model_validator, Number, StrictBool,
+    StrictInt)
+from manip_sim.quoting import counted, quoted, shown
 
 #: Greatest distance of an object or camera from the origin along an axis [m].
 _MAX_DISTANCE_M = 1e4
@@ -30,6 +36,8 @@ _DEFAULT_DENSITY = 1000.0
 MESH = 'mesh'
 #: Sliding, torsional [m] and rolling [m], as in MuJoCo.
 DEFAULT_FRICTION = (1.0, 0.005, 0.0001)
+#: A point nearer to the camera than this gives no direction to look in [m].
+_MIN_DISTANCE_M = 1e-6
 
 
 def _listed(value: object) -> object:
@@ -53,6 +61,10 @@ _Colour = Annotated[Number, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 _Mass = Annotated[Number, Field(ge=MIN_MASS_KG, le=MAX_MASS_KG, allow_inf_nan=False)]
 _Scale = Annotated[Number, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
 _Density = Annotated[Number, Field(gt=0.0, le=1e5, allow_inf_nan=False)]
+_Pixels = Annotated[StrictInt, Field(ge=1, le=MAX_PIXELS)]
+_Turn = Annotated[Number, Field(ge=-math.pi - 1e-3, le=math.pi + 1e-3, allow_inf_nan=False)]
+_Tilt = Annotated[Number, Field(ge=-math.pi / 2, le=math.pi / 2, allow_inf_nan=False)]
+_Range = Annotated[Number, Field(gt=0.0, le=MAX_RANGE_M, allow_inf_nan=False)]
 
 
 class PlacedDescription(BaseModel):
@@ -232,3 +244,87 @@ def kind_of(values: Any) -> type[FileDescription | MeshDescription | ShapeDescri
     if 'file' in values and 'shape' in values:
         raise ValueError("give 'shape' or 'file', not both; only 'shape: mesh' has a file")
     return FileDescription if 'file' in values else ShapeDescription
+
+
+class CameraDescription(PlacedDescription):
+    """
+    A camera: its name, where it is and what it sees.
+
+    The pose is that of a frame that looks along x, with y to the left and z up, in the frame of
+    the body.
+
+    :ivar position: in the frame of the body [m], the origin if it is not given
+    :ivar look_at: instead of ``rpy`` and ``quat_xyzw``, the point in the middle of the image, in
+        the frame of the body [m]; up is the body's z, or its x if the camera looks along z
+    :ivar body: the body that it is fixed to; None is the world
+    :ivar fovy: vertical field of view [degrees]
+    :ivar width: of the images [pixels], as ``height``
+    :ivar rate: images per second of simulation time [Hz]
+    :ivar depth: also publish depth images
+    """
+
+    name: str
+    look_at: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None
+    body: str | None = None
+    fovy: Annotated[Number, Field(ge=MIN_FOVY_DEG, le=MAX_FOVY_DEG, allow_inf_nan=False)] = 45.0
+    width: _Pixels | None = None
+    height: _Pixels | None = None
+    rate: Annotated[Number, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, allow_inf_nan=False)
+                    ] | None = None
+    depth: StrictBool | None = None
+
+    @model_validator(mode='after')
+    def _check_look_at(self) -> CameraDescription:
+        if self.look_at is None:
+            return self
+        if self.rpy is not None or self.quat_xyzw is not None:
+            raise ValueError("give 'look_at', 'rpy' or 'quat_xyzw', not two of them")
+        if math.dist(self.look_at, self.position or [0.0, 0.0, 0.0]) < _MIN_DISTANCE_M:
+            raise ValueError(f"'look_at' must not be where the camera is, got {self.look_at}")
+        return self
+
+
+class LidarDescription(PlacedDescription):
+    """
+    A lidar: its name, where it is and what it sees; its frame has x ahead and z up.
+
+    What is not given is as in :class:`manip_sim.sensing.lidars.Rays`.
+
+    :ivar position: in the frame of the body [m], the origin if it is not given
+    :ivar body: the body that it is fixed to, which it does not see; None is the world
+    :ivar samples: rays of a ring
+    :ivar rings: 1 is a planar scanner, with a LaserScan; more make a PointCloud2
+    :ivar angle_min: of the first ray of a ring, about z [rad]
+    :ivar angle_max: of the last one; of a full turn, of the one after the last one [rad]
+    :ivar elevation_min: of the first of several rings [rad]
+    :ivar elevation_max: of the last one [rad]
+    :ivar range_min: below it is too near to measure [m]
+    :ivar range_max: beyond it is nothing [m]
+    :ivar rate: scans per second of simulation time [Hz]
+    :ivar noise: standard deviation of the white noise on distances [m]
+    """
+
+    name: str
+    body: str | None = None
+    samples: Annotated[StrictInt, Field(ge=2, le=MAX_RAYS)] = 360
+    rings: Annotated[StrictInt, Field(ge=1, le=MAX_RINGS)] = 1
+    angle_min: _Turn | None = None
+    angle_max: _Turn | None = None
+    elevation_min: _Tilt | None = None
+    elevation_max: _Tilt | None = None
+    range_min: _Range | None = None
+    range_max: _Range | None = None
+    rate: Annotated[Number, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, allow_inf_nan=False)] = 10.0
+    noise: Annotated[Number, Field(ge=0.0, le=MAX_NOISE_M, allow_inf_nan=False)] = 0.0
+
+
+Mounted = TypeVar('Mounted', CameraDescription, LidarDescription)
+
+
+def read_mounted(kind: type[Mounted], what: str, values: Mapping[str, Any]) -> tuple[Mounted, str]:
+    """Return the description of a camera or lidar, and what to call it in messages."""
+    name = values.get('name')
+    where = f'{what} without a name' if name is None else f'{what} {quoted(name)}'
+    found = checked(kind, values, where)
+    check_object_name(found.name, what, f'a {what} and its topics')
+    return found, where
