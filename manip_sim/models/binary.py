@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -22,25 +20,13 @@ def to_binary(model: mujoco.MjModel) -> bytes:
     return buffer.tobytes()
 
 
-@dataclass(frozen=True)
-class Rounding:
+def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> dict[str, float]:
     """
-    A field of a model that differs in another one.
-
-    :ivar difference: the greatest, in the unit of the field
-    """
-
-    field: str
-    difference: float
-
-
-def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> list[Rounding]:
-    """
-    Return the fields of numbers in which two models differ, the greatest difference first.
+    Return the greatest differences of two models by field, in its unit, the greatest first.
 
     :param other: of the same world, such as one loaded from its MJCF
     """
-    found = []
+    found = {}
     for field in dir(model):
         if field.startswith('_'):
             continue
@@ -48,10 +34,10 @@ def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> list[Rounding]:
         if not isinstance(ours, np.ndarray) or ours.dtype.kind != 'f' or not ours.size:
             continue
         if ours.shape != theirs.shape:
-            found.append(Rounding(field, np.inf))
+            found[field] = np.inf
         elif not np.array_equal(ours, theirs, equal_nan=True):
-            found.append(Rounding(field, float(np.nanmax(np.abs(ours - theirs)))))
-    return sorted(found, key=lambda rounding: -rounding.difference)
+            found[field] = float(np.nanmax(np.abs(ours - theirs)))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
@@ -64,6 +50,6 @@ def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
     found = roundings(model, other)
     if not found:
         return 'the text of MJCF gives this model to the last bit'
-    worst = ', '.join(f'{one.field} by {one.difference:.1e}' for one in found[:3])
+    worst = ', '.join(f'{field} by {most:.1e}' for field, most in list(found.items())[:3])
     return (f'the text of MJCF changes {len(found)} fields of the model, at most {worst}; '
             '.mjb is exact to the last bit')

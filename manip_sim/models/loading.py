@@ -29,6 +29,8 @@ _NUMBERS = [(kind, what) for kind, fields in {
     'actuator': ('gear', 'gainprm', 'biasprm', 'ctrlrange', 'forcerange')}.items()
     for what in fields]
 _MAY_BE_INFINITE = ('range', 'ctrlrange', 'forcerange')
+#: The least mass and inertia of the bodies of a part that is compiled alone [kg, kg m^2].
+_MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
 
 
 #: MuJoCo's warning of a part without a prefix, which is intended.
@@ -60,6 +62,18 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     _reject_not_finite(model, name)
     _reject_what_tactile_sensors_cannot_feel(model, name)
     return model
+
+
+def compile_alone(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
+    """Compile a part without mass, such as a virtual base, which moves only with what has some."""
+    # The spec itself is compiled: a copy would have lost references to missing elements.
+    compiler = spec.compiler
+    bounds = compiler.boundmass, compiler.boundinertia
+    compiler.boundmass, compiler.boundinertia = _MIN_MASS_KG, _MIN_INERTIA
+    try:
+        return compile_spec(spec, name)
+    finally:
+        compiler.boundmass, compiler.boundinertia = bounds
 
 
 def _reject_what_tactile_sensors_cannot_feel(model: mujoco.MjModel, name: str) -> None:

@@ -17,13 +17,11 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import resolve_files
-from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
+from manip_sim.models.loading import (
+    compile_alone, compile_spec, load_spec, name_unnamed_elements)
 from manip_sim.models.naming import check_prefix, TakenNames
 from manip_sim.models.robosuite_attributes import REPLACEMENTS
 from manip_sim.models.spec_edits import attach, name_main_default
-
-_MIN_MASS_KG = 1e-6
-_MIN_INERTIA = 1e-9
 
 
 class MujocoXMLModel:
@@ -86,15 +84,7 @@ class MujocoXMLModel:
         self._record_elements(self._compile_alone())
 
     def _compile_alone(self) -> mujoco.MjModel:
-        # A part without mass, such as a virtual base, only works below something that has mass.
-        # The spec itself is compiled: a copy would have lost references to missing elements.
-        compiler = self._spec.compiler
-        bounds = compiler.boundmass, compiler.boundinertia
-        compiler.boundmass, compiler.boundinertia = _MIN_MASS_KG, _MIN_INERTIA
-        try:
-            return compile_spec(self._spec, self.name)
-        finally:
-            compiler.boundmass, compiler.boundinertia = bounds
+        return compile_alone(self._spec, self.name)
 
     @property
     def spec(self) -> mujoco.MjSpec:

@@ -17,9 +17,10 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.model_file import compile_alone, ModelFile, read_model, shape_heights
+from manip_sim.models.files.model_file import ModelFile, read_model, shape_heights
 from manip_sim.models.files.part_descriptions import BaseDescription
 from manip_sim.models.files.xacro_expansion import stem_of
+from manip_sim.models.loading import compile_alone
 
 #: A base whose lowest point is at most so far from z = 0 stands on the floor [m].
 _ON_FLOOR_M = 0.02

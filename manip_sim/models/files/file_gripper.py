@@ -21,9 +21,10 @@ from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.found_hands import FoundHand
 from manip_sim.models.files.found_places import quat_wxyz_of
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
-from manip_sim.models.files.model_file import compile_alone, read_model, start_pose
+from manip_sim.models.files.model_file import read_model, start_pose
 from manip_sim.models.files.part_descriptions import GripperDescription
 from manip_sim.models.files.xacro_expansion import stem_of
+from manip_sim.models.loading import compile_alone
 
 #: Fingers that reach less far give no direction [m].
 _SHORT_M = 0.02

@@ -23,7 +23,7 @@ from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.held_models import hold_robot
-from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
+from manip_sim.models.loading import compile_alone, load_spec, name_unnamed_elements
 from manip_sim.models.lost_shapes import Lost, LostShape, MissingMeshError, warnings_of
 from manip_sim.models.regular_files import Files
 from manip_sim.quoting import quoted
@@ -36,7 +36,6 @@ _INSIDE = 0.25
 _BETTER_M = 1e-3
 #: Positions that differ by less are the same [rad or m].
 _SAME = 1e-6
-_MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
 #: A free robot that starts farther below the floor than this is raised to it [m].
 _BELOW_FLOOR_M = 0.05
 
@@ -221,17 +220,6 @@ def _infer_inertias_once(spec: mujoco.MjSpec) -> None:
         for body in spec.bodies:
             body.explicitinertial, body.ipos = False, [np.nan] * 3
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-
-
-def compile_alone(spec: mujoco.MjSpec, name: str) -> Any:
-    """Compile a part that may have no mass of its own."""
-    compiler = spec.compiler
-    bounds = compiler.boundmass, compiler.boundinertia
-    compiler.boundmass, compiler.boundinertia = _MIN_MASS_KG, _MIN_INERTIA
-    try:
-        return compile_spec(spec, name)
-    finally:
-        compiler.boundmass, compiler.boundinertia = bounds
 
 
 def _choose_key(model: mujoco.MjModel, preferred: Sequence[str], wanted: str | None, file: Path
