@@ -188,9 +188,7 @@ class DescribedTask(Task, registered=False):
     def _where(self, simulation: Simulation, name: str) -> FloatArray:
         """Return the position of a body, site or the end effector in ``world`` [m], a copy."""
         if name == HAND:
-            position: FloatArray = simulation.robot.end_effectors[self.arm].pose(
-                simulation.data)[:3]
-            return position
+            return self._hand(simulation)
         model, data = simulation.model, simulation.data
         is_body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) >= 0
         return np.array((data.body if is_body else data.site)(name).xpos)

@@ -52,8 +52,7 @@ class OpenDrawer(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a quarter for the hand at the handle, the rest for opening."""
-        hand = simulation.robot.end_effectors[self.arm].pose(simulation.data)[:3]
-        near = nearness(length(hand - simulation.data.site('handle').xpos))
+        near = nearness(length(self._hand(simulation) - simulation.data.site('handle').xpos))
         return 0.25 * near + 0.75 * min(max(self._opened(simulation) / _OPEN_M, 0.0), 1.0)
 
     def goal(self, simulation: Simulation) -> FloatArray:

@@ -81,8 +81,7 @@ class InsertPeg(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a quarter for the hand at the peg, the rest for the tip at its place."""
-        hand = simulation.robot.end_effectors[self.arm].pose(simulation.data)[:3]
-        near = nearness(length(hand - position_of(simulation, 'peg')))
+        near = nearness(length(self._hand(simulation) - position_of(simulation, 'peg')))
         return 0.25 * near + 0.75 * nearness(
             length(self._tip(simulation) + [0.0, 0.0, _DEEP_M]), 0.05)
 

@@ -44,8 +44,7 @@ class Reach(Task):
         move_mocap(simulation, 'goal', draw(random, middle - _HALF_BOX, middle + _HALF_BOX))
 
     def _distance(self, simulation: Simulation) -> float:
-        hand = simulation.robot.end_effectors[self.arm].pose(simulation.data)[:3]
-        return length(hand - position_of(simulation, 'goal'))
+        return length(self._hand(simulation) - position_of(simulation, 'goal'))
 
     def success(self, simulation: Simulation) -> bool:
         """Return whether the hand is at the point."""

@@ -201,6 +201,10 @@ class Task(ABC):
         """
         return np.empty(0)
 
+    def _hand(self, simulation: Simulation) -> FloatArray:
+        """Return the position of ``grip_site`` of :attr:`arm` in ``world`` [m], shape (3,)."""
+        return simulation.robot.end_effectors[self.arm].pose(simulation.data)[:3]
+
     @abstractmethod
     def expert(self, simulation: Simulation) -> Expert:
         """

@@ -102,8 +102,7 @@ class WipeTable(Task):
     def progress(self, simulation: Simulation) -> float:
         """Return the share of spots that are wiped off, and a little for the hand at the rest."""
         left = self.left(simulation)
-        hand = simulation.robot.end_effectors[self.arm].pose(simulation.data)[:3]
-        ways = self.spots(simulation)[left] - hand
+        ways = self.spots(simulation)[left] - self._hand(simulation)
         nearest = np.sqrt((ways * ways).sum(axis=1)).min(initial=1.0)
         return 0.9 * float(1.0 - left.mean()) + 0.1 * nearness(float(nearest))
 
