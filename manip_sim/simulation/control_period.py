@@ -31,14 +31,15 @@ class Interval:
 
     :param robots: whose controls are written
     :param duration_s: length of the interval [s]
-    :param compute: computes the physics; it may be called in another thread, and spends most of
-        its time without Python's global interpreter lock
+    :param compute: computes the physics, and of all intervals that follow where control is planned
+        for them; it may be called in another thread, and spends most of its time without Python's
+        global interpreter lock
     """
 
     __slots__ = ('robots', 'duration_s', 'compute')
 
     def __init__(self, robots: Sequence[SimulatedRobot], duration_s: float,
-                 compute: Callable[[], None]) -> None:
+                 compute: Callable[[], object]) -> None:
         self.robots, self.duration_s, self.compute = robots, duration_s, compute
 
     def run(self) -> None:
@@ -72,6 +73,8 @@ class ControlPeriods:
         #: When the intervals of a control period end, by its number of steps: the last one used.
         self._ends_of: dict[int, FloatArray] = {}
         self._cuts: dict[int, tuple[int, ...]] = {}
+        #: How many steps of the period have yet to be run.
+        self._left = 0
 
     def look_at_robots(self) -> None:
         """Take over which robots there are now."""
@@ -81,13 +84,26 @@ class ControlPeriods:
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
         return (self.diverged is None and not self._pulls
-                and self._steps.resumes() and self._rest
+                and self._steps.resumes() and self.resting
                 and not any([robot.sensing.settings.measures for robot in self._robots]))
 
     @property
-    def _rest(self) -> bool:
+    def resting(self) -> bool:
         """Whether control has nothing to do."""
         return not self._free_roots.is_needed and all([robot.resting for robot in self._robots])
+
+    def advance(self, steps: int) -> None:
+        """
+        Run a control period.
+
+        :param steps: number of physics steps of the period
+        :raises DivergenceError: if the physics diverges, or is on hold
+        """
+        if not (self._begin(steps) and self._steps.run_untouched(steps)):
+            for interval in self._intervals(steps):
+                interval.run()
+        self._end(steps)
+        self._check_not_diverged()
 
     def run(self, steps: int) -> Iterator[Interval]:
         """
@@ -98,23 +114,24 @@ class ControlPeriods:
         :param steps: number of physics steps of the period
         :raises DivergenceError: if the physics diverges, or is on hold
         """
+        untouched = self._begin(steps)
+        if untouched:
+            yield Interval((), steps * self._timestep_s, partial(
+                self._steps.run_untouched, steps))
+        if not (untouched and self._steps.was_untouched):
+            yield from self._intervals(steps)
+        self._end(steps)
+        self._check_not_diverged()
+
+    def _begin(self, steps: int) -> bool:
+        """Begin a period; return whether only physics happens in it, if nothing is touched."""
         self._check_not_diverged()
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         period_s, ends_s = steps * self._timestep_s, self.ends_s(steps)
         for robot in self._robots:
             robot.begin_period(period_s, ends_s)
-        physics = self._steps
-        untouched = physics.begin() and self._rest and physics.stays_untouched
-        if untouched:
-            yield Interval((), period_s, partial(physics.run_untouched, steps))
-            untouched = physics.was_untouched
-            if not untouched:
-                physics.undo()
-        if not untouched:
-            yield from self._intervals(steps)
-        self._end(steps)
-        self._check_not_diverged()
+        return self._steps.begin() and self.resting and self._steps.stays_untouched
 
     def run_planned(self, steps: int, plan: PlannedRates) -> None:
         """
@@ -129,7 +146,8 @@ class ControlPeriods:
             self._pulls.apply(steps * self._timestep_s)
         self._steps.begin()
         self._steps.begin_run()
-        self._compute_planned([plan], steps)
+        self._run([plan], self._cut(steps))
+        self._steps.finish()
         self._end(steps)
 
     def _end(self, steps: int) -> None:
@@ -155,14 +173,13 @@ class ControlPeriods:
         physics = self._steps
         if physics.stays_untouched and all([tool.settled for tool in physics.tools]):
             physics.begin()
-            physics.run_untouched(steps * periods)
-            if physics.was_untouched and physics.divergence.reason() is None:
-                return
-            # Run one by one, the periods show in which of them that happened.
-            physics.undo()
+            if physics.run_untouched(steps * periods):
+                if physics.divergence.reason() is None:
+                    return
+                physics.undo()
+        # One by one, the periods show in which of them that happens.
         for _ in range(periods):
-            for interval in self.run(steps):
-                interval.run()
+            self.advance(steps)
 
     def _hold(self, reason: str) -> None:
         self.diverged = f'the physics diverged at {self._clock.time_ns / 1e9:.3f} s: {reason}'
@@ -177,24 +194,35 @@ class ControlPeriods:
     def _intervals(self, steps: int) -> Iterator[Interval]:
         """Divide a period into intervals, each of which control begins."""
         self._steps.begin_run()
-        left = steps
-        while left:
-            awake = [robot for robot in self._robots if not robot.resting]
-            if left < steps and awake and all([robot.plans for robot in awake]):
-                yield Interval((), left * self._timestep_s, partial(
-                    self._compute_planned, [robot.joints.plan.take() for robot in awake], left))
-                return
-            chunk = left
+        self._left = steps
+        while self._left:
+            awake, chunk = [robot for robot in self._robots if not robot.resting], self._left
             if any([robot.moving for robot in awake]):
-                chunk = self._chunk(left)
-            left -= chunk
-            yield Interval(awake, chunk * self._timestep_s,
-                           partial(self._compute, chunk, not left))
+                chunk = self._chunk(chunk)
+            yield Interval(awake, chunk * self._timestep_s, partial(self._compute, awake, chunk))
 
-    def _compute_planned(self, plans: Sequence[PlannedRates], left: int) -> None:
-        """Compute the rest of a period, in which control only writes what was planned."""
-        self._steps.run(self._written(plans, self._cut(left)))
-        self._steps.finish()
+    def _compute(self, awake: Sequence[SimulatedRobot], steps: int) -> None:
+        """
+        Compute the physics of an interval, or of all that are left if control is planned for them.
+
+        :param awake: robots whose control acts in it
+        :param steps: of the interval
+        """
+        if steps < self._left and all([robot.plans for robot in awake]):
+            steps = self._left
+            self._run([robot.joints.plan.take() for robot in awake], self._cut(steps))
+        else:
+            self._run((), (steps,))
+        self._left -= steps
+        if not self._left:
+            self._steps.finish()
+
+    def _run(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> None:
+        """Run intervals, before each of which only what was planned is written."""
+        if plans or self._free_roots.is_needed:
+            self._steps.run(self._written(plans, chunks))
+        else:
+            self._steps.run(chunks)
 
     def _written(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> Iterator[int]:
         """Write what was planned for each interval, and yield its steps."""
@@ -228,11 +256,3 @@ class ControlPeriods:
             ends = np.cumsum(self._cut(steps))[:, None] * self._timestep_s
             self._ends_of = {steps: ends}
         return self._ends_of[steps]
-
-    def _compute(self, steps: int, ends: bool) -> None:
-        """Compute the physics of an interval, and all of the new instant if a period ends."""
-        if self._free_roots.is_needed:
-            self._free_roots.apply()
-        self._steps.run((steps,))
-        if ends:
-            self._steps.finish()

@@ -160,14 +160,15 @@ class PhysicsSteps:
         stays = self.was_untouched and self._integrates and self._data.ncon == self._contacts
         return stays or not self._touch.touches
 
-    def run_untouched(self, steps: int) -> None:
+    def run_untouched(self, steps: int) -> bool:
         """
-        Run a whole period at rest, and find out whether nothing can have touched a tool in it.
+        Run a whole period at rest, if nothing can have touched a tool in it.
 
-        That is so if nothing did before and the number of contacts never changed. Otherwise the
-        period has to be undone.
+        That is so if nothing did before and the number of contacts never changes. Otherwise the
+        present state is that of the beginning of the period.
 
         :param steps: number of physics steps
+        :returns: whether the period was run
         """
         model, data = self._model, self._data
         contacts = data.maxuse_con = self._contacts = data.ncon
@@ -183,6 +184,9 @@ class PhysicsSteps:
         self.was_untouched = data.maxuse_con == contacts == data.ncon
         if self.was_untouched:
             self.finish()
+        else:
+            self.undo()
+        return self.was_untouched
 
     def run(self, intervals: Iterable[int]) -> None:
         """

@@ -76,9 +76,9 @@ class PlannedControls:
         self._servos.write_rate(rates[0])
 
     def take(self) -> PlannedRates:
-        """Return the controls of the intervals that follow in the period, which then are past."""
+        """Return the controls from the present interval of a plan on, which then is past."""
         assert self._rates is not None
-        rates = self._rates[self._setpoints.row + 1:]
+        rates = self._rates[self._setpoints.row:]
         self._setpoints.end_plan()
         return PlannedRates(*self._servos.controls, rates)
 

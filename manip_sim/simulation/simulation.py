@@ -269,8 +269,7 @@ class Simulation:
         :raises DivergenceError: if the physics diverges, or has diverged and was not reset; the
             last good state is held, at rest
         """
-        for interval in self.period(steps):
-            interval.run()
+        self._periods.advance(whole_number(steps, 1, 'steps', CommandError))
 
     def period(self, steps: int) -> Iterator[Interval]:
         """

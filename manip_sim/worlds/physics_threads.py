@@ -27,7 +27,7 @@ class PhysicsThreads:
         self._others = (
             ThreadPoolExecutor(self.count - 1, 'manip_sim_worlds') if self.count > 1 else None)
 
-    def run(self, work: Sequence[Callable[[], None]]) -> None:
+    def run(self, work: Sequence[Callable[[], object]]) -> None:
         """
         Call functions, each in any of the threads, and return when all threads are done.
 
@@ -51,7 +51,7 @@ class PhysicsThreads:
             self._others.shutdown()
 
 
-def _call(work: Sequence[Callable[[], None]]) -> None:
+def _call(work: Sequence[Callable[[], object]]) -> None:
     for function in work:
         function()
 

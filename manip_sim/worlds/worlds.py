@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+import contextlib
+from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -20,7 +22,8 @@ from manip_sim.models.validation import whole_number
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
-from manip_sim.worlds.control_together import ControlTogether, follows_hands
+from manip_sim.worlds.control_together import (
+    ControlTogether, follows_hands, LEAST_TOGETHER)
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
 from manip_sim.worlds.rows import chosen
@@ -157,10 +160,21 @@ class Worlds:
         physics, others = self._streams.begin_period(
             [simulation for simulation in self._of(where) if simulation.diverged is None], steps)
         self._threads.run(physics)
-        follow = [follows_hands(simulation) for simulation in others]
-        hands = [simulation for simulation, follows in zip(others, follow) if follows]
+        alone: list[Simulation] = []
+        together: list[Simulation] = []
+        for simulation in others:
+            acts = len(others) >= LEAST_TOGETHER and not simulation._periods.resting
+            (together if acts else alone).append(simulation)
+        self._threads.run([partial(_advance, simulation, steps) for simulation in alone])
+        self._together(together, steps)
+
+    def _together(self, simulations: list[Simulation], steps: int) -> None:
+        """Run a control period in worlds whose control may be computed together."""
+        follow = [follows_hands(simulation) for simulation in simulations]
+        hands = [simulation for simulation, follows in zip(simulations, follow) if follows]
         count = _IN_CACHE * self._threads.count
-        for some in ([simulation for simulation, follows in zip(others, follow) if not follows],
+        for some in ([simulation for simulation, follows in zip(simulations, follow)
+                      if not follows],
                      *(hands[begin:begin + count] for begin in range(0, len(hands), count))):
             if some:
                 self._run([simulation.period(steps) for simulation in some])
@@ -257,6 +271,12 @@ class Worlds:
 
 def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[], None]:
     return lambda: reset(seed)
+
+
+def _advance(simulation: Simulation, steps: int) -> None:
+    """Run a control period; a world that diverges in it is on hold."""
+    with contextlib.suppress(DivergenceError):
+        simulation.advance(steps)
 
 
 def _next_intervals(periods: list[Iterator[Interval]]
