@@ -16,7 +16,7 @@ from manip_sim.simulation.control_period import Interval
 from manip_sim.worlds.joint_rows import JointRows, takes
 
 #: With fewer worlds, one by one is as fast.
-LEAST_TOGETHER = 3
+_LEAST = 3
 
 
 def follows_hands(simulation: Simulation) -> bool:
@@ -53,7 +53,7 @@ class ControlTogether:
         if not self._began:
             self._began = True
             self._begin([robot for interval in intervals for robot in interval.robots])
-        if len(intervals) >= LEAST_TOGETHER:
+        if len(intervals) >= _LEAST:
             _follow(intervals)
         arrived: list[SimulatedRobot] = []
         ticked: set[JointRows] = set()
@@ -80,7 +80,7 @@ class ControlTogether:
                 key = robot.name, len(physics.qpos), len(physics.qvel), len(physics.act)
                 groups.setdefault(key, []).append(robot)
         for group in groups.values():
-            if len(group) >= LEAST_TOGETHER:
+            if len(group) >= _LEAST:
                 rows = JointRows(group)
                 self._rows_of.update((id(robot), rows) for robot in group)
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 import contextlib
-from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -22,8 +21,7 @@ from manip_sim.models.validation import whole_number
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
-from manip_sim.worlds.control_together import (
-    ControlTogether, follows_hands, LEAST_TOGETHER)
+from manip_sim.worlds.control_together import ControlTogether, follows_hands
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
 from manip_sim.worlds.rows import chosen
@@ -160,15 +158,13 @@ class Worlds:
         physics, others = self._streams.begin_period(
             [simulation for simulation in self._of(where) if simulation.diverged is None], steps)
         self._threads.run(physics)
-        alone: list[Simulation] = []
-        together: list[Simulation] = []
-        for simulation in others:
-            acts = len(others) >= LEAST_TOGETHER and not simulation._periods.resting
-            (together if acts else alone).append(simulation)
-        self._threads.run([partial(_advance, simulation, steps) for simulation in alone])
-        self._together(together, steps)
+        if len(others) == 1:
+            with contextlib.suppress(DivergenceError):
+                others[0].advance(steps)
+        else:
+            self._advance_together(others, steps)
 
-    def _together(self, simulations: list[Simulation], steps: int) -> None:
+    def _advance_together(self, simulations: list[Simulation], steps: int) -> None:
         """Run a control period in worlds whose control may be computed together."""
         follow = [follows_hands(simulation) for simulation in simulations]
         hands = [simulation for simulation, follows in zip(simulations, follow) if follows]
@@ -271,12 +267,6 @@ class Worlds:
 
 def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[], None]:
     return lambda: reset(seed)
-
-
-def _advance(simulation: Simulation, steps: int) -> None:
-    """Run a control period; a world that diverges in it is on hold."""
-    with contextlib.suppress(DivergenceError):
-        simulation.advance(steps)
 
 
 def _next_intervals(periods: list[Iterator[Interval]]
