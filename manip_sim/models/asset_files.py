@@ -17,7 +17,7 @@ import mujoco
 from manip_sim.errors import ModelError
 from manip_sim.models.lost_shapes import check_fetched, MissingMeshError
 from manip_sim.models.regular_files import check_file, Files, read_file
-from manip_sim.models.xml_check import AssetFolders, XmlFacts
+from manip_sim.models.xml_check import AssetFolders, XmlModel
 from manip_sim.quoting import one_line
 
 #: Greatest size of a file [bytes].
@@ -154,7 +154,7 @@ def references(spec: mujoco.MjSpec) -> Iterator[Reference]:
                     yield reference
 
 
-def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None,
+def resolve_files(spec: mujoco.MjSpec, file: Path, model: XmlModel | None = None,
                   missing: dict[str, MissingMeshError] | None = None) -> None:
     """
     Make a spec name its files by absolute paths, so that it can be composed and written anywhere.
@@ -162,20 +162,20 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None
     Files that :attr:`spec.assets` holds stay as they are.
 
     :param file: the file that the spec was loaded from
-    :param facts: what ``check_xml`` found in it; None: the spec has been resolved before
+    :param model: what ``check_xml`` read of it; None: the spec has been resolved before
     :param missing: is given the meshes whose files are missing, by name; None: that is an error
     :raises ModelError: if a file is missing, not regular, too large or not readable
     """
     folders = [AssetFolders(file.parent, spec.meshdir, spec.texturedir)]
-    if facts is not None:
-        folders += facts.folders[1:]
-    base_name_too = bool(spec.strippath) or (facts is not None and facts.is_urdf)
+    if model is not None:
+        folders += model.folders[1:]
+    base_name_too = bool(spec.strippath) or (model is not None and model.is_urdf)
     for reference in references(spec):
-        if os.path.isabs(reference.file) and facts is None:
+        if os.path.isabs(reference.file) and model is None:
             continue
         if _is_held(spec, reference):
             continue
-        path = _find(reference, folders, facts, base_name_too)
+        path = _find(reference, folders, model, base_name_too)
         if missing is not None and reference.kind == 'mesh':
             try:
                 check_fetched(path)
@@ -186,7 +186,7 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None
         check_image(path, reference.kind)
         reference.set_file(path.as_posix())
     spec.strippath = False
-    if facts is None and spec.assets:
+    if model is None and spec.assets:
         _hold_all(spec)
 
 
@@ -206,13 +206,13 @@ def _is_held(spec: mujoco.MjSpec, reference: Reference) -> bool:
     return reference.file in held or str(PurePosixPath(folder, reference.file)) in held
 
 
-def _find(reference: Reference, folders: list[AssetFolders], facts: XmlFacts | None,
+def _find(reference: Reference, folders: list[AssetFolders], model: XmlModel | None,
           base_name_too: bool) -> Path:
     """Return the first place where the file exists, or the first place if it is in none."""
     name = reference.file
-    if facts is not None and facts.is_urdf:
+    if model is not None and model.is_urdf:
         # Some versions of MuJoCo keep only the last part of the path.
-        name = facts.mesh_files.get(name.rpartition('/')[2], name)
+        name = model.mesh_files.get(name.rpartition('/')[2], name)
     names = [name, PurePosixPath(name).name] if base_name_too else [name]
     return Files().first([place for folder in _own_first(reference, folders) for each in names
                           for place in places(reference.kind, each, folder)])

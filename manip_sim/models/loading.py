@@ -117,7 +117,7 @@ def load_spec(file: Path, missing: dict[str, MissingMeshError] | None = None) ->
     :param missing: as for ``resolve_files``
     :raises ModelError: if a file is missing, is not MJCF or URDF, or could crash the process
     """
-    facts = check_xml(file)
+    model = check_xml(file)
     try:
         if file.suffix.lower() == '.mjcf':  # MuJoCo chooses a reader by the suffix.
             spec = mujoco.MjSpec.from_string(file.read_text(encoding='utf-8'))
@@ -125,7 +125,7 @@ def load_spec(file: Path, missing: dict[str, MissingMeshError] | None = None) ->
             spec = mujoco.MjSpec.from_file(str(file))
     except _ERRORS as error:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
-    resolve_files(spec, file, facts, missing)
+    resolve_files(spec, file, model, missing)
     return spec
 
 

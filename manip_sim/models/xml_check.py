@@ -43,25 +43,9 @@ class AssetFolders:
     prefix: str = ''
 
 
-@dataclass
-class XmlFacts:
-    """
-    What the XML files of a model say of its asset files.
-
-    :ivar is_urdf: whether it is URDF, not MJCF
-    :ivar folders: of the model, then of the models that are attached to it
-    :ivar mesh_files: names of mesh files in a URDF, by the last part of the name
-    """
-
-    is_urdf: bool
-    folders: list[AssetFolders]
-    mesh_files: dict[str, str]
-
-
-def check_xml(file: Path) -> XmlFacts:
+def check_xml(file: Path) -> XmlModel:
     """Read all XML files of a model, and reject what could crash the process."""
-    model = XmlModel(file, Budget())
-    return XmlFacts(model.root == 'robot', model.folders, model.mesh_files)
+    return XmlModel(file, Budget())
 
 
 @dataclass
@@ -113,6 +97,11 @@ class XmlModel:
         self.tree = self._read(file, 'model file' if loaded_by else 'MJCF file')
         for attached in self._attached:
             self._count_attached(*attached)
+
+    @property
+    def is_urdf(self) -> bool:
+        """Whether it is URDF, not MJCF."""
+        return self.root == 'robot'
 
     def _read(self, file: Path, kind: str, times: int = 1, depth: int = 0) -> ElementTree.Element:
         """Return the root element of a file, which is made some times, in so many elements."""

@@ -22,7 +22,7 @@ from manip_sim.models.arenas import Arena, TableArena
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.xml_check import XmlFacts
+from manip_sim.models.xml_check import check_xml
 
 MENAGERIE = Path(os.environ.get('MENAGERIE_ROOT') or 'no_menagerie')
 
@@ -242,18 +242,20 @@ def test_a_mesh_that_is_added_in_python_travels_along(part, arm_class, loads):
     assert edges_m(model) == {'robot0_a': 0.1, 'robot0_b': 0.2}
 
 
-@pytest.mark.parametrize('facts', [None, XmlFacts(False, [], {})])
-def test_files_are_named_by_absolute_paths_whatever_is_before_them(facts, tmp_path):
+@pytest.mark.parametrize('is_new', [False, True])
+def test_files_are_named_by_absolute_paths_whatever_is_before_them(is_new, tmp_path):
     spec = mujoco.MjSpec()
+    (tmp_path / 'model.xml').write_text('<mujoco/>')
     for name in 'ab':
         (tmp_path / f'{name}.obj').write_bytes(tetrahedron(0.1))
     before = [tmp_path / 'a.obj', 'b.obj']
-    if facts is not None:
+    if is_new:
         spec.assets = {'held.obj': tetrahedron(0.2)}
         before.insert(0, 'held.obj')
     for file in before:
         spec.add_mesh(name=Path(file).stem, file=str(file))
-    resolve_files(spec, tmp_path / 'model.xml', facts)
+    resolve_files(spec, tmp_path / 'model.xml',
+                  check_xml(tmp_path / 'model.xml') if is_new else None)
     assert [mesh.file for mesh in spec.meshes][-2:] == [
         str(tmp_path / 'a.obj'), str(tmp_path / 'b.obj')]
 

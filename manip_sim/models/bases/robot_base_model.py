@@ -49,7 +49,6 @@ class MountModel(RobotBaseModel, registered=False):
 
     @property
     def _prefix_of_idn(self) -> str:
-        """The prefix unless another is given."""
         return f'fixed_mount{self.idn}_'
 
 
@@ -67,5 +66,4 @@ class MobileBaseModel(RobotBaseModel, registered=False):
 
     @property
     def _prefix_of_idn(self) -> str:
-        """The prefix unless another is given."""
         return f'mobilebase{self.idn}_'

@@ -91,7 +91,6 @@ class GripperModel(MujocoXMLModel, ABC):
 
     @property
     def _prefix_of_idn(self) -> str:
-        """The prefix unless another is given."""
         return f'gripper{self.idn}_'
 
     @property

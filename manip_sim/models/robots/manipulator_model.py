@@ -146,7 +146,6 @@ class ManipulatorModel(RobotModel):
         return next((arm for arm, body in self.eef_name.items() if body == name), None)
 
     def _mounted(self) -> list[tuple[MujocoXMLModel, str]]:
-        """Return the parts on the robot and what follows the robot's prefix in their names."""
         return [*super()._mounted(), *(
             (gripper, 'gripper_' if len(self.arms) == 1 else f'gripper_{arm}_')
             for arm, gripper in self._grippers.items())]

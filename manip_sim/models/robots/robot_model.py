@@ -283,7 +283,6 @@ class RobotModel(Subsystems, ABC):
 
     @property
     def _prefix_of_idn(self) -> str:
-        """The prefix unless another is given."""
         return f'robot{self.idn}_'
 
     @property
