@@ -71,5 +71,7 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
     stack.callback(rclpy.shutdown)
     node = rclpy.create_node('period')
     stack.callback(node.destroy_node)
-    publishers = StatePublishers(node, simulation.robot, Scope(), RejectionLog(node.get_logger()))
+    node.rejections, node.publishing = RejectionLog(node.get_logger()), None
+    node.frame_prefix = ''
+    publishers = StatePublishers(node, simulation.robot, Scope())
     return lambda: publishers.publish(simulation)

@@ -19,13 +19,12 @@ from builtin_interfaces.msg import Time
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header, String
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_image
-from manip_sim.interface.topics import Scope, Topic
+from manip_sim.interface.topics import Topic
 from manip_sim.interface.world_topics import topics_of_cameras, truths
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.urdf_writer.kinematic_tree import OPTICAL
@@ -35,10 +34,9 @@ from manip_sim.rendering.offscreen import BACKGROUND, Picture
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_publisher, Output
 from manip_sim.ros.point_clouds import PointCloudMaker
-from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
 from manip_sim.sensing.images import CameraSensing, ImageNoise
-from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import Snapshot, take_snapshot, VisibleWorld
 
 #: Of JPEG, the default of image_transport_plugins.
@@ -145,23 +143,22 @@ class CameraPublishers:
     """
     The topics of one camera.
 
-    :param node: the node, with its ``rejections`` and ``table`` of topics
+    :param node: the node
     :param name: of the camera
     :param found: its intrinsics
     :param depth: whether there are depth images
-    :param frame_id: of its optical frame
     :param sensing: its noise and latency
     :ivar sensing: its noise and latency
     """
 
-    def __init__(self, node: Any, name: str, found: Intrinsics, depth: bool, frame_id: str,
+    def __init__(self, node: Any, name: str, found: Intrinsics, depth: bool,
                  sensing: CameraSensing[Snapshot]) -> None:
         self._node = node
         self._found = found
         self._rows = topics_of_cameras({name: depth})
         self.view = CameraView(name, found.width, found.height)
         self.sensing = sensing
-        self._frame_id = frame_id
+        self._frame_id = f'{node.frame_prefix}{name}{OPTICAL}'
         self._info = camera_info(found)
         outputs = self._create(self._rows)
         self._images = {False: ImageOutputs(outputs, found)}
@@ -220,18 +217,13 @@ class Cameras:
 
     :param node: the node
     :param publishers: of each camera
-    :param simulation: what is seen
-    :param thread: runs it
     :ivar names: of the cameras
     """
 
-    def __init__(self, node: Node, publishers: list[CameraPublishers], simulation: Simulation,
-                 thread: SimulationThread) -> None:
+    def __init__(self, node: Any, publishers: list[CameraPublishers]) -> None:
         self._node = node
         self._publishers = {found.view.camera: found for found in publishers}
         self.names = list(self._publishers)
-        self._simulation = simulation
-        self._thread = thread
         self._renderer: CameraThread | None = None
         self._unable: ManipSimError | None = None
         self._counts: Counter[str] = Counter()
@@ -248,7 +240,7 @@ class Cameras:
             return
         try:
             self._renderer = CameraThread(
-                choose_gl(), VisibleWorld(self._simulation.plan),
+                choose_gl(), VisibleWorld(self._node.simulation.plan),
                 [found.view for found in self._publishers.values()], self._publish,
                 self._report_failure)
         except ManipSimError as error:
@@ -277,17 +269,17 @@ class Cameras:
 
         :param every: number of control periods for each image
         """
-        publishers = self._publishers[camera]
+        publishers, thread = self._publishers[camera], self._node.thread
 
         def record(simulation: Simulation) -> None:
             publishers.sensing.record(take_snapshot(simulation))
 
         def observe(simulation: Simulation) -> None:
-            if self._thread.is_due(every):
+            if thread.is_due(every):
                 self._order(publishers, simulation)
         # What is seen later must not depend on who subscribes.
-        self._thread.observe(record, 1, lambda: publishers.sensing.delays)
-        self._thread.observe(observe, every, publishers.have_subscribers)
+        thread.observe(record, 1, lambda: publishers.sensing.delays)
+        thread.observe(observe, every, publishers.have_subscribers)
 
     def _order(self, publishers: CameraPublishers, simulation: Simulation) -> None:
         renderer, measured, exact = (
@@ -331,31 +323,26 @@ class Cameras:
         return values
 
 
-def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Simulation,
-                  robots: Mapping[Scope, SimulatedRobot], thread: SimulationThread,
-                  frame_prefix: str = '') -> Cameras:
+def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings]) -> Cameras:
     """
     Create the topics of the cameras that are chosen.
 
-    :param node: the node, with its ``rejections``
+    :param node: the node
     :param chosen: settings of their images, by the name of the camera
-    :param simulation: what is seen
-    :param robots: by the scope of their topics
-    :param thread: runs it
-    :param frame_prefix: prefix of the names of frames
     :raises ModelError: if a camera is orthographic
     """
-    scopes = {id(robot.sensing): scope for scope, robot in robots.items()}
-    model, publishers = simulation.model, []
+    scopes = {id(robot.sensing): scope for scope, robot in node.robots.items()}
+    simulation, publishers = node.simulation, []
+    model = simulation.model
     for name, images in chosen.items():
         sensing = simulation.instruments.sensing_of(int(model.cam_bodyid[model.camera(name).id]))
         publishers.append(CameraPublishers(
             node, name, intrinsics_of(model, name, images.width, images.height), images.depth,
-            f'{frame_prefix}{name}{OPTICAL}', CameraSensing(name, sensing)))
+            CameraSensing(name, sensing)))
         node.publish_truth_by(scopes[id(sensing)], publishers[-1].publish_truth, images=True)
-    cameras = Cameras(node, publishers, simulation, thread)
+    cameras = Cameras(node, publishers)
     cameras.follow(simulation)
-    publish_rate = 1.0 / thread.period_s
+    publish_rate = 1.0 / node.thread.period_s
     for name, images in chosen.items():
         every = periods_per_image(publish_rate, images.rate_hz, f'camera.{name}.rate')
         cameras.watch(name, every)

@@ -14,8 +14,6 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 
 from manip_sim.ros.commands import CommandSubscribers
-from manip_sim.ros.parameters import Parameters
-from manip_sim.runtime import SimulationThread
 from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.commands import Command
 
@@ -24,18 +22,13 @@ class CartesianSubscribers:
     """
     Subscriptions to the Cartesian command topics of the arms of a robot, and their parameters.
 
+    :param node: the node, with the parameters of the robot
     :param commands: the subscriptions of the robot, which count the messages
-    :param parameters: with those of ``cartesian_parameters`` declared
-    :param thread: the simulation's
-    :param frame_prefix: prefix of the names of frames, which commands may leave out
     """
 
-    def __init__(self, commands: CommandSubscribers, parameters: Parameters,
-                 thread: SimulationThread, frame_prefix: str = '') -> None:
-        self._robot = commands.robot
+    def __init__(self, node: Any, commands: CommandSubscribers) -> None:
+        self._node, self._robot = node, commands.robot
         self._parse = commands.robot.parse_cartesian
-        self._thread = thread
-        self._frame_prefix = frame_prefix
         self._settings: dict[str, tuple[str, str]] = {}
         commands.subscribe({'target_pose': self._pose, 'target_twist': self._twist,
                             'pose_command': self._action})
@@ -43,7 +36,7 @@ class CartesianSubscribers:
             for setting in asdict(settings):
                 name = commands.scope.parameter(f'cartesian.{arm}.{setting}')
                 self._settings[name] = arm, setting
-                self._change(name, parameters.value(name))
+                self._change(name, node.declared.value(name))
 
     def parameter_changed(self, parameter: Parameter) -> None:
         """Use the new value of a parameter, if it is a setting of these arms."""
@@ -51,7 +44,8 @@ class CartesianSubscribers:
             self._change(parameter.name, parameter.value)
 
     def _change(self, name: str, value: float) -> None:
-        self._thread.change('cartesian', self._robot.name, *self._settings[name], value)
+        self._node.thread.change(
+            'cartesian', self._robot.name, *self._settings[name], value)
 
     def _pose(self, arm: str, message: PoseStamped) -> Sequence[Command]:
         position, turn = message.pose.position, message.pose.orientation
@@ -65,7 +59,7 @@ class CartesianSubscribers:
 
     def _frame_of(self, message: PoseStamped | TwistStamped) -> str:
         frame_id: str = message.header.frame_id
-        return frame_id.removeprefix(self._frame_prefix)
+        return frame_id.removeprefix(self._node.frame_prefix)
 
     def _action(self, arm: str, message: Float64MultiArray) -> Sequence[Command]:
         return [self._parse.action(arm, message.data)]

@@ -27,11 +27,10 @@ from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox
-from manip_sim.ros.log import kind_of, RejectionLog
+from manip_sim.ros.log import kind_of
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.outputs import message_class
 from manip_sim.ros.reading import read_command, trajectory_fields
-from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.commands import Command, JointTrajectory as TrajectoryCommand, NoCommand
 
@@ -128,24 +127,15 @@ class CommandSubscribers:
     :param node: the node
     :param robot: whose parser validates; it is only read
     :param scope: namespace of its topics
-    :param thread: takes the commands
-    :param log: logs what is rejected
-    :param inbox: takes all messages but trajectories; None: the executor takes those too
-    :ivar robot: the robot
-    :ivar scope: namespace of its topics
     :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
         ``joint_command`` for messages on the combined topic
     """
 
-    def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, thread: SimulationThread,
-                 log: RejectionLog, inbox: CommandInbox | None = None) -> None:
-        self._node = node
-        self._inbox = inbox
+    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope) -> None:
+        self._node, self._thread, self._log = node, node.thread, node.rejections
         self.robot = robot
         self.scope = scope
         self._parse = robot.parse
-        self._thread = thread
-        self._log = log
         self._subscriptions: list[CommandSubscription] = []
         self._entry_of = {name: part.atomic[0] if len(part.atomic) == 1 else name
                           for name, part in robot.parts.items()}
@@ -196,7 +186,7 @@ class CommandSubscribers:
                 self.count(topic, part, commands)
 
         # Reading a trajectory may take long and would delay other commands and the physics.
-        inbox = None if message_type is JointTrajectory else self._inbox
+        inbox = None if message_type is JointTrajectory else self._node.inbox
         self._subscriptions.append(
             CommandSubscription(self._node, message_type, topic, take, inbox))
 

@@ -5,14 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 import math
 import time
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import mujoco
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import one_line
@@ -22,7 +22,6 @@ from manip_sim.ros.commands import CommandStatistics, CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
 from manip_sim.runtime import SimulationThread
-from manip_sim.simulation import Simulation
 from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.modes import MODES, POSITION
@@ -93,24 +92,14 @@ class Diagnostics:
     Publisher of the status of the simulation, the commands of each part, images and other nodes.
 
     :param node: the node
-    :param simulation: only read
-    :param thread: its progress is published
-    :param commands: count the commands for each robot
-    :param cameras: count the images
-    :param surroundings: counts of the commands for the arena and for mocap bodies, by name
     """
 
-    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
-                 commands: Sequence[CommandSubscribers], cameras: Cameras,
-                 surroundings: Mapping[str, CommandStatistics]) -> None:
-        self._node = node
-        self._simulation = simulation
-        self._thread = thread
-        self._commands = commands
-        self._cameras = cameras
-        self._surroundings = surroundings
-        self._pace = Pace(thread)
-        self._neighbours = Neighbours(node, [c.scope for c in commands])
+    def __init__(self, node: Any) -> None:
+        self._node, self._simulation, self._thread = node, node.simulation, node.thread
+        self._commands: list[CommandSubscribers] = node.commands
+        self._cameras: Cameras = node.cameras
+        self._pace = Pace(node.thread)
+        self._neighbours = Neighbours(node, [c.scope for c in self._commands])
         self._last_accepted: dict[str, int] = {}
         self._last_faults: dict[str, int] = {}
         self._last_s = time.monotonic()
@@ -129,7 +118,7 @@ class Diagnostics:
               for commands in self._commands for part in commands.statistics),
             *(_status(f'{name}: {of}', 'commands',
                       self._counts(f'{name}: {of}', statistics, now_s, elapsed_s))
-              for of, statistics in self._surroundings.items()),
+              for of, statistics in self._node.surroundings.statistics.items()),
             *self._images(f'{name}: cameras', elapsed_s),
             self._others(f'{name}: other nodes')])
         message.header.stamp = stamp_of(self._thread.progress.time_ns)

@@ -16,7 +16,6 @@ from std_msgs.msg import String
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.resources import package_version
 from manip_sim.ros.outputs import create_publisher
-from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
 #: Of how many episodes the digests are kept for states that are restored.
@@ -32,24 +31,19 @@ class EpisodePublisher:
     ``mujoco`` and ``numpy``, ``digest`` of the start, and ``stamp_ns`` of the instant of the
     message.
 
-    :param node: the node
-    :param simulation: whose episodes they are
-    :param thread: runs it; has not been started
+    :param node: the node, whose thread has not been started
     :param restart: puts the simulation to its start, from a seed or as it was
-    :param joints_changed: is called when joints were drawn
     """
 
-    def __init__(self, node: Any, simulation: Simulation, thread: SimulationThread,
-                 restart: Callable[[int | None], None], joints_changed: Callable[[], None]
-                 ) -> None:
+    def __init__(self, node: Any, restart: Callable[[int | None], None]) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/episode'])
-        self._simulation = simulation
-        self._restart_simulation, self._joints_changed = restart, joints_changed
+        self._simulation: Simulation = node.simulation
+        self._restart_simulation, self._joints_changed = restart, node.dynamics.publish
         #: Digests of the starts of all episodes that may be in a saved state, by what they are of.
         self._digests: dict[str, str] = {}
         self._published: tuple[int, Any] = (-1, None)
-        thread.changes.operations.restart = self._restart
-        thread.observe(self._follow, look=self._is_another)
+        node.thread.changes.operations.restart = self._restart
+        node.thread.observe(self._follow, look=self._is_another)
 
     def begin(self) -> None:
         """Publish the first episode, before the thread starts; parameters do not undo draws."""

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 import math
 from typing import Any
@@ -20,12 +20,11 @@ from manip_sim.arrays import FloatArray
 from manip_sim.interface.instruments import ServedInstrument, served_instruments
 from manip_sim.interface.sensor_settings import SensorSettings
 from manip_sim.interface.topics import Scope
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import wrench_stamped
 from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.sensing.instruments import (
     ACCELEROMETER, GYRO, IMU, Instrument, MAGNETIC_FIELD, ORIENTATION, RANGE, VALUES, WRENCH)
-from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation import Simulation
 
 #: What an entry of a covariance is set to where there is no such sensor (sensor_msgs/Imu).
 _NONE = -1.0
@@ -37,19 +36,15 @@ class InstrumentPublishers(Publications):
     """
     Publishers of all instruments of a world, but for the gripper's, which have topics of the arms.
 
-    :param node: the node, with its ``table`` of topics
-    :param robots: by the scope of their topics
-    :param log: counts and logs what could not be published
-    :param frame_prefix: prefix of the names of frames
-    :param simulation: its instruments are published
+    :param node: the node
     :raises ManipSimError: if the parameter ``sensors`` cannot be used
     :ivar rates_hz: of the sensors with fewer messages than control periods [Hz]
     """
 
-    def __init__(self, node: Any, robots: Mapping[Scope, SimulatedRobot], log: RejectionLog,
-                 frame_prefix: str, simulation: Simulation) -> None:
+    def __init__(self, node: Any) -> None:
         super().__init__()
-        served = served_instruments(simulation, robots)
+        simulation = node.simulation
+        served = served_instruments(simulation, node.robots)
         settings = SensorSettings(node.get_parameter('sensors').value, served,
                                   1.0 / node.thread.period_s)
         if settings.noise:
@@ -57,9 +52,6 @@ class InstrumentPublishers(Publications):
         self._every = settings.every
         self.rates_hz = settings.rates_hz
         self._node = node
-        self._robots = robots
-        self._log = log
-        self._prefix = frame_prefix
         self._topics: dict[str, tuple[ServedInstrument, Publication]] = {}
         #: Robots whose exact values are published too.
         self._true: frozenset[Scope] = frozenset()
@@ -75,7 +67,7 @@ class InstrumentPublishers(Publications):
         :param simulation: its instruments are published from now on
         """
         served = {one.topic.name: one for one in served_instruments(
-            simulation, self._robots, self._true, self._noisy)}
+            simulation, self._node.robots, self._true, self._noisy)}
         gone = {name: publication for name, (one, publication) in self._topics.items()
                 if name not in served or not _alike(served[name], one)}
         self._topics = {name: (one, self._topics[name][1] if name in self._topics
@@ -85,23 +77,18 @@ class InstrumentPublishers(Publications):
         for publication in gone.values():
             publication.output.close(self._node)
 
-    def publish_truth(self, scope: Scope, simulation: Simulation) -> None:
-        """
-        Also publish the exact values of the instruments of a robot, below ``truth/``.
-
-        :param scope: of the robot
-        :param simulation: its instruments are published from now on
-        """
+    def publish_truth(self, scope: Scope) -> None:
+        """Also publish the exact values of the instruments of a robot, below ``truth/``."""
         self._true |= {scope}
-        self.follow(simulation)
+        self.follow(self._node.simulation)
 
     def _create(self, served: ServedInstrument) -> Publication:
         found, name = served.instrument, served.topic.name
+        frame = self._node.frame_prefix + found.frame if found.frame else ''
         if served.topic not in self._node.table:
             self._node.table.append(served.topic)
         return Publication(
-            create_output(self._node, self._log, served.topic),
-            _MAKERS[found.kind](self._prefix + found.frame if found.frame else '', found),
+            create_output(self._node, served.topic), _MAKERS[found.kind](frame, found),
             lambda simulation: self._read(name, simulation), found.length,
             self._every.get(found.name, 1))
 

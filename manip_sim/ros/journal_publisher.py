@@ -13,11 +13,8 @@ from typing import Any
 from std_msgs.msg import String
 
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output
-from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.task_publisher import TaskPublisher
-from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
 #: How often what has come is published, wall time [s].
@@ -31,24 +28,20 @@ class JournalPublisher:
     The entries are those of :class:`manip_sim.runtime.journal.Journal`. It begins, with the
     present state, for each new subscriber, and ends when the last one has gone.
 
-    :param node: the node
-    :param thread: runs it; has not been started
-    :param log: counts what could not be published
-    :param parameters: of the node, all of them declared
+    :param node: the node, with all parameters declared
     :param task: that is served, or None
     """
 
-    def __init__(self, node: Any, thread: SimulationThread,
-                 log: RejectionLog, parameters: Parameters,
-                 task: TaskPublisher | None) -> None:
-        self._output = create_output(node, log, BY_NAME['~/journal'])
-        self._changes, self._journal = thread.changes, thread.changes.journal
+    def __init__(self, node: Any, task: TaskPublisher | None) -> None:
+        self._output = create_output(node, BY_NAME['~/journal'])
+        self._operations = node.thread.changes.operations
+        self._journal = node.thread.changes.journal
         # Those that change while the node runs are in the state, too.
-        self._parameters = parameters.values
+        self._parameters = node.declared.values
         self._task = task
         self._subscribers = self._number = 0
         self._published_s = 0.0
-        thread.observe(self._follow, look=self._look)
+        node.thread.observe(self._follow, look=self._look)
 
     def _look(self) -> bool:
         if self._journal.active and not self._output.has_subscribers:
@@ -61,7 +54,7 @@ class JournalPublisher:
         if count > self._subscribers or self._journal.incomplete:
             self._journal.begin({
                 'parameters': self._parameters,
-                'objects': self._changes.operations.objects,
+                'objects': self._operations.objects,
                 'task_seed': None if self._task is None else self._task.seed}, self._publish)
         self._subscribers = count
         now_s = time.monotonic()

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping
 import sys
 from typing import Any
 
@@ -16,14 +15,12 @@ from std_msgs.msg import Header
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.topics import Scope
 from manip_sim.interface.world_topics import topics_of_lidars, truths
 from manip_sim.models.lidars import LidarModel
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_output, Output
-from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.lidars import Lidar
-from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation import Simulation
 
 #: x, y, z, the number of the ring and two bytes to fill up [bytes].
 _POINT = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('ring', '<u2'), ('', '<u2')])
@@ -71,33 +68,29 @@ class LidarPublisher:
     """
     The topics of one lidar.
 
-    :param node: the node, with its ``rejections`` and ``table`` of topics
+    :param node: the node
     :param found: the lidar
-    :param thread: runs the simulation
-    :param frame_prefix: prefix of the names of frames
     :ivar every: number of control periods for each scan
     :ivar topic: name of the topic
     """
 
-    def __init__(self, node: Any, found: LidarModel, thread: SimulationThread,
-                 frame_prefix: str) -> None:
-        self._node = node
+    def __init__(self, node: Any, found: LidarModel) -> None:
+        self._node, self._thread = node, node.thread
         self._name = found.name
-        self._frame_id = frame_prefix + found.name
-        self.every = periods_per_message(1.0 / thread.period_s, found.rate_hz)
-        self._thread = thread
+        self._frame_id = node.frame_prefix + found.name
+        self.every = periods_per_message(1.0 / node.thread.period_s, found.rate_hz)
         self._rows = topics_of_lidars({found.name: found.rays.rings > 1})
         self.topic = self._rows[0].name
-        self._measured = create_output(node, node.rejections, self._rows[0])
+        self._measured = create_output(node, self._rows[0])
         self._exact: Output | None = None
-        thread.observe(self._publish, self.every, self._has_subscribers)
+        node.thread.observe(self._publish, self.every, self._has_subscribers)
 
     def publish_truth(self) -> None:
         """Publish the exact values too."""
         if self._exact is None:
             (row,) = truths(self._rows)
             self._node.table.append(row)
-            self._exact = create_output(self._node, self._node.rejections, row)
+            self._exact = create_output(self._node, row)
 
     def _has_subscribers(self) -> bool:
         return self._measured.has_subscribers or (
@@ -120,26 +113,15 @@ class LidarPublisher:
             if lidar.rays.rings == 1 else point_cloud(head, lidar, ranges))
 
 
-def offer_lidars(node: Any, lidars: list[LidarModel], simulation: Simulation,
-                 robots: Mapping[Scope, SimulatedRobot], thread: SimulationThread,
-                 frame_prefix: str) -> None:
-    """
-    Create the topics of the lidars of a world.
-
-    :param node: the node
-    :param lidars: of the world
-    :param simulation: what is seen
-    :param robots: by the scope of their topics
-    :param thread: runs it
-    :param frame_prefix: prefix of the names of frames
-    """
-    scopes = {id(robot.sensing): scope for scope, robot in robots.items()}
+def offer_lidars(node: Any, lidars: list[LidarModel]) -> None:
+    """Create the topics of the lidars of a world."""
+    scopes = {id(robot.sensing): scope for scope, robot in node.robots.items()}
     for found in lidars:
-        publisher = LidarPublisher(node, found, thread, frame_prefix)
+        publisher = LidarPublisher(node, found)
         if found.noise:
             publisher.publish_truth()
-        node.publish_truth_by(scopes[id(simulation.lidars.sensing(found.name))],
+        node.publish_truth_by(scopes[id(node.simulation.lidars.sensing(found.name))],
                               publisher.publish_truth)
-        rate = 1.0 / (thread.period_s * publisher.every)
+        rate = 1.0 / (node.thread.period_s * publisher.every)
         node.notes.append(f'lidar {found.name}: {found.rays.rings} x {found.rays.samples} rays, '
                           f'{rate:.4g} Hz, on {publisher.topic}')

@@ -10,14 +10,12 @@ from typing import Any
 
 from geometry_msgs.msg import Point
 import numpy as np
-from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros import messages
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.contacts import read_contacts
@@ -44,15 +42,12 @@ class MarkerPublisher:
 
     :param node: the node
     :param end_effectors: readers of wrenches, by the beginning of the namespace of their markers
-    :param frame_id: name of the frame ``world``
-    :param log: counts and logs what could not be published
     """
 
-    def __init__(self, node: Node, end_effectors: Mapping[str, EndEffectorReader], frame_id: str,
-                 log: RejectionLog) -> None:
+    def __init__(self, node: Any, end_effectors: Mapping[str, EndEffectorReader]) -> None:
         self._end_effectors = end_effectors
-        self._output = create_output(node, log, BY_NAME['~/markers'])
-        self._header = Header(frame_id=frame_id)
+        self._output = create_output(node, BY_NAME['~/markers'])
+        self._header = Header(frame_id=node.frame_prefix + messages.WORLD)
         self._all_gone = Marker(header=self._header, action=Marker.DELETEALL)
         self._points = self._marker('contact_points', 0, Marker.SPHERE_LIST, _ORANGE,
                                     (_POINT_M, _POINT_M, _POINT_M))

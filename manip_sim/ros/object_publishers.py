@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 from functools import partial
-
-from rclpy.node import Node
+from typing import Any
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import TOKEN, Topic
 from manip_sim.interface.world_topics import topics_of_objects
 from manip_sim.ros import messages
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.entities import Entities
@@ -24,16 +22,14 @@ class ObjectPublishers(Publications):
     Publishers of the pose and twist of each free body.
 
     :param node: the node
-    :param log: counts and logs what could not be published
-    :param frame_prefix: prefix of the names of frames
     """
 
-    def __init__(self, node: Node, log: RejectionLog, frame_prefix: str = '') -> None:
+    def __init__(self, node: Any) -> None:
         super().__init__()
         self._node = node
-        self._log = log
-        self._world = frame_prefix + messages.WORLD
+        self._world = node.frame_prefix + messages.WORLD
         self._topics: dict[str, tuple[Publication, ...]] = {}
+        self.follow(node.simulation)
 
     def follow(self, simulation: Simulation) -> None:
         """
@@ -59,7 +55,7 @@ class ObjectPublishers(Publications):
             # The body may be gone before follow() is called.
             there = row.of in simulation.entities.free_names
             return read(simulation.entities, simulation.data, row.of) if there else None
-        return Publication(create_output(self._node, self._log, row),
+        return Publication(create_output(self._node, row),
                            partial(make, self._world), numbers, count)
 
 

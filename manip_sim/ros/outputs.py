@@ -127,16 +127,14 @@ def create_publisher(node: Node, row: Topic, message_type: Any = None) -> Publis
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
-def create_output(node: Node, log: RejectionLog, row: Topic, message_type: Any = None) -> Output:
+def create_output(node: Any, row: Topic, message_type: Any = None) -> Output:
     """
     Create the output of a row of the table; unless it is latched, parameters override its QoS.
 
-    :param node: if it has an attribute ``publishing``, this thread publishes
-    :param log: counts and logs what could not be published
+    :param node: with its ``rejections`` and the thread ``publishing``
     :param message_type: instead of that of the row
     """
-    return Output(create_publisher(node, row, message_type), log,
-                  getattr(node, 'publishing', None))
+    return Output(create_publisher(node, row, message_type), node.rejections, node.publishing)
 
 
 class Publication:

@@ -11,12 +11,10 @@ from typing import Any
 
 from geometry_msgs.msg import Point, Pose
 import numpy as np
-from rclpy.node import Node
 from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME, Scope
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of, WORLD
 from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.outputs import create_output
@@ -51,13 +49,12 @@ class PlanningScenePublisher:
     :param node: the node
     :param robot: for which is planned
     :param scope: namespace of its topics
-    :param log: counts and logs what could not be published
     """
 
-    def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, log: RejectionLog) -> None:
-        self._robot, self._log = robot, log
+    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope) -> None:
+        self._robot, self._log = robot, node.rejections
         self._world, self._object, self._attached = self._outputs = [
-            create_output(node, log, replace(BY_NAME[name], name=scope.topic(name)))
+            create_output(node, replace(BY_NAME[name], name=scope.topic(name)))
             for name in TOPICS]
         self._counts = [0] * len(TOPICS)
         self._model: Any = None
@@ -65,7 +62,7 @@ class PlanningScenePublisher:
         #: In how many looks the whole world is published again.
         self._whole_in = -1
 
-    def close(self, node: Node) -> None:
+    def close(self, node: Any) -> None:
         """Destroy the publishers, after the last call of the others."""
         for output in self._outputs:
             output.close(node)

@@ -22,7 +22,6 @@ from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, Topic
 from manip_sim.interface.world_topics import topics_of, truths
 from manip_sim.models import World
 from manip_sim.ros import messages
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.outputs import create_output, create_publisher, Publication, Publications
 from manip_sim.ros.serialized import Make
@@ -97,12 +96,11 @@ class ClockPublisher(Publications):
     The publisher of ``/clock``.
 
     :param node: the node
-    :param log: counts and logs what could not be published
     """
 
-    def __init__(self, node: Node, log: RejectionLog) -> None:
+    def __init__(self, node: Any) -> None:
         super().__init__()
-        output, nothing = create_output(node, log, BY_NAME['/clock']), np.empty(0)
+        output, nothing = create_output(node, BY_NAME['/clock']), np.empty(0)
         self.replace((Publication(output, messages.clock, lambda _: nothing, 0),))
 
 
@@ -113,15 +111,11 @@ class StatePublishers(Publications):
     :param node: the node
     :param robot: whose states are read
     :param scope: namespace of its topics
-    :param log: counts and logs what could not be published
-    :param frame_prefix: prefix of the names of frames
     """
 
-    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope, log: RejectionLog,
-                 frame_prefix: str = '') -> None:
+    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope) -> None:
         super().__init__()
         self._node, self._robot, self._scope = node, robot, scope
-        self._log, self._prefix = log, frame_prefix
         self._rows = [row for row in topics_of(robot.parts, twist=False)
                       if row.direction == PUBLISHED and row.by in READERS]
         self._measured = tuple(self._create(row, robot.sensing.measured) for row in self._rows)
@@ -129,8 +123,9 @@ class StatePublishers(Publications):
 
     def _create(self, row: Topic, read: Callable[[str], FloatArray]) -> Publication:
         named = replace(row, name=self._scope.topic(row.name))
-        return Publication(create_output(self._node, self._log, named, _OTHER_TYPES.get(row.by)),
-                           *READERS[row.by](self._robot, row.of, self._prefix, read))
+        return Publication(
+            create_output(self._node, named, _OTHER_TYPES.get(row.by)),
+            *READERS[row.by](self._robot, row.of, self._node.frame_prefix, read))
 
     def publish_truth(self) -> None:
         """Also publish the exact states, below ``truth/``."""

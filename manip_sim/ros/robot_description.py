@@ -27,14 +27,12 @@ class DynamicsPublisher:
     A latched publisher of ``~/dynamics``, which says what a URDF does not: JSON by joint.
 
     :param node: the node
-    :param simulation: with the robots
-    :param gravity_compensation: whether the actuators carry the weight
     """
 
-    def __init__(self, node: Any, simulation: Simulation, gravity_compensation: bool) -> None:
+    def __init__(self, node: Any) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/dynamics'])
-        self._simulation = simulation
-        self._gravity_compensation = gravity_compensation
+        self._simulation = node.simulation
+        self._gravity_compensation = node.declared.value('gravity_compensation')
 
     def publish(self) -> None:
         """Publish what the joints of all robots are like, once."""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -20,14 +20,11 @@ from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.topics import BY_NAME, Scope, Topic
 from manip_sim.interface.world_topics import truths
 from manip_sim.quoting import quoted
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.markers import MarkerPublisher
-from manip_sim.ros.messages import WORLD
 from manip_sim.ros.optional_packages import missing_note
 from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
 from manip_sim.ros.transforms import offer_transforms, TransformPublisher
-from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.end_effectors import EndEffectorReader
@@ -48,16 +45,15 @@ class OdometryPublisher(Publications):
 
     :param node: the node
     :param robot: whose base it is
-    :param simulation: what is read
     :param reader: reads the base
     :param scope: namespace of its topic
     :param frame: name of the frame of the odometry
-    :param frame_prefix: prefix of the names of frames
     """
 
-    def __init__(self, node: Any, robot: SimulatedRobot, simulation: Simulation,
-                 reader: OdometryReader, scope: Scope, frame: str, frame_prefix: str) -> None:
+    def __init__(self, node: Any, robot: SimulatedRobot, reader: OdometryReader, scope: Scope,
+                 frame: str) -> None:
         super().__init__()
+        simulation, prefix = node.simulation, node.frame_prefix
 
         def exact() -> FloatArray:
             found = reader.read(simulation.model, simulation.data)
@@ -65,13 +61,12 @@ class OdometryPublisher(Publications):
 
         self._node, self._scope, self._sensing = node, scope, robot.sensing
         self._sensing.add('odom', exact)
-        self._make = partial(odometry, frame_prefix + frame, frame_prefix + reader.base)
+        self._make = partial(odometry, prefix + frame, prefix + reader.base)
         self._measured = (self._create(BY_NAME['odom'], self._sensing.measured),)
         self.replace(self._measured)
 
     def _create(self, row: Topic, read: Callable[[str], FloatArray]) -> Publication:
-        output = create_output(self._node, self._node.rejections,
-                               replace(row, name=self._scope.topic(row.name)))
+        output = create_output(self._node, replace(row, name=self._scope.topic(row.name)))
         return Publication(output, self._make, lambda _: read('odom'), 13)
 
     def publish_truth(self) -> None:
@@ -118,18 +113,10 @@ class SceneTopics:
     Odometry of each period, and frames, markers and planning scenes at their rates.
 
     :param node: the node
-    :param value: returns the value of a parameter
-    :param robots: by their scope
-    :param simulation: what is seen
-    :param thread: runs it
-    :param log: counts and logs what could not be published
     """
 
-    def __init__(self, node: Any, value: Callable[[str], Any],
-                 robots: Mapping[Scope, SimulatedRobot], simulation: Simulation,
-                 thread: SimulationThread, log: RejectionLog) -> None:
-        self._node, self._simulation, self._thread, self._log = node, simulation, thread, log
-        self._prefix = value('frame_prefix')
+    def __init__(self, node: Any) -> None:
+        self._node, self._thread, value = node, node.thread, node.declared.value
         self._end_effectors: dict[str, EndEffectorReader] = {}
         self._readers: dict[str, OdometryReader] = {}
         self._odometry: dict[Scope, OdometryPublisher] = {}
@@ -138,16 +125,16 @@ class SceneTopics:
         self._scene_every = periods_per_message(value('publish_rate'), RATE_HZ)
         if not PLANS:
             node.notes.append(missing_note('moveit_msgs', 'planning scene for MoveIt'))
-        for scope, robot in robots.items():
+        for scope, robot in node.robots.items():
             self.add(scope, robot, value(scope.parameter('prefix')))
-        markers = MarkerPublisher(node, self._end_effectors, self._prefix + WORLD, log)
-        thread.observe(markers.publish, every, markers.look)
+        markers = MarkerPublisher(node, self._end_effectors)
+        self._thread.observe(markers.publish, every, markers.look)
         self._transforms: TransformPublisher | None = None
         if value('publish_tf'):
-            self._transforms = offer_transforms(node, self._frames, self._prefix, log)
+            self._transforms = offer_transforms(node, self._frames)
         if self._transforms is not None:
-            self.follow(simulation)
-            thread.observe(self._transforms.publish, every, self._transforms.look)
+            self.follow(node.simulation)
+            self._thread.observe(self._transforms.publish, every, self._transforms.look)
 
     def add(self, scope: Scope, robot: SimulatedRobot, prefix: str) -> None:
         """
@@ -158,17 +145,16 @@ class SceneTopics:
         thread = self._thread
         if robot.twist_joints:
             frame = prefix + ODOM
-            reader = OdometryReader(self._simulation.model, robot.twist_joints)
+            reader = OdometryReader(self._node.simulation.model, robot.twist_joints)
             self._readers[frame] = reader
             odometry = self._odometry[scope] = OdometryPublisher(
-                self._node, robot, self._simulation, reader, scope, frame, self._prefix)
+                self._node, robot, reader, scope, frame)
             self._node.publish_truth_by(scope, odometry.publish_truth)
             thread.observe(odometry.publish, look=odometry.look)
         thread.call(partial(self._end_effectors.update, {
             scope.topic(arm): reader for arm, reader in robot.end_effectors.items()}))
         if PLANS:
-            scene = self._scenes[scope] = PlanningScenePublisher(
-                self._node, robot, scope, self._log)
+            scene = self._scenes[scope] = PlanningScenePublisher(self._node, robot, scope)
             thread.observe(scene.publish, self._scene_every, scene.look)
 
     def remove(self, scope: Scope, prefix: str) -> None:

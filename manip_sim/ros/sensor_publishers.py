@@ -5,20 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from rclpy.serialization import serialize_message
 
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.interface.sensors import Offered, offered_topics
-from manip_sim.interface.topics import Scope
 from manip_sim.quoting import one_line
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_output, message_class
-from manip_sim.runtime import SimulationThread
-from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation import Simulation
 
 
 class SensorPublisher:
@@ -26,19 +22,14 @@ class SensorPublisher:
     The publisher of a topic of another package.
 
     :param node: the node
-    :param log: counts and logs what the other package raises
     :param offered: the topic
-    :param simulation: what is read
-    :param frame_prefix: prefix of the names of frames
     :raises ModelError: if its class or the first message cannot be made
     """
 
-    def __init__(self, node: Any, log: RejectionLog, offered: Offered, simulation: Simulation,
-                 frame_prefix: str) -> None:
-        self._log = log
+    def __init__(self, node: Any, offered: Offered) -> None:
+        self._node = node
         self._offered = offered
-        self._frame_prefix = frame_prefix
-        seed = node.get_parameter('seed').value
+        simulation, seed = node.simulation, node.get_parameter('seed').value
         try:
             self._class = message_class(offered.topic)
             # A trial, by an instance of its own, which may remember what it has published.
@@ -50,7 +41,7 @@ class SensorPublisher:
         except Exception as error:  # Code of another package may raise anything.
             raise ModelError(f'{type(error).__name__}: {error}') from error
         node.table.append(offered.topic)
-        self._output = create_output(node, log, offered.topic)
+        self._output = create_output(node, offered.topic)
         self._works = True
 
     def _message(self, simulation: Simulation) -> Any:
@@ -59,7 +50,7 @@ class SensorPublisher:
         if hasattr(message, 'header'):
             message.header.stamp = stamp_of(simulation.time_ns)
             message.header.frame_id = self._source.frame and (
-                self._frame_prefix + self._source.frame)
+                self._node.frame_prefix + self._source.frame)
         return None if self._source.write(message, simulation) is False else message
 
     def look(self) -> bool:
@@ -76,8 +67,8 @@ class SensorPublisher:
                 self._output.publish(message)
         except Exception as error:  # Code of another package may raise anything.
             self._works = False
-            self._log.failure('sensors', f'{self._offered.topic.name} ends, sensor '
-                              f'{self._offered.offer}', error)
+            self._node.rejections.failure(
+                'sensors', f'{self._offered.topic.name} ends, sensor {self._offered.offer}', error)
 
 
 def _checked(message_class: Any) -> Any:
@@ -90,22 +81,13 @@ def _checked(message_class: Any) -> Any:
     return message
 
 
-def offer_sensors(node: Any, robots: Mapping[Scope, SimulatedRobot], simulation: Simulation,
-                  thread: SimulationThread, frame_prefix: str) -> None:
-    """
-    Publish the topics that other packages add; log those that cannot be used.
-
-    :param node: the node, with its ``table`` and ``rejections``
-    :param robots: by the scope of their topics
-    :param simulation: what is read
-    :param thread: runs it
-    :param frame_prefix: prefix of the names of frames
-    """
+def offer_sensors(node: Any) -> None:
+    """Publish the topics that other packages add; log those that cannot be used."""
     warn = node.get_logger().warning
-    for offered in offered_topics(robots, node.table, lambda line: warn(one_line(line))):
+    for offered in offered_topics(node.robots, node.table, lambda line: warn(one_line(line))):
         try:
-            publisher = SensorPublisher(node, node.rejections, offered, simulation, frame_prefix)
+            publisher = SensorPublisher(node, offered)
         except ManipSimError as error:
             warn(one_line(f'{offered.topic.name}: sensor {offered.offer} cannot be used: {error}'))
         else:
-            thread.observe(publisher.publish, look=publisher.look)
+            node.thread.observe(publisher.publish, look=publisher.look)

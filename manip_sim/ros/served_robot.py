@@ -14,11 +14,8 @@ from rclpy.parameter import Parameter
 from manip_sim.interface.parameters import commanded_parts, reflex_parameters
 from manip_sim.interface.topics import Scope
 from manip_sim.ros.cartesian import CartesianSubscribers
-from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.commands import CommandSubscribers
-from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import StatePublishers
-from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot
 
@@ -27,30 +24,23 @@ class ServedRobot:
     """
     Publishers of the states of a robot, subscriptions to its commands, and its live parameters.
 
-    :param node: the node, with its ``rejections``
+    :param node: the node
     :param scope: namespace of its topics and parameters
     :param robot: the robot, whose parameters are declared
-    :param parameters: of the node
-    :param thread: runs the simulation
-    :param inbox: takes commands; None: the executor does
-    :param frame_prefix: prefix of the names of frames
-    :ivar scope: namespace of its topics and parameters
-    :ivar robot: the robot
     :ivar states: the publishers
     :ivar commands: the subscriptions
     """
 
-    def __init__(self, node: Any, scope: Scope, robot: SimulatedRobot, parameters: Parameters,
-                 thread: SimulationThread, inbox: CommandInbox | None, frame_prefix: str) -> None:
-        self._node, self._declared, self._thread = node, parameters, thread
+    def __init__(self, node: Any, scope: Scope, robot: SimulatedRobot) -> None:
+        self._node, self._declared, self._thread = node, node.declared, node.thread
         self.scope, self.robot = scope, robot
         #: What uses the value of a live parameter, by its name.
         self._uses: dict[str, Callable[[Any], None]] = {}
         self._control()
-        self.states = StatePublishers(node, robot, scope, node.rejections, frame_prefix)
-        thread.observe(self.states.publish, look=self.states.look)
-        self.commands = CommandSubscribers(node, robot, scope, thread, node.rejections, inbox)
-        self._cartesian = CartesianSubscribers(self.commands, parameters, thread, frame_prefix)
+        self.states = StatePublishers(node, robot, scope)
+        node.thread.observe(self.states.publish, look=self.states.look)
+        self.commands = CommandSubscribers(node, robot, scope)
+        self._cartesian = CartesianSubscribers(node, self.commands)
 
     def close(self) -> None:
         """Take no commands and publish no states any more, before the robot is deleted."""

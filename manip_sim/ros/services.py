@@ -9,11 +9,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError
-from manip_sim.runtime import SimulationThread
 
 
 class SimulationServices:
@@ -23,16 +21,14 @@ class SimulationServices:
     They are ``~/pause``, ``~/step``, ``~/reset``, ``~/reset_reflex``, ``~/tare_wrench``,
     ``~/save_state`` and ``~/restore_state``.
 
+    Commands that have come count before ``~/pause`` and ``~/step``.
+
     :param node: the node
-    :param thread: runs the simulation that is controlled
-    :param take_commands: takes the commands that have come, which count before ``~/pause`` and
-        ``~/step``
     """
 
-    def __init__(self, node: Node, thread: SimulationThread,
-                 take_commands: Callable[[], None]) -> None:
-        self._thread = thread
-        self._take_commands = take_commands
+    def __init__(self, node: Any) -> None:
+        thread = self._thread = node.thread
+        self._take_commands = node.take_commands
         node.create_service(SetBool, '~/pause', self._pause)
         for name, function, done in (
                 ('~/step', self._step, 'advanced by one control period'),

@@ -106,10 +106,10 @@ class SimNode(Node):
         self.declared.check_names()
         for scope, robot in self.robots.items():
             self.declared.couple(scope, robot.parts)
-        self._inbox = create_command_inbox(self, self.rejections)
+        self.inbox = create_command_inbox(self, self.rejections)
         lockstep = value('stepping') == 'lockstep'
-        self._command_thread = (None if self._inbox is None or lockstep
-                                else CommandThread(self._inbox))
+        self._command_thread = (None if self.inbox is None or lockstep
+                                else CommandThread(self.inbox))
         # In lock-step, the thread of the physics waits for the answer to a state in any case.
         self.publishing = None if lockstep else PublishingThread(_MOST[value('stepping')])
         if self.publishing is not None:
@@ -118,7 +118,7 @@ class SimNode(Node):
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot)
              for scope, robot in self.robots.items()},
-            value('start_paused'), self._report_failure, self._inbox if lockstep else None,
+            value('start_paused'), self._report_failure, self.inbox if lockstep else None,
             self.publishing.flush if self.publishing is not None else None,
             lockstep and any(ARENA in value(scope.parameter('lockstep_parts'))
                              for scope in self.robots))
@@ -133,28 +133,23 @@ class SimNode(Node):
         restart: Callable[[int | None], None] = self.simulation.reset
         self._task = None
         if composition.task is not None:
-            self._task = TaskPublisher(
-                self, composition.task, self.simulation, self.thread, value('seed'))
+            self._task = TaskPublisher(self, composition.task)
             restart = self._task.restart
-        frame_prefix = self._frame_prefix = check_frame_prefix(value('frame_prefix'))
+        self.frame_prefix = check_frame_prefix(value('frame_prefix'))
         self._serve_robots()
-        offer_sensors(self, self.robots, self.simulation, self.thread, frame_prefix)
-        self._show_world(world, frame_prefix)
-        self._episode = EpisodePublisher(
-            self, self.simulation, self.thread, restart, self.dynamics.publish)
-        self.cameras = offer_cameras(self, cameras, self.simulation, self.robots, self.thread,
-                                     frame_prefix)
+        offer_sensors(self)
+        self._show_world(world)
+        self._episode = EpisodePublisher(self, restart)
+        self.cameras = offer_cameras(self, cameras)
         self._followers.append(self.cameras.follow)
-        offer_lidars(self, world.lidars, self.simulation, self.robots, self.thread, frame_prefix)
+        offer_lidars(self, world.lidars)
         self.actions = offer_actions(self, self.commands, self.thread, self.rejections)
-        SimulationServices(self, self.thread, self._take_commands)
+        SimulationServices(self)
         offer_simulation_interfaces(self, self.simulation, self.thread, self.world_changed,
                                     spawn_files(value('spawn_roots')), SpawnedRobots(self))
-        Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras,
-                    self._surroundings.statistics)
+        Diagnostics(self)
         self._publish_truth()
-        self._journal = JournalPublisher(
-            self, self.thread, self.rejections, self.declared, self._task)
+        self._journal = JournalPublisher(self, self._task)
         # The last that is added here is the first to end.
         for end in (self.cameras.stop, self._journal.close, self.thread.stop):
             self._ends.callback(end)
@@ -183,38 +178,31 @@ class SimNode(Node):
 
         :param robot: whose parameters are declared
         """
-        served = self.served[scope] = ServedRobot(
-            self, scope, robot, self.declared, self.thread, self._inbox, self._frame_prefix)
+        served = self.served[scope] = ServedRobot(self, scope, robot)
         self.publish_truth_by(scope, served.states.publish_truth)
         return served
 
-    def _show_world(self, world: World, frame_prefix: str) -> None:
+    def _show_world(self, world: World) -> None:
         value = self.declared.value
-        self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
-        self.objects.follow(self.simulation)
-        self.thread.observe(self.objects.publish, look=self.objects.look)
-        self._surroundings = SurroundingsTopics(
-            self, self.simulation, self.thread, self.rejections, self._inbox, frame_prefix)
-        self.thread.observe(self._surroundings.publish, look=self._surroundings.look)
+        self.objects = ObjectPublishers(self)
+        self.surroundings = SurroundingsTopics(self)
         model = ModelPublisher(self, world)
-        instruments = self.instruments = InstrumentPublishers(
-            self, self.robots, self.rejections, frame_prefix, self.simulation)
+        self.instruments = InstrumentPublishers(self)
         for scope in self.robots:
-            self.publish_truth_by(
-                scope, partial(instruments.publish_truth, scope, self.simulation))
-        self.thread.observe(instruments.publish, look=instruments.look)
-        self.scene = SceneTopics(
-            self, value, self.robots, self.simulation, self.thread, self.rejections)
-        self._followers = [model.follow, self.objects.follow, instruments.follow,
-                           self._surroundings.follow, self.scene.follow]
+            self.publish_truth_by(scope, partial(self.instruments.publish_truth, scope))
+        for shown in (self.objects, self.surroundings, self.instruments):
+            self.thread.observe(shown.publish, look=shown.look)
+        self.scene = SceneTopics(self)
         if value('publish_clock'):
-            clock = ClockPublisher(self, self.rejections)
+            clock = ClockPublisher(self)
             self.thread.observe(clock.publish, look=clock.look)
-        self.dynamics = DynamicsPublisher(self, self.simulation, value('gravity_compensation'))
+        self._followers = [model.follow, self.objects.follow, self.instruments.follow,
+                           self.surroundings.follow, self.scene.follow]
+        self.dynamics = DynamicsPublisher(self)
         self.descriptions = DescriptionPublisher(
             self, world, self.simulation, self.robots,
             value('ros2_control_plugin') if value('ros2_control_tag') else '',
-            value('stepping') == 'lockstep', instruments.rates_hz)
+            value('stepping') == 'lockstep', self.instruments.rates_hz)
         self._at_start: list[ModelPublisher | DescriptionPublisher | DynamicsPublisher] = [
             model, self.descriptions, self.dynamics]
 
@@ -352,7 +340,8 @@ class SimNode(Node):
             self.actions.destroy()
         super().destroy_node()
 
-    def _take_commands(self) -> None:
+    def take_commands(self) -> None:
+        """Take the commands that have come."""
         if self._command_thread is not None:
             self._command_thread.take()
 

@@ -189,8 +189,7 @@ class SpawnedRobots:
         served = node.serve(scope, robot)
         node.commands.append(served.commands)
         node.scene.add(scope, robot, robot.robot_model.naming_prefix)
-        node.publish_truth_by(
-            scope, partial(node.instruments.publish_truth, scope, self._simulation))
+        node.publish_truth_by(scope, partial(node.instruments.publish_truth, scope))
         if node.actions is not None:
             node.actions.add(offers_of(served.commands, self._thread))
         node.descriptions.add(scope, robot)

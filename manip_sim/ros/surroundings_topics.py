@@ -11,7 +11,6 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import Pose as PoseMessage, PoseStamped
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker
 
@@ -21,12 +20,10 @@ from manip_sim.interface.topics import BY_NAME, PUBLISHED, Topic
 from manip_sim.interface.world_topics import topics_of_surroundings
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
-from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.commands import CommandStatistics, CommandSubscription
-from manip_sim.ros.log import kind_of, RejectionLog
+from manip_sim.ros.log import kind_of
 from manip_sim.ros.outputs import create_output, message_class, Output, Publication, Publications
 from manip_sim.ros.reading import read_command
-from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.surroundings import ACTUATORS
@@ -42,29 +39,21 @@ class SurroundingsTopics(Publications):
     Publishers and subscriptions of surroundings and pulls.
 
     :param node: the node
-    :param simulation: that they are of
-    :param thread: runs the simulation
-    :param log: counts and logs what is rejected or could not be published
-    :param inbox: takes the messages; None: the executor does
-    :param frame_prefix: prefix of the names of frames, which commands may leave out
     :ivar statistics: counts of the commands, for ``arena``, ``actuators``,
         ``objects/<name>`` and ``pull``
     """
 
-    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
-                 log: RejectionLog, inbox: CommandInbox | None, frame_prefix: str) -> None:
+    def __init__(self, node: Any) -> None:
         super().__init__()
-        self._node, self._log, self._inbox = node, log, inbox
-        self._surroundings, self._pulls = simulation.surroundings, simulation.pulls
-        self._changes = thread.changes
-        self._prefix = frame_prefix
+        self._node, self._changes = node, node.thread.changes
+        self._surroundings, self._pulls = node.simulation.surroundings, node.simulation.pulls
         self.statistics: dict[str, CommandStatistics] = {}
         self._take: dict[str, Callable[[str, Any], None]] = {
             'direct_command': self._command, 'mocap_pose': self._target, 'pull': self._pull}
         self._outputs: dict[Topic, Publication] = {}
         self._inputs: dict[Topic, CommandSubscription] = {}
         self._loose: tuple[tuple[str, ...], Output] | None = None
-        self.follow(simulation)
+        self.follow(node.simulation)
 
     def follow(self, simulation: Simulation) -> None:
         """
@@ -98,7 +87,7 @@ class SurroundingsTopics(Publications):
         if states is None and names:
             if ACTUATORS not in self.statistics:
                 self._subscribe(_LOOSE[1])
-            states = names, create_output(self._node, self._log, _LOOSE[0])
+            states = names, create_output(self._node, _LOOSE[0])
         self._loose = (names, states[1]) if states is not None and names else None
         return [states[1]] if states is not None and self._loose is None else []
 
@@ -110,7 +99,7 @@ class SurroundingsTopics(Publications):
         return Publication(output, partial(messages.joint_state, names), read, 3 * len(names))
 
     def _publication(self, row: Topic) -> Publication:
-        found, output = self._surroundings, create_output(self._node, self._log, row)
+        found, output = self._surroundings, create_output(self._node, row)
         if row.by == 'arena_joints':
             return Publication(output, partial(messages.joint_state, found.joints),
                                lambda _: found.state(), 3 * len(found.joints))
@@ -118,8 +107,8 @@ class SurroundingsTopics(Publications):
         def pose(_: Simulation) -> FloatArray | None:
             # The body may be gone before follow() is called.
             return found.pose(row.of) if row.of in found.mocap_names else None
-        return Publication(
-            output, partial(messages.pose_stamped, self._prefix + messages.WORLD), pose, 7)
+        world = self._node.frame_prefix + messages.WORLD
+        return Publication(output, partial(messages.pose_stamped, world), pose, 7)
 
     def _subscribe(self, row: Topic) -> CommandSubscription:
         message_type, use = message_class(row), partial(self._take[row.by], row.of)
@@ -131,10 +120,10 @@ class SurroundingsTopics(Publications):
                 counts.accepted, counts.last_s = counts.accepted + 1, time.monotonic()
             except (CommandError, UnknownNameError) as error:
                 counts.rejected += 1
-                self._log.warn(row.name, kind_of(error),
-                               f'rejected a message on {row.name}: {error}')
+                self._node.rejections.warn(row.name, kind_of(error),
+                                           f'rejected a message on {row.name}: {error}')
 
-        return CommandSubscription(self._node, message_type, row.name, take, self._inbox)
+        return CommandSubscription(self._node, message_type, row.name, take, self._node.inbox)
 
     def _command(self, part: str, message: JointState) -> None:
         found = self._surroundings.commands[part]
@@ -149,7 +138,7 @@ class SurroundingsTopics(Publications):
                 stamp_ns=stamp_ns)
 
     def _check_frame(self, frame_id: str) -> None:
-        if frame_id.removeprefix(self._prefix) not in ('', messages.WORLD):
+        if frame_id.removeprefix(self._node.frame_prefix) not in ('', messages.WORLD):
             raise CommandError(f'frame_id {quoted(frame_id)} is not supported: '
                                f"leave it empty or write '{messages.WORLD}'")
 

@@ -12,7 +12,6 @@ from std_msgs.msg import String
 
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros.outputs import create_publisher
-from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import start, Task
 
@@ -25,23 +24,19 @@ class TaskPublisher:
     instant, ``success``, ``reward``, and ``goal``, as the task has it. Resets draw the start of
     the task from the parameter ``seed``, where :meth:`restart` does them.
 
-    :param node: the node
+    :param node: the node, whose thread has not been started
     :param task: what is done
-    :param simulation: of its world
-    :param thread: runs it; has not been started
-    :param seed: of the first start
     :ivar seed: of the present start
     """
 
-    def __init__(self, node: Any, task: Task, simulation: Simulation, thread: SimulationThread,
-                 seed: int) -> None:
+    def __init__(self, node: Any, task: Task) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/task'])
-        self._task, self._simulation, self._thread = task, simulation, thread
-        self.seed = seed
+        self._task, self._simulation, self._thread = task, node.simulation, node.thread
+        self.seed: int = node.declared.value('seed')
         self._seen_ns = -1
         self.restart(None)
         # What the task changes at the end of a period is in the states that are published.
-        thread.observe(self._end_period)
+        node.thread.observe(self._end_period)
 
     def restart(self, seed: int | None) -> None:
         """Begin the episode of a seed, or the same one again."""

@@ -11,11 +11,9 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
-from rclpy.node import Node
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.outputs import create_output, Output
@@ -26,30 +24,24 @@ from manip_sim.simulation.frames import FrameTree, TreeFrame
 TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)
 
 
-def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree], prefix: str,
-                     log: RejectionLog) -> TransformPublisher | None:
+def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree]
+                     ) -> TransformPublisher | None:
     """
     Create the publisher of ``/tf`` and ``/tf_static``; note if ``tf2_msgs`` is missing.
 
     :param frames: returns the tree of a simulation
-    :param prefix: prefix of the names of all frames
-    :param log: counts and logs what could not be published
     :returns: None without ``tf2_msgs``
     """
     if TFMessage is None:
         node.notes.append(missing_note('tf2_msgs', '/tf and /tf_static'))
         return None
-    return TransformPublisher(*create_outputs(node, log), frames, prefix)
+    return TransformPublisher(*create_outputs(node), frames, node.frame_prefix)
 
 
-def create_outputs(node: Node, log: RejectionLog) -> tuple[Output, Output]:
-    """
-    Create the publishers of ``/tf`` and ``/tf_static``.
-
-    :param log: counts and logs what could not be published
-    """
-    return (create_output(node, log, BY_NAME['/tf'], TFMessage),
-            create_output(node, log, BY_NAME['/tf_static'], TFMessage))
+def create_outputs(node: Any) -> tuple[Output, Output]:
+    """Create the publishers of ``/tf`` and ``/tf_static``."""
+    return (create_output(node, BY_NAME['/tf'], TFMessage),
+            create_output(node, BY_NAME['/tf_static'], TFMessage))
 
 
 class TransformPublisher:

@@ -138,7 +138,7 @@ def test_actuators_of_tendons_are_commanded_by_their_names(serve, client):
     client.spin_until(lambda: abs(states[-1].position[0] - 0.8) < 1e-2
                       and abs(states[-1].position[1] - 0.2) < 1e-2)
     assert len(states[-1].velocity) == len(states[-1].effort) == 3
-    counts = node._surroundings.statistics['actuators']
+    counts = node.surroundings.statistics['actuators']
     assert (counts.accepted, counts.rejected) == (1, 1)
 
 

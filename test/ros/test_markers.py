@@ -93,7 +93,10 @@ def test_a_force_of_no_direction_has_no_arrow_and_leaves_those_of_others(client,
     positions, forces = np.eye(3), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     monkeypatch.setattr(markers, 'read_contacts',
                         lambda *_: SimpleNamespace(position=positions, force=forces))
-    publisher = MarkerPublisher(client.node, {}, 'world', RejectionLog(client.node.get_logger()))
+    node = client.node
+    node.rejections, node.publishing = RejectionLog(node.get_logger()), None
+    node.frame_prefix = ''
+    publisher = MarkerPublisher(node, {})
     received = client.listen(MarkerArray, 'client/markers')
     client.spin_until(publisher.look)
     publisher.publish(SimpleNamespace(time_ns=0, model=None, data=None))

@@ -44,9 +44,9 @@ def test_a_cube_is_lifted_by_the_topic_and_falls_without_it(serve, client):
     for period in range(25):
         # Only the first one says where the cube is held.
         message.points[0].x = start[0] + 10.0 * bool(period)
-        before = node._surroundings.statistics['pull'].accepted
+        before = node.surroundings.statistics['pull'].accepted
         client.publish(PULL, message)
-        client.spin_until(lambda n=before: node._surroundings.statistics['pull'].accepted > n)
+        client.spin_until(lambda n=before: node.surroundings.statistics['pull'].accepted > n)
         step()
     high = place()
     assert high[2] > start[2] + 0.1 and abs(high[0] - start[0]) < 1e-3
@@ -57,7 +57,7 @@ def test_a_cube_is_lifted_by_the_topic_and_falls_without_it(serve, client):
     client.publish(PULL, arrow(place(), start, id=3))
     client.publish(PULL, Marker(ns='cube', action=Marker.DELETE))
     before = place()[2]
-    client.spin_until(lambda: node._surroundings.statistics['pull'].accepted > 26)
+    client.spin_until(lambda: node.surroundings.statistics['pull'].accepted > 26)
     step()
     assert not pulls and place()[2] <= before
 
@@ -97,7 +97,7 @@ def test_what_does_not_fit_is_rejected_counted_and_pulls_nothing(serve, client):
     def any_message(points, body, kind, action, number):
         message = Marker(ns=body, points=points, type=kind, action=action, id=number)
         try:
-            node._surroundings._pull('', message)
+            node.surroundings._pull('', message)
         except (CommandError, UnknownNameError) as error:
             assert str(error).isprintable()
         else:

@@ -154,8 +154,9 @@ def test_dynamics_that_json_cannot_say_are_never_published():
     robot = SimpleNamespace(dynamics=lambda: {'elbow': Joint(math.inf)})
     published = []
     publisher = robot_description.DynamicsPublisher(
-        SimpleNamespace(create_publisher=lambda *_: SimpleNamespace(publish=published.append)),
-        SimpleNamespace(timestep_s=0.002, robots={'robot0': robot}), False)
+        SimpleNamespace(create_publisher=lambda *_: SimpleNamespace(publish=published.append),
+                        simulation=SimpleNamespace(timestep_s=0.002, robots={'robot0': robot}),
+                        declared=SimpleNamespace(value=lambda _: False)))
     with pytest.raises(ValueError, match='not JSON compliant'):
         publisher.publish()
     assert not published

@@ -152,7 +152,7 @@ def test_an_arm_that_is_spawned_takes_commands_by_its_actuators(serve, client):
     assert node.simulation.plan.object_names == ['cube']
     client.spin_until(lambda: client.node.count_publishers('actuators/states') == 0)
     commands.publish(JointState(name=['stand_pan'], position=[0.6]))
-    client.spin_until(lambda: node._surroundings.statistics['actuators'].rejected == 1)
+    client.spin_until(lambda: node.surroundings.statistics['actuators'].rejected == 1)
 
 
 @pytest.mark.parametrize(('topic', 'message', 'counts', 'what'), [
@@ -168,7 +168,7 @@ def test_a_command_for_what_was_deleted_before_its_period_is_told_and_the_node_g
     spawning.request = request(uri='stand_arm.xml')
     assert client.call(Trigger, 'manip_sim/spawn_entity_by_trigger').message == 'stand'
     client.publish(topic, message)
-    client.spin_until(lambda: node._surroundings.statistics[counts].accepted == 1)
+    client.spin_until(lambda: node.surroundings.statistics[counts].accepted == 1)
     spawning.request = Plain(entity='stand')
     client.call(Trigger, 'manip_sim/delete_entity_by_trigger')
     assert client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False)).success

@@ -14,7 +14,7 @@ def test_a_marker_that_is_spawned_goes_where_its_topic_says_until_it_is_deleted(
         serve, client, tmp_path):
     node = serve(start_paused=True, arena='table')
     SpawningByParameters(node, tmp_path)
-    counted = node._surroundings.statistics
+    counted = node.surroundings.statistics
     before = [len(list(getattr(node, kind))) for kind in ('publishers', 'subscriptions')], [
         *counted]
     for name, y in (('goal', 0.5), ('goal', -0.5)):

@@ -72,7 +72,7 @@ def entities_of(node):
             'parameters': len(node._parameters), 'table': len(node.table),
             'threads': len(threading.enumerate()),
             'observers': len(node.thread._observers._all),
-            'group': len(node._inbox.group.entities)}
+            'group': len(node.inbox.group.entities)}
 
 
 def test_a_robot_comes_is_commanded_and_goes(spawning, client):
