@@ -30,9 +30,6 @@ class ActionMessages(ABC):
     :param robot: that is commanded
     :param part: of the robot
     :param now_ns: returns the simulation time [ns]
-    :ivar action_type: of the action
-    :ivar robot: that is commanded
-    :ivar part: of the robot
     :cvar name: of the action, after ``<part>/``
     """
 

@@ -36,10 +36,7 @@ class ActionServers:
     """
     The action servers of all robots.
 
-    :param node: the node
     :param offered: conversions of the messages of each action, and what counts its goals
-    :param thread: runs the simulation
-    :param log: logs what is rejected
     :ivar tracker: watches the goals
     """
 
@@ -129,7 +126,6 @@ def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], 
     """
     Yield the conversions of the messages of each action of a robot.
 
-    :param types: of the actions
     :param now_ns: returns the simulation time [ns]
     """
     for name, part in robot.parts.items():
@@ -149,8 +145,6 @@ def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: Sim
 
     :param node: the node, with its ``notes``
     :param commands: of each robot
-    :param thread: runs the simulation
-    :param log: logs what is rejected
     """
     types = load_action_types()
     if types is None:
@@ -167,7 +161,6 @@ def offers_of(commands: CommandSubscribers, thread: SimulationThread
     Return the actions of a robot as :class:`ActionServers` takes them; none without control_msgs.
 
     :param commands: of the robot
-    :param thread: runs the simulation
     """
     types = load_action_types()
     return [] if types is None else [(messages, commands) for messages in messages_of(

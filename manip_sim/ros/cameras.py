@@ -103,7 +103,6 @@ class ImageOutputs:
     The topics of the images of one camera, as they are measured or exact.
 
     :param outputs: by the end of their names
-    :param found: intrinsics of the camera
     """
 
     def __init__(self, outputs: Mapping[str, Output], found: Intrinsics) -> None:
@@ -143,12 +142,9 @@ class CameraPublishers:
     """
     The topics of one camera.
 
-    :param node: the node
     :param name: of the camera
-    :param found: its intrinsics
     :param depth: whether there are depth images
     :param sensing: its noise and latency
-    :ivar sensing: its noise and latency
     """
 
     def __init__(self, node: Any, name: str, found: Intrinsics, depth: bool,
@@ -215,8 +211,6 @@ class Cameras:
     """
     The chosen cameras: due snapshots go to the thread that renders, its images to the topics.
 
-    :param node: the node
-    :param publishers: of each camera
     :ivar names: of the cameras
     """
 
@@ -327,7 +321,6 @@ def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings]) -> Cameras:
     """
     Create the topics of the cameras that are chosen.
 
-    :param node: the node
     :param chosen: settings of their images, by the name of the camera
     :raises ModelError: if a camera is orthographic
     """

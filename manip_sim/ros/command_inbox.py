@@ -57,8 +57,6 @@ class CommandInbox(Inbox):
     It handles their events too, a few times a second: in Fast DDS a subscription and its events
     share a wake-up, so a thread may miss its own while another thread waits for the other.
 
-    :param node: the node
-    :param log: counts and logs what callbacks raise, and what cannot be read
     :ivar group: of the subscriptions
     """
 
@@ -171,8 +169,6 @@ class CommandThread:
     A thread that takes the messages of an inbox.
 
     It sleeps for as long as it has worked, so that a flood of messages leaves time to the physics.
-
-    :param inbox: holds the messages
     """
 
     def __init__(self, inbox: CommandInbox) -> None:
@@ -223,11 +219,7 @@ class CommandThread:
 
 
 def create_command_inbox(node: Node, log: RejectionLog) -> CommandInbox | None:
-    """
-    Create an inbox that takes commands, or return None if the executor has to.
-
-    :param log: counts and logs what callbacks raise, and what cannot be read
-    """
+    """Create an inbox that takes commands, or return None if the executor has to."""
     return CommandInbox(node, log) if is_known() else None
 
 

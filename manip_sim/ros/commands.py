@@ -49,9 +49,7 @@ class CommandSubscription:
     A reliable subscription loses nothing, which lock-step needs, but does not match a best-effort
     publisher. Messages of reliable publishers, which then come twice, are taken once.
 
-    :param node: the node
     :param message_type: of the topic
-    :param topic: its name
     :param take: is called with each message in its serialized form
     :param inbox: takes the messages; None: the executor does
     """
@@ -124,7 +122,6 @@ class CommandSubscribers:
     """
     Subscriptions to the command topics of all parts of a robot.
 
-    :param node: the node
     :param robot: whose parser validates; it is only read
     :param scope: namespace of its topics
     :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and

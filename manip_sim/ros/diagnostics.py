@@ -41,7 +41,6 @@ class Pace:
     The window reaches back by one second of wall time, or by several control periods where these
     are longer, and begins anew with a pause, another real-time factor or a restart of time.
 
-    :param thread: its progress is published
     :ivar factor: simulation time per wall time; NaN when the window has just begun, 0 when paused
     :ivar loss: fraction of the simulation time that was dropped, from 0 to 1
     """
@@ -88,11 +87,7 @@ class Pace:
 
 
 class Diagnostics:
-    """
-    Publisher of the status of the simulation, the commands of each part, images and other nodes.
-
-    :param node: the node
-    """
+    """Publishes the status of the simulation, commands of each part, images and other nodes."""
 
     def __init__(self, node: Any) -> None:
         self._node, self._simulation, self._thread = node, node.simulation, node.thread

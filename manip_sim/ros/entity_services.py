@@ -26,9 +26,7 @@ class EntityServices:
     """
     The services that list robots and objects, return their poses and move free ones.
 
-    :param node: the node
     :param simulation: what has the entities
-    :param thread: runs it
     :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 

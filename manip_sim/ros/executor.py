@@ -25,7 +25,6 @@ class GuardedExecutor(SingleThreadedExecutor):
     too: rclpy only shows that a subscription or service was ready and that nothing could be taken
     from it. Unreadable data that waits together counts once.
 
-    :param log: counts and logs what callbacks raise, and what cannot be read
     :param context: the context of the nodes
     """
 

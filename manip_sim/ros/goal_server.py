@@ -29,11 +29,9 @@ class GoalServer:
     A goal that cannot be met is rejected, with the code and the reason in the log: ROS 2 has no
     result for a goal that was rejected.
 
-    :param node: the node
     :param messages: conversions of the messages of the action
     :param commands: counts goals as commands of the part
     :param tracker: watches the goals
-    :param log: logs what is rejected
     :param begun: is called when a goal has begun
     :ivar robot: that the goals are for
     """

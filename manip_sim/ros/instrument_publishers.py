@@ -36,7 +36,6 @@ class InstrumentPublishers(Publications):
     """
     Publishers of all instruments of a world, but for the gripper's, which have topics of the arms.
 
-    :param node: the node
     :raises ManipSimError: if the parameter ``sensors`` cannot be used
     :ivar rates_hz: of the sensors with fewer messages than control periods [Hz]
     """

@@ -68,8 +68,6 @@ class LidarPublisher:
     """
     The topics of one lidar.
 
-    :param node: the node
-    :param found: the lidar
     :ivar every: number of control periods for each scan
     :ivar topic: name of the topic
     """

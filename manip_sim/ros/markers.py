@@ -40,7 +40,6 @@ class MarkerPublisher:
     Arrows show contact forces, on the body that can move, and external wrenches; an arrow of a
     torque points along its axis.
 
-    :param node: the node
     :param end_effectors: readers of wrenches, by the beginning of the namespace of their markers
     """
 

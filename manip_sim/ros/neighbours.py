@@ -36,7 +36,6 @@ class Neighbours:
     name of a node may come after its endpoints. As long as neither the graph nor what was found
     changes, a look is a comparison of the names and numbers of its endpoints.
 
-    :param node: the node
     :param scopes: namespace of the topics of each robot
     """
 

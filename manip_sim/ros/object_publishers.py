@@ -18,11 +18,7 @@ from manip_sim.simulation.entities import Entities
 
 
 class ObjectPublishers(Publications):
-    """
-    Publishers of the pose and twist of each free body.
-
-    :param node: the node
-    """
+    """Publishers of the pose and twist of each free body."""
 
     def __init__(self, node: Any) -> None:
         super().__init__()

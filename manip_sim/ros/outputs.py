@@ -35,8 +35,6 @@ class Output:
     waits (100 ms with Fast DDS) and fails. Until all messages are acknowledged or the reader is
     gone, further messages are dropped and counted without waiting.
 
-    :param publisher: the publisher
-    :param log: counts and logs what could not be published
     :param thread: publishes the messages; None: :meth:`publish` does so itself
     """
 
@@ -146,8 +144,6 @@ class Publication:
     :param read: returns the numbers of the present instant, or None to publish no message
     :param count: how many numbers there are
     :param every: number of control periods for each message
-    :ivar output: where they are published
-    :ivar every: number of control periods for each message
     """
 
     def __init__(self, output: Output, make: Make, read: Callable[[Simulation], FloatArray | None],

@@ -101,9 +101,6 @@ class Parameters:
         Let parameters of a part set those of the parts that it consists of, and of its other name.
 
         At the start, a value given for one arm overrides one given for both.
-
-        :param scope: the robot
-        :param parts: its parts by name
         """
         self._parts[scope] = parts
         given = parameter_overrides(self._node)

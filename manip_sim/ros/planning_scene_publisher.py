@@ -46,7 +46,6 @@ class PlanningScenePublisher:
     subscriber gets the whole world. Frames are links of ``robot_description``, which have no
     ``frame_prefix``.
 
-    :param node: the node
     :param robot: for which is planned
     :param scope: namespace of its topics
     """

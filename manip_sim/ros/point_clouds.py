@@ -21,11 +21,7 @@ _POINT_SIZE = 16
 
 
 class PointCloudMaker:
-    """
-    Makes point clouds of the images of one camera.
-
-    :param found: its intrinsics
-    """
+    """Makes point clouds of the images of one camera."""
 
     def __init__(self, found: Intrinsics) -> None:
         #: Where the ray of a pixel is at a depth of one, shape (w,) and (h, 1).
@@ -39,7 +35,6 @@ class PointCloudMaker:
         """
         Return the points that a camera sees, in its optical frame, one for each pixel.
 
-        :param head: the header
         :param depth: along the view [m], +Inf where there is nothing, shape (h, w)
         :param rgb: shape (h, w, 3), or None for points without colours, which are white
         """

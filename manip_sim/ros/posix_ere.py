@@ -180,7 +180,6 @@ def parse(pattern: str) -> Node:
     """
     Return the tree of an expression.
 
-    :param pattern: the expression
     :raises ValueError: if it is not one
     """
     return _EreParser(pattern).parse()
@@ -190,7 +189,6 @@ class PosixExpression:
     """
     A POSIX Extended regular expression in the C locale; without back-references.
 
-    :param pattern: the expression
     :raises ValueError: if it is not one, or is too long
     """
 

@@ -92,11 +92,7 @@ def _point(position: Any = None, velocity: Any = None, acceleration: Any = None,
 
 
 class ClockPublisher(Publications):
-    """
-    The publisher of ``/clock``.
-
-    :param node: the node
-    """
+    """The publisher of ``/clock``."""
 
     def __init__(self, node: Any) -> None:
         super().__init__()
@@ -108,7 +104,6 @@ class StatePublishers(Publications):
     """
     Publishers of the states of a robot: the rows of the table that :data:`READERS` can read.
 
-    :param node: the node
     :param robot: whose states are read
     :param scope: namespace of its topics
     """
@@ -189,7 +184,6 @@ class ModelPublisher:
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
 
-    :param node: the node
     :param world: the model, as it is at the start
     """
 

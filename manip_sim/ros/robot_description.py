@@ -23,11 +23,7 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 
 
 class DynamicsPublisher:
-    """
-    A latched publisher of ``~/dynamics``, which says what a URDF does not: JSON by joint.
-
-    :param node: the node
-    """
+    """A latched publisher of ``~/dynamics``, which says what a URDF does not: JSON by joint."""
 
     def __init__(self, node: Any) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/dynamics'])
@@ -47,7 +43,6 @@ class DescriptionPublisher:
     """
     Latched publishers of ``robot_description`` of each robot.
 
-    :param node: the node
     :param world: the world of the robots
     :param simulation: of it
     :param robots: by their scope

@@ -43,7 +43,6 @@ class OdometryPublisher(Publications):
 
     They have no noise: the covariances are zero.
 
-    :param node: the node
     :param robot: whose base it is
     :param reader: reads the base
     :param scope: namespace of its topic
@@ -109,11 +108,7 @@ def check_frame_prefix(prefix: str) -> str:
 
 
 class SceneTopics:
-    """
-    Odometry of each period, and frames, markers and planning scenes at their rates.
-
-    :param node: the node
-    """
+    """Odometry of each period, and frames, markers and planning scenes at their rates."""
 
     def __init__(self, node: Any) -> None:
         self._node, self._thread, value = node, node.thread, node.declared.value

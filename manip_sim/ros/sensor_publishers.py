@@ -21,8 +21,6 @@ class SensorPublisher:
     """
     The publisher of a topic of another package.
 
-    :param node: the node
-    :param offered: the topic
     :raises ModelError: if its class or the first message cannot be made
     """
 

@@ -24,7 +24,6 @@ class ServedRobot:
     """
     Publishers of the states of a robot, subscriptions to its commands, and its live parameters.
 
-    :param node: the node
     :param scope: namespace of its topics and parameters
     :param robot: the robot, whose parameters are declared
     :ivar states: the publishers

@@ -22,8 +22,6 @@ class SimulationServices:
     ``~/save_state`` and ``~/restore_state``.
 
     Commands that have come count before ``~/pause`` and ``~/step``.
-
-    :param node: the node
     """
 
     def __init__(self, node: Any) -> None:

@@ -211,7 +211,6 @@ class SimNode(Node):
         """
         Call a function once when noise or latency of a robot is set.
 
-        :param scope: of the robot
         :param tell: publishes exact values beside those that are measured
         :param images: only when noise or latency of images is set
         """

@@ -53,9 +53,7 @@ class SpawningServices:
     simulation's thread takes the new world over between two control periods, with everything else
     as it was.
 
-    :param node: the node
     :param simulation: what is changed
-    :param thread: runs it
     :param changed: is called after objects have come or gone
     :param files: those that a request may name
     :param types: of the services, as ``simulation_interfaces.srv`` has them

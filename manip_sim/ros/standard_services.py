@@ -52,7 +52,6 @@ def offer_simulation_interfaces(node: Any, simulation: Simulation, thread: Simul
 
     :param node: the node, with its ``notes``
     :param simulation: what is controlled
-    :param thread: runs it
     :param objects_changed: is called after objects have come or gone
     :param files: those that a request may name
     :param robots: lets robots come and go
@@ -72,9 +71,7 @@ class SimulationInterfaces:
     A step is one control period. Scope ``ALL`` of a reset, and the state ``STOPPED``, restart
     simulation time; scope ``STATE`` lets it go on, as ``~/reset`` does.
 
-    :param node: the node
     :param simulation: what is controlled
-    :param thread: runs it
     :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 

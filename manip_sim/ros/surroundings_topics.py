@@ -38,7 +38,6 @@ class SurroundingsTopics(Publications):
     """
     Publishers and subscriptions of surroundings and pulls.
 
-    :param node: the node
     :ivar statistics: counts of the commands, for ``arena``, ``actuators``,
         ``objects/<name>`` and ``pull``
     """

@@ -67,7 +67,6 @@ class Player:
     """
     A page that shows one episode, or world of a node, at one of its instants.
 
-    :param server: the ``viser.ViserServer``
     :param entries: what can be shown, at least one
     :param dark: whether the page is dark
     """

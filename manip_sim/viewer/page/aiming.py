@@ -33,8 +33,6 @@ class Aiming:
     The server gives every new browser the same first view, whatever the shape of its window. A
     slow browser may apply that view after its camera was aimed, and the button that resets the
     view always does; so any camera found at the first view is aimed again.
-
-    :param server: the ``viser.ViserServer``
     """
 
     def __init__(self, server: Any) -> None:

@@ -51,11 +51,7 @@ class BodyMesh:
 
 
 def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
-    """
-    Return all shapes of a model except invisible ones (alpha 0), planes and height fields.
-
-    :param model: the ``mujoco.MjModel``
-    """
+    """Return all shapes of a model except invisible ones (alpha 0), planes and height fields."""
     alike: dict[tuple[int, tuple[float, ...], bool], list[Any]] = {}
     for geom in range(model.ngeom):
         rgba = geom_rgba(model, geom)

@@ -23,10 +23,8 @@ class HandTarget:
     """
     The target of one hand.
 
-    :param scene: ``viser.ViserServer.scene``
     :param space: namespace of the robot's topics, such as ``/left/``
     :param arm: whose hand it is
-    :param commands: receives what people command
     """
 
     def __init__(self, scene: Any, space: str, arm: str, commands: PageCommands) -> None:

@@ -34,15 +34,11 @@ class JointPanel:
     """
     A folder with a slider for each joint of a part.
 
-    :param gui: ``viser.ViserServer.gui``
     :param robot: the robot that has the part
     :param part: the part, with its joints
     :param field: that its commands use, such as ``position``
-    :param commands: receives what people command
-    :param events: queue to the thread that updates the page
     :param folded: whether it begins folded up
     :param order: place among the folders
-    :ivar field: that its commands use
     """
 
     def __init__(self, gui: Any, robot: Robot, part: ShownPart, field: str, commands: PageCommands,
@@ -147,10 +143,7 @@ class DrivePanel:
     """
     Sliders for the velocity of a mobile base in its own frame.
 
-    :param gui: ``viser.ViserServer.gui``
     :param robot: the robot that has the base
-    :param commands: receives what people command
-    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, robot: Robot, commands: PageCommands, events: Events) -> None:

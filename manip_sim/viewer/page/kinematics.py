@@ -22,7 +22,6 @@ class Kinematics:
     """
     The kinematics of a model.
 
-    :param model: the ``mujoco.MjModel``
     :ivar data: its ``mujoco.MjData``, current after :meth:`compute`
     """
 

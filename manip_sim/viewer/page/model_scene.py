@@ -27,11 +27,7 @@ _SAME_ARROW_M = 2e-4
 
 
 class Overlays:
-    """
-    What is drawn over the scene.
-
-    :param scene: ``viser.ViserServer.scene``
-    """
+    """What is drawn over the scene."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
@@ -110,8 +106,6 @@ class Scene:
     """
     A model in the scene of a page.
 
-    :param server: the ``viser.ViserServer``
-    :param model: the ``mujoco.MjModel``
     :param data: the ``mujoco.MjData``: where its bodies are at first
     """
 

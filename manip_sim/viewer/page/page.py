@@ -39,7 +39,6 @@ class Page:
     """
     The content of the page.
 
-    :param server: the ``viser.ViserServer``
     :param commands: receives what people command; None: the page can only be watched
     :param watch: starts or stops listening to the images of a camera
     :param dark: whether it begins dark
@@ -134,7 +133,6 @@ class Page:
         """
         Replace the model in the scene.
 
-        :param model: the ``mujoco.MjModel``
         :param latest: has the positions of its joints and objects
         """
         if self._scene is not None:
@@ -166,7 +164,6 @@ class Page:
         Send what people have requested, and show the newest states.
 
         :param now_s: wall time [s]
-        :param latest: the newest states
         :param paused: whether the simulation is paused
         """
         if self._poses is not None:

@@ -27,9 +27,7 @@ class SimulationPanel:
     """
     A line of state and the buttons of the whole simulation.
 
-    :param gui: ``viser.ViserServer.gui``
     :param commands: receives what people command; None: there are no buttons
-    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, commands: PageCommands | None, events: Events) -> None:
@@ -81,12 +79,10 @@ class ViewPanel:
     """
     Check boxes for what is shown.
 
-    :param gui: ``viser.ViserServer.gui``
     :param dark: whether the page is dark
     :param targets: those of the hands, by title
     :param set_dark: makes the page dark or light
     :param look: aims the camera of a browser, by its number and the name of a view
-    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, dark: bool, targets: Mapping[str, HandTarget],
@@ -144,10 +140,8 @@ class CameraPanel:
     """
     A box to tick for each camera, and its image below.
 
-    :param gui: ``viser.ViserServer.gui``
     :param cameras: names
     :param watch: starts or stops listening to the images of a camera
-    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, cameras: Iterable[str], watch: Callable[[str, bool], None],

@@ -48,7 +48,6 @@ class PlainText:
     """
     Lines of text in the panel.
 
-    :param gui: ``viser.ViserServer.gui``
     :param lines: that it begins with
     """
 

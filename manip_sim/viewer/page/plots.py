@@ -70,7 +70,6 @@ class PlotPanel:
     """
     Plots of one part, or of the wrench of one hand, that a person chooses.
 
-    :param gui: ``viser.ViserServer.gui``
     :param tab: the tab that the plots are on
     :param robots: of the node
     """

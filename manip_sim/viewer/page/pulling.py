@@ -44,13 +44,7 @@ class _Drag:
 
 
 class Pulling:
-    """
-    A box to tick, and while it is ticked, bodies that can be dragged.
-
-    :param gui: ``viser.ViserServer.gui``
-    :param commands: receives what people command
-    :param events: queue to the thread that updates the page
-    """
+    """A box to tick, and while it is ticked, bodies that can be dragged."""
 
     def __init__(self, gui: Any, commands: PageCommands, events: Events) -> None:
         self._commands, self._events = commands, events

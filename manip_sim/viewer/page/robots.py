@@ -120,7 +120,6 @@ def commanded_joints(model: mujoco.MjModel, names: list[str],
     """
     Return those joints that have an actuator of their own.
 
-    :param model: the ``mujoco.MjModel``
     :param names: of the joints of a part
     :param limits: as :func:`declared_limits` returns them
     :param gripper: whether the part is a gripper, whose joints take positions only where the

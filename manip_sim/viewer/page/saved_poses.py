@@ -110,11 +110,8 @@ class PosePanel:
 
     A pose has the joints with a slider of all parts that take positions.
 
-    :param gui: ``viser.ViserServer.gui``
     :param poses: what is saved
     :param robots: of the node
-    :param commands: receives what people command
-    :param events: queue to the thread that updates the page
     :param notify: called with what could not be done, for people
     """
 

@@ -24,8 +24,6 @@ class Timeline:
     """
     A slider over instants, and a box that plays them.
 
-    :param gui: ``viser.ViserServer.gui``
-    :param events: queue to the thread that updates the page
     :param label: what the slider shows
     :param step: of the values of the slider
     :param show: shows the instant of an index
@@ -113,9 +111,6 @@ class LookBack:
 
     What is kept goes on to grow while the view is stopped; what is scrubbed through does not
     change.
-
-    :param gui: ``viser.ViserServer.gui``
-    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, events: Events) -> None:

@@ -37,7 +37,6 @@ class Discovery:
     What is known about the node.
 
     :param node: the viewer's own
-    :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
     :ivar base: namespace of the node, with a slash at its end
     :ivar model: its ``mujoco.MjModel``, or None

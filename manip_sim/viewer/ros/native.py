@@ -38,7 +38,6 @@ def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callab
     Show a node until the window is closed or the process is to end.
 
     :param node: the viewer's own
-    :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
     :param run_ready: runs the callbacks that are ready
     :param ended: the signals on which the process is to end

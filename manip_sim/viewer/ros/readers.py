@@ -60,12 +60,7 @@ class Readers:
 
 
 class PolledExecutor(SingleThreadedExecutor):
-    """
-    An executor that runs callbacks when it is polled, not when messages come.
-
-    :param log: counts and logs what callbacks raise
-    :param arguments: of the executor
-    """
+    """An executor that runs callbacks when it is polled, not when messages come."""
 
     def __init__(self, log: RejectionLog, **arguments: Any) -> None:
         super().__init__(**arguments)

@@ -34,9 +34,7 @@ class Session:
     A page that shows a node.
 
     :param node: the viewer's own
-    :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
-    :param server: the ``viser.ViserServer``
     :param dark: whether the page begins dark
     :param commands: whether people can command the node; else there is nothing that could
     :param poses: those saved before

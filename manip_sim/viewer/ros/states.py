@@ -35,7 +35,6 @@ class States:
     Subscriptions to all states of a node.
 
     :param node: the viewer's own
-    :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
     :param base: its namespace, with a slash at its end
     :ivar latest: what has come
