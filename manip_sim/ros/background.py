@@ -61,3 +61,22 @@ class _Outcome:
         while not self._outcome.done():
             yield
         return self._outcome.result()
+
+
+class Rounds:
+    """
+    An awaitable that lets the executor run what else is ready before a coroutine goes on.
+
+    :param count: how often
+    """
+
+    def __init__(self, node: Node, count: int = 1) -> None:
+        self._node, self._count = node, count
+
+    def __await__(self) -> Generator[None, None, None]:
+        for _ in range(self._count):
+            # An executor goes on with tasks that it has begun only when something wakes it.
+            executor = self._node.executor
+            if executor is not None:
+                executor.wake()
+            yield

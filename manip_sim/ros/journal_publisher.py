@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros.outputs import create_output
-from manip_sim.ros.task_publisher import TaskPublisher
+from manip_sim.ros.episode_publishers import TaskPublisher
 from manip_sim.simulation import Simulation
 
 #: How often what has come is published, wall time [s].

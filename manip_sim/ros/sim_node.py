@@ -33,13 +33,12 @@ from manip_sim.ros.arguments import without_source
 from manip_sim.ros.cameras import offer_cameras
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.diagnostics import Diagnostics
-from manip_sim.ros.episode_publisher import EpisodePublisher
+from manip_sim.ros.episode_publishers import EpisodePublisher
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
 from manip_sim.ros.journal_publisher import JournalPublisher
 from manip_sim.ros.lidars import offer_lidars
 from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, ModelPublisher
@@ -52,7 +51,7 @@ from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.ros.surroundings_topics import SurroundingsTopics
-from manip_sim.ros.task_publisher import TaskPublisher
+from manip_sim.ros.episode_publishers import TaskPublisher
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.surroundings import ARENA
@@ -184,20 +183,19 @@ class SimNode(Node):
 
     def _show_world(self, world: World) -> None:
         value = self.declared.value
-        self.objects = ObjectPublishers(self)
         self.surroundings = SurroundingsTopics(self)
         model = ModelPublisher(self, world)
         self.instruments = InstrumentPublishers(self)
         for scope in self.robots:
             self.publish_truth_by(scope, partial(self.instruments.publish_truth, scope))
-        for shown in (self.objects, self.surroundings, self.instruments):
+        for shown in (self.surroundings, self.instruments):
             self.thread.observe(shown.publish, look=shown.look)
         self.scene = SceneTopics(self)
         if value('publish_clock'):
             clock = ClockPublisher(self)
             self.thread.observe(clock.publish, look=clock.look)
-        self._followers = [model.follow, self.objects.follow, self.instruments.follow,
-                           self.surroundings.follow, self.scene.follow]
+        self._followers = [model.follow, self.instruments.follow, self.surroundings.follow,
+                           self.scene.follow]
         self.dynamics = DynamicsPublisher(self)
         self.descriptions = DescriptionPublisher(
             self, world, self.simulation, self.robots,

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,13 +26,11 @@ from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
 from manip_sim.quoting import quoted, shown
 from manip_sim.ros.actions import offers_of
-from manip_sim.ros.background import in_background
+from manip_sim.ros.background import in_background, Rounds
 from manip_sim.ros.introduction import inferred
-from manip_sim.ros.rejection import Rejection
-from manip_sim.ros.standard_codes import ResultCode, SpawnCode
+from manip_sim.ros.standard_answers import Rejection, ResultCode, SpawnCode
 from manip_sim.simulation.poses import Pose
-from manip_sim.simulation.robot_spawning import (
-    plan_with_robot, plan_without_robot, RobotsPlan)
+from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot, RobotsPlan
 
 #: Ends of goals, results and their answers each take a round of the executor.
 _ROUNDS = 6
@@ -223,7 +221,7 @@ class SpawnedRobots:
         self._thread.change_robots(plan)
         if node.actions is not None:
             # Clients get their results before the servers are gone.
-            await _Rounds(node)
+            await Rounds(node, _ROUNDS)
             node.actions.remove(robot)
         node.commands.remove(served.commands)
         node.descriptions.remove(scope)
@@ -233,17 +231,3 @@ class SpawnedRobots:
         begin = scope.topic('')
         node.table = [row for row in node.table if not row.name.startswith(begin)]
         node.declared.undeclare(scope)
-
-
-class _Rounds:
-    """An awaitable that lets the executor run what else is ready, some times."""
-
-    def __init__(self, node: Any) -> None:
-        self._node = node
-
-    def __await__(self) -> Generator[None, None, None]:
-        for _ in range(_ROUNDS):
-            executor = self._node.executor
-            if executor is not None:
-                executor.wake()
-            yield

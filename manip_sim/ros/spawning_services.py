@@ -27,9 +27,8 @@ from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import WORLD
-from manip_sim.ros.rejection import Rejection, result_filled
 from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
-from manip_sim.ros.standard_codes import ResultCode, SpawnCode
+from manip_sim.ros.standard_answers import Rejection, result_filled, ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose

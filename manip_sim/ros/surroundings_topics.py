@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Topics of mocap bodies, the arena's joints, actuators of no part, and what pulls bodies."""
+"""Topics of objects, the arena's joints, actuators of no part, and what pulls bodies."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from visualization_msgs.msg import Marker
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import BY_NAME, PUBLISHED, Topic
-from manip_sim.interface.world_topics import topics_of_surroundings
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, TOKEN, Topic
+from manip_sim.interface.world_topics import topics_of_objects, topics_of_surroundings
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.commands import CommandStatistics, CommandSubscription
@@ -25,6 +25,7 @@ from manip_sim.ros.log import kind_of
 from manip_sim.ros.outputs import create_output, message_class, Output, Publication, Publications
 from manip_sim.ros.reading import read_command
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.surroundings import ACTUATORS
 
@@ -32,11 +33,14 @@ from manip_sim.simulation.surroundings import ACTUATORS
 _ENDS, _NOWHERE = 2, PoseMessage()
 #: The topics of actuators that come and go with objects.
 _LOOSE = BY_NAME['actuators/states'], BY_NAME['actuators/command']
+#: By the name in a row of the table: what is read of a free body, its message and its size.
+_READERS = {'object_pose': (Entities.pose, messages.pose_stamped, 7),
+            'object_twist': (Entities.twist, messages.twist_stamped, 6)}
 
 
 class SurroundingsTopics(Publications):
     """
-    Publishers and subscriptions of surroundings and pulls.
+    Publishers and subscriptions of objects, surroundings and pulls; objects may come and go.
 
     :ivar statistics: counts of the commands, for ``arena``, ``actuators``,
         ``objects/<name>`` and ``pull``
@@ -56,15 +60,16 @@ class SurroundingsTopics(Publications):
 
     def follow(self, simulation: Simulation) -> None:
         """
-        Serve the mocap bodies and the actuators of no part that there are now.
+        Serve the free and mocap bodies and the actuators of no part that there are now.
 
         Commands of actuators stay subscribed to. To be called in the thread that spins the node,
         or before it spins.
 
         :param simulation: with these
         """
-        rows = [row for row in topics_of_surroundings(simulation.surroundings)
-                if row not in _LOOSE]
+        free = [name for name in simulation.entities.free_names if TOKEN.fullmatch(name)]
+        rows = dict.fromkeys([*topics_of_objects(free), *(
+            row for row in topics_of_surroundings(simulation.surroundings) if row not in _LOOSE)])
         gone = [self._outputs.pop(row) for row in [*self._outputs] if row not in rows]
         for row in [row for row in self._inputs if row not in rows]:
             self._inputs.pop(row).close()
@@ -102,12 +107,15 @@ class SurroundingsTopics(Publications):
         if row.by == 'arena_joints':
             return Publication(output, partial(messages.joint_state, found.joints),
                                lambda _: found.state(), 3 * len(found.joints))
+        read, make, count = _READERS[row.by]
 
-        def pose(_: Simulation) -> FloatArray | None:
+        def numbers(simulation: Simulation) -> FloatArray | None:
             # The body may be gone before follow() is called.
+            if row.of in simulation.entities.free_names:
+                return read(simulation.entities, simulation.data, row.of)
             return found.pose(row.of) if row.of in found.mocap_names else None
         world = self._node.frame_prefix + messages.WORLD
-        return Publication(output, partial(messages.pose_stamped, world), pose, 7)
+        return Publication(output, partial(make, world), numbers, count)
 
     def _subscribe(self, row: Topic) -> CommandSubscription:
         message_type, use = message_class(row), partial(self._take[row.by], row.of)

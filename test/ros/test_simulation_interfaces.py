@@ -24,7 +24,7 @@ from simulation_interfaces.srv import (  # noqa: E402
     DeleteEntity, GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures,
     ResetSimulation, SetEntityState, SetSimulationState, SpawnEntity, StepSimulation)
 
-from manip_sim.ros import standard_codes as codes  # noqa: E402
+from manip_sim.ros import standard_answers as codes  # noqa: E402
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 STOPPED, PLAYING, PAUSED = (

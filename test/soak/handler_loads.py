@@ -31,7 +31,7 @@ from usage import Usage
 from manip_sim.errors import SimulationEnded
 from manip_sim.models import compose
 from manip_sim.ros.actions import messages_of
-from manip_sim.ros.standard_codes import ResultCode
+from manip_sim.ros.standard_answers import ResultCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import Simulation

@@ -2,15 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Numbers of the package ``simulation_interfaces``, the same in its versions 1 and 2.
+Answers of ``simulation_interfaces``, with its numbers, the same in its versions 1 and 2.
 
-They are copied here because the package may be absent; where it is installed, a test compares
+The numbers are copied because the package may be absent; where it is installed, a test compares
 them with it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import IntEnum
+from typing import Any
+
+from manip_sim.errors import ManipSimError, UnknownNameError
 
 
 class ResultCode(IntEnum):
@@ -94,3 +99,43 @@ class Feature(IntEnum):
     SIMULATION_STATE_PAUSE = 26
     STEP_SIMULATION_SINGLE = 31
     STEP_SIMULATION_MULTIPLE = 32
+
+
+class Rejection(ManipSimError):
+    """A request cannot be served, with the result code that says why."""
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@contextmanager
+def result_filled(result: Any) -> Iterator[None]:
+    """
+    Write into a result whether the ``with`` block succeeds; a ``ManipSimError`` is suppressed.
+
+    :param result: message ``Result``
+    """
+    result.result = int(ResultCode.RESULT_OK)
+    try:
+        yield
+    except ManipSimError as error:
+        code: int = ResultCode.RESULT_OPERATION_FAILED
+        if isinstance(error, Rejection):
+            code = error.code
+        elif isinstance(error, UnknownNameError):
+            code = ResultCode.RESULT_NOT_FOUND
+        result.result, result.error_message = int(code), str(error)
+
+
+def answering(fill: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+    """
+    Return the callback of a service, which writes into the response whether it succeeded.
+
+    :param fill: fills the response to a request, or raises a ``ManipSimError``
+    """
+    def answer(request: Any, response: Any) -> Any:
+        with result_filled(response.result):
+            fill(request, response)
+        return response
+    return answer
