@@ -30,7 +30,7 @@ def first(count, *changed):
     ('manip_sim/runtime/pacing.py', 'test_pacing.py'),
     ('manip_sim/ros/actions.py', 'test_goal_server.py'),
     ('manip_sim/ros/diagnostics.py', 'test_diagnostics.py'),
-    ('manip_sim/viewer/page/joint_panel.py', 'test_panels.py'),
+    ('manip_sim/viewer/page/panels.py', 'test_panels.py'),
     ('manip_sim/cli/tables.py', 'test_cli_tables.py'),
     ('manip_sim/cli/check.py', 'test_cli_check.py'),
     ('manip_sim/records/__init__.py', 'test_interrupted.py'),

@@ -17,7 +17,7 @@ from manip_sim.cli.composition import Composed
 from manip_sim.cli.listing import origin
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
-from manip_sim.interface.instruments import served_instruments
+from manip_sim.interface.served_instruments import served_instruments
 from manip_sim.interface.sensors import offered_topics
 from manip_sim.interface.topics import Scope, SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world

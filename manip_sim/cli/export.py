@@ -16,10 +16,9 @@ import mujoco
 from manip_sim.cli.composition import compose_from, Composed
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
-from manip_sim.interface.instruments import served_instruments
 from manip_sim.interface.parameters import commanded_parts
 from manip_sim.interface.ros2_control import hardware_of, remapped
-from manip_sim.interface.sensor_settings import SensorSettings
+from manip_sim.interface.served_instruments import SensorSettings, served_instruments
 from manip_sim.models import World
 from manip_sim.models.binary import said_of_text
 from manip_sim.models.urdf_writer import choose_robot, Hardware, urdf_of

@@ -12,9 +12,8 @@ from manip_sim.cli.progress import ProgressBar
 from manip_sim.errors import RecordError
 from manip_sim.quoting import counted
 from manip_sim.records.converting import records_in
-from manip_sim.records.journal import JournalReplay
 from manip_sim.records.recorded import Record
-from manip_sim.records.repeating import Repetition, Replay
+from manip_sim.records.repeating import JournalReplay, Repetition, Replay
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:

@@ -17,8 +17,8 @@ from sensor_msgs.msg import Imu, MagneticField, Range
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.instruments import ServedInstrument, served_instruments
-from manip_sim.interface.sensor_settings import SensorSettings
+from manip_sim.interface.served_instruments import (
+    SensorSettings, served_instruments, ServedInstrument)
 from manip_sim.interface.topics import Scope
 from manip_sim.ros.messages import wrench_stamped
 from manip_sim.ros.outputs import create_output, Publication, Publications

@@ -1,11 +1,16 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a thread that takes commands waits for: other threads, or messages in a subclass."""
+"""What a thread waits for: other threads, their calls, or messages in a subclass."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future
 import threading
+from typing import TypeVar
+
+from manip_sim.errors import SimulationEnded
 
 
 class Inbox:
@@ -33,3 +38,61 @@ class Inbox:
 
         :param most: how many of each topic
         """
+
+
+T = TypeVar('T')
+
+
+class Calls:
+    """
+    Functions that wait for the simulation's thread, in the order in which they came.
+
+    :param inbox: wakes that thread
+    """
+
+    def __init__(self, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[Callable[[], object], Future[object]]] = []
+        self._ended = False
+
+    def __bool__(self) -> bool:
+        """Return whether a function waits."""
+        return bool(self._waiting)
+
+    def run(self, function: Callable[[], T]) -> T:
+        """
+        Let the simulation's thread run a function, and wait until it has.
+
+        :returns: what the function returns
+        :raises Exception: what the function raises
+        :raises SimulationEnded: if the simulation has ended, or ends before it runs the function
+        """
+        future: Future[T] = Future()
+        with self._lock:
+            if self._ended:
+                raise SimulationEnded('the simulation has ended')
+            self._waiting.append((function, future))  # type: ignore[arg-type]
+        self._inbox.wake()
+        try:
+            return future.result()
+        except CancelledError as error:
+            raise SimulationEnded('the simulation has ended') from error
+
+    def answer(self) -> None:
+        """Run the functions that wait; called in the simulation's thread."""
+        with self._lock:
+            waiting, self._waiting = self._waiting, []
+        for function, future in waiting:
+            try:
+                future.set_result(function())
+            except Exception as error:
+                future.set_exception(error)
+
+    def end(self) -> None:
+        """Cancel the functions that wait, and accept no more."""
+        with self._lock:
+            self._ended = True
+            waiting, self._waiting = self._waiting, []
+        for _, future in waiting:
+            future.cancel()

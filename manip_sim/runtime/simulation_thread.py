@@ -12,9 +12,8 @@ import time
 from typing import Any, TypeVar
 
 from manip_sim.errors import CommandError, DivergenceError
-from manip_sim.runtime.calls import Calls
 from manip_sim.runtime.changes import PendingChanges
-from manip_sim.runtime.inbox import Inbox
+from manip_sim.runtime.inbox import Calls, Inbox
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer, Progress
 from manip_sim.simulation import Simulation

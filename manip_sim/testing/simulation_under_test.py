@@ -22,9 +22,8 @@ from std_srvs.srv import SetBool, Trigger
 from manip_sim.errors import ManipSimError
 from manip_sim.testing.controllers import Controllers
 from manip_sim.testing.evidence import save_evidence
-from manip_sim.testing.history import (
-    joint_history, JointHistory, wrench_history, WrenchHistory)
-from manip_sim.testing.recorded_topics import RecordedTopics
+from manip_sim.testing.recorded_topics import (
+    joint_history, JointHistory, RecordedTopics, wrench_history, WrenchHistory)
 from manip_sim.testing.served_node import NodeInProcess, NodeProcess, ServedNode
 
 #: How many control periods pass at once: fewer than the messages that a publisher keeps.

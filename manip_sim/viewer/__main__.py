@@ -59,7 +59,7 @@ def _run() -> int:
         if options.record:
             from manip_sim.viewer.playback import show_records
             return show_records(options)
-        from manip_sim.viewer.ros.page_process import show
+        from manip_sim.viewer.ros.session import show
     except ImportError as error:
         return _fail(missing_module(error))
     except ManipSimError as error:

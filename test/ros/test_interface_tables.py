@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
-from manip_sim.interface.instruments import served_instruments
+from manip_sim.interface.served_instruments import served_instruments
 from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS
 from manip_sim.interface.world_topics import topics_of_world
 from manip_sim.ros import planning_scene_publisher, transforms

@@ -15,11 +15,11 @@ pytest.importorskip('hypothesis', reason='needs hypothesis')
 from hypothesis import given, strategies as st  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
-from manip_sim.viewer.page.hand_target import HandTarget  # noqa: E402
-from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel, rounded_inward  # noqa: E402
+from manip_sim.viewer.page.dragging import HandTarget  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
 from manip_sim.viewer.page.page_commands import Events  # noqa: E402
-from manip_sim.viewer.page.panels import CameraPanel, SimulationPanel  # noqa: E402
+from manip_sim.viewer.page.panels import (  # noqa: E402
+    CameraPanel, DrivePanel, JointPanel, rounded_inward, SimulationPanel)
 from manip_sim.viewer.page.plots import PlotPanel  # noqa: E402
 from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart  # noqa: E402
 from manip_sim.viewer.page.saved_poses import PosePanel, Poses  # noqa: E402

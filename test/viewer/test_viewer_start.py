@@ -74,7 +74,7 @@ def test_an_unknown_option_is_a_wrong_command_line():
 
 def test_an_error_of_the_page_is_logged_and_the_next_round_comes(monkeypatch):
     pytest.importorskip('rclpy', reason='the viewer needs ROS 2')
-    from manip_sim.viewer.ros import page_process
+    from manip_sim.viewer.ros import session
     rounds, logged, waits = [], [], []
 
     class Failing:
@@ -85,15 +85,14 @@ def test_an_error_of_the_page_is_logged_and_the_next_round_comes(monkeypatch):
             rounds.append(now_s)
             raise ValueError('another model')
     for name in ('open_server', 'page_address', 'close_server'):
-        monkeypatch.setattr(page_process, name, lambda *_: None)
-    monkeypatch.setattr(page_process, 'Session', Failing)
+        monkeypatch.setattr(session, name, lambda *_: None)
+    monkeypatch.setattr(session, 'Session', Failing)
     readers = SimpleNamespace(log=SimpleNamespace(failure=lambda *told: logged.append(told)))
     options = SimpleNamespace(
         allow_host=[], listen='', port=0, dark=False, no_commands=False, poses=None)
-    page_process._serve(None, readers, 'sim', SimpleNamespace(run_ready=lambda: None), options,
-                        SimpleNamespace(
-                            wait=lambda most_s: waits.append(most_s) or len(rounds) == 3))
-    assert max(waits) < len(waits) * page_process._PERIOD_S
+    session._serve(None, readers, 'sim', SimpleNamespace(run_ready=lambda: None), options,
+                   SimpleNamespace(wait=lambda most_s: waits.append(most_s) or len(rounds) == 3))
+    assert max(waits) < len(waits) * session._PERIOD_S
     assert len(rounds) == 3
     assert [(kind, what, str(error)) for kind, what, error in logged] == [
         ('callbacks', 'the page', 'another model')] * 3

@@ -13,16 +13,15 @@ import mujoco
 from manip_sim.quoting import one_line
 from manip_sim.viewer.page.aiming import Aiming
 from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus
-from manip_sim.viewer.page.hand_target import HandTarget
-from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
+from manip_sim.viewer.page.dragging import HandTarget, Pulling
 from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.model_scene import Overlays, Scene
 from manip_sim.viewer.page.page_commands import Events, PageCommands
-from manip_sim.viewer.page.panels import CameraPanel, SimulationPanel, ViewPanel
+from manip_sim.viewer.page.panels import (
+    CameraPanel, DrivePanel, JointPanel, SimulationPanel, ViewPanel)
 from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.plots import PlotPanel
-from manip_sim.viewer.page.pulling import Pulling
 from manip_sim.viewer.page.robots import Robot, ShownPart
 from manip_sim.viewer.page.saved_poses import PosePanel, Poses
 from manip_sim.viewer.page.server import set_theme
