@@ -26,7 +26,6 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Return the defects as text, and the exit code: 1 if there are any."""
     if options.file is not None:
         name, defects = str(options.file), _defects_of_file(options.file)
         note = ''

@@ -13,7 +13,6 @@ from manip_sim.records.converting import convert, records_in
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Write the data set; return what it holds, and the exit code 0."""
     with ProgressBar('episodes') as progress:
         episodes, periods, notes = convert(records_in(options.files), options.to, options.out,
                                            progress.show, options.only_success)

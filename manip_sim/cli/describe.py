@@ -75,7 +75,6 @@ _TITLES = {
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Return the description as text, and the exit code 0."""
     composed = compose_from(options)
     if options.yaml:
         return _as_yaml(composed.composition.world), 0

@@ -76,7 +76,6 @@ def _servo_type(model: mujoco.MjModel, index: int) -> str:
 
 
 def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
-    """Return the sensors of a robot and of all that is mounted on it."""
     rows = []
     # Those of a hand in the robot's own file are the robot's too.
     for name in dict.fromkeys(name for part in _parts(robot) for name in part.sensors):
@@ -124,7 +123,6 @@ def _important(part: MujocoXMLModel) -> list[str]:
 
 
 def camera_rows(model: mujoco.MjModel) -> list[Row]:
-    """Return the cameras of a model."""
     rows = []
     for camera in range(model.ncam):
         width, height = model.cam_resolution[camera].tolist()

@@ -28,7 +28,6 @@ _ARCHIVES = ('.mjz', '.zip')
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Write the file or the package; return its name with notes on it, and the exit code 0."""
     if options.moveit is not None or isinstance(options.ros2_control, Path):
         return '\n'.join(_write_packages(options)), 0
     file: Path = options.file

@@ -13,7 +13,6 @@ SMALLEST, LARGEST = 16, 8192
 
 
 def number(text: str) -> float:
-    """Return a finite number."""
     try:
         value = float(text)
     except ValueError:
@@ -24,12 +23,10 @@ def number(text: str) -> float:
 
 
 def numbers(text: str) -> list[float]:
-    """Return finite numbers from text such as ``0,0.1``."""
     return [number(part) for part in text.split(',')]
 
 
 def positive(text: str) -> float:
-    """Return a number above 0."""
     value = number(text)
     if value <= 0.0:
         raise argparse.ArgumentTypeError(f'must be above 0, got {text[:60]!r}')
@@ -37,14 +34,12 @@ def positive(text: str) -> float:
 
 
 def whole(text: str) -> int:
-    """Return a whole number from 0 on."""
     if not (text.isascii() and text.isdecimal()):
         raise argparse.ArgumentTypeError(f'must be a whole number, got {text[:60]!r}')
     return int(text[:9])
 
 
 def count(text: str) -> int:
-    """Return a whole number from 1 on."""
     value = whole(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f'must be at least 1, got {text[:60]!r}')
@@ -64,7 +59,6 @@ def image_size(text: str) -> tuple[int, int]:
 
 
 def assignment(text: str) -> tuple[str, str]:
-    """Return name and value from text such as ``NAME=VALUE``."""
     name, equals, value = text.partition('=')
     if not (name and equals):
         raise argparse.ArgumentTypeError(f'must be like NAME=VALUE, got {text[:60]!r}')

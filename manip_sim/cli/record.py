@@ -13,7 +13,6 @@ from manip_sim.errors import RecordError
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Record until a signal or for some time; return what was recorded, and the exit code."""
     check_ros_environment()
     try:
         from manip_sim.records.node_recorder import record_node

@@ -22,7 +22,6 @@ _ENDINGS = ('.png', '.jpg', '.jpeg')
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Write the picture; return the name of its file, and the exit code 0."""
     file: Path = options.file
     if file.suffix.lower() not in _ENDINGS:
         raise ManipSimError(f'{file}: the name must end with .png or .jpg')

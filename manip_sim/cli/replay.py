@@ -43,7 +43,6 @@ class _Repeated:
         self._succeeded = self._recorded_success = 0
 
     def episodes(self, record: Record) -> None:
-        """Repeat the episodes of a record."""
         with ProgressBar('episodes') as progress:
             for recorded in record.episodes():
                 try:
@@ -59,7 +58,6 @@ class _Repeated:
                 progress.show(self._episodes)
 
     def node(self, record: Record) -> None:
-        """Repeat the record of a node."""
         replay = JournalReplay(record)
         with ProgressBar('control periods') as progress:
             replay.repeat(progress.show)
@@ -71,7 +69,6 @@ class _Repeated:
                           f'with {counted(replay.changes, "change")} from outside')
 
     def result(self) -> tuple[str, int]:
-        """Return what differs, how many do not, and the exit code."""
         if self._verify:
             return '\n'.join([*self.lines, f'{self._equal} of {self._total} equal']), int(
                 self._equal < self._total or self.cut_off)

@@ -217,7 +217,6 @@ def _description(folder: Path) -> dict[str, Any]:
 
 
 def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
-    """Return the table of a summary, and the exit code."""
     count, late = summary['episodes'], summary['latency']
     low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])
     time_s = summary['median_time_of_success_s']

@@ -65,11 +65,6 @@ class TrajectoryMessages(ActionMessages):
     name = 'follow_joint_trajectory'
 
     def goal_of(self, request: Any) -> TrajectoryGoal:
-        """
-        Return the goal of a request.
-
-        :raises GoalError: if it cannot be met
-        """
         multi_dof = request.multi_dof_trajectory
         if len(multi_dof.joint_names) or len(multi_dof.points):
             raise GoalError(GoalCode.INVALID_GOAL, f'{self.part} has no joints with several '
@@ -91,7 +86,6 @@ class TrajectoryMessages(ActionMessages):
             self._now_ns())
 
     def feedback_of(self, goal: TrajectoryGoal) -> Any:
-        """Return the desired and the actual state, and the difference."""
         message, view = self.action_type.Feedback(), goal.view
         message.joint_names = list(goal.names)
         if view is not None:
@@ -103,7 +97,6 @@ class TrajectoryMessages(ActionMessages):
         return message
 
     def result_of(self, goal: TrajectoryGoal) -> Any:
-        """Return the error code and the reason."""
         message, outcome = self.action_type.Result(), goal.outcome
         if outcome is not None:
             message.error_code, message.error_string = int(outcome.code), outcome.reason
@@ -129,21 +122,14 @@ class GripperMessages(ActionMessages):
     name = 'gripper_cmd'
 
     def goal_of(self, request: Any) -> GripperGoal:
-        """
-        Return the goal of a request.
-
-        :raises GoalError: if it cannot be met
-        """
         command = request.command
         return GripperGoal(self.robot, self.part,
                            GripperRequest(command.position, command.max_effort))
 
     def feedback_of(self, goal: GripperGoal) -> Any:
-        """Return the state of the gripper."""
         return self._filled(self.action_type.Feedback(), goal)
 
     def result_of(self, goal: GripperGoal) -> Any:
-        """Return the state of the gripper, and whether it has reached the goal or stalled."""
         return self._filled(self.action_type.Result(), goal)
 
     @staticmethod
@@ -161,11 +147,6 @@ class ParallelGripperMessages(GripperMessages):
     name = 'parallel_gripper_cmd'
 
     def goal_of(self, request: Any) -> GripperGoal:
-        """
-        Return the goal of a request.
-
-        :raises GoalError: if it cannot be met
-        """
         command, numbers = request.command, {}
         for field, fewest in (('name', 0), ('position', 1), ('velocity', 0), ('effort', 0)):
             values = list(getattr(command, field))
@@ -179,7 +160,6 @@ class ParallelGripperMessages(GripperMessages):
             *numbers['name']))
 
     def result_of(self, goal: GripperGoal) -> Any:
-        """Return the state of the gripper, and whether it has reached the goal or stalled."""
         message = self._filled(self.action_type.Result(), goal)
         if goal.view is not None:
             message.reached_goal, message.stalled = goal.view.reached, goal.view.stalled

@@ -65,7 +65,6 @@ class GoalServer:
             result_timeout=_RESULT_TIMEOUT_S)
 
     def close(self) -> None:
-        """Accept no more goals."""
         self._closed = True
 
     def _accept(self, request: Any) -> GoalResponse:
@@ -117,7 +116,6 @@ class GoalServer:
         return self._messages.result_of(goal)
 
     def destroy(self) -> None:
-        """Destroy the server."""
         self._server.destroy()
 
     def report_end(self, goal: Goal) -> bool:
@@ -217,7 +215,6 @@ class ActionServers:
             server.send_feedback()
 
     def destroy(self) -> None:
-        """Destroy the servers."""
         for server in self._servers:
             server.destroy()
         self._servers = []

@@ -120,7 +120,6 @@ class ImageOutputs:
                 points or self._depth is not None and self._depth.wanted, self._labels.wanted)
 
     def publish(self, head: Header, picture: Picture, noise: ImageNoise | None) -> None:
-        """Publish what the camera saw, with noise."""
         rgb, depth = picture.rgb, picture.depth
         if noise is not None:
             rgb = None if rgb is None else noise.on_colours(rgb)
@@ -166,7 +165,6 @@ class CameraPublishers:
             create_publisher(self._node, row), self._node.rejections) for row in rows}
 
     def publish_truth(self) -> None:
-        """Publish exact images too, below ``truth/``."""
         rows = truths(self._rows)
         self._node.table += rows
         self._images[True] = ImageOutputs(self._create(rows), self._found)
@@ -181,11 +179,9 @@ class CameraPublishers:
         return (False, False, False) if images is None else images.wanted()
 
     def have_subscribers(self) -> bool:
-        """Return whether any image or the intrinsics have subscribers."""
         return any((*self.wanted(False), *self.wanted(True), self.infos_wanted()))
 
     def infos_wanted(self) -> bool:
-        """Return whether the intrinsics have subscribers."""
         return any(info.wanted for info in self._infos)
 
     def publish_names(self, names: str) -> None:
@@ -193,7 +189,6 @@ class CameraPublishers:
         self._names.publish(String(data=names))
 
     def publish_infos(self, time_ns: int) -> None:
-        """Publish the intrinsics for an instant."""
         self._info.header = header(stamp_of(time_ns), self._frame_id)
         for output in self._infos:
             if output.wanted:

@@ -81,7 +81,6 @@ class CommandInbox(Inbox):
         self.wake()
 
     def wake(self) -> None:
-        """End the present wait, or the next one if nobody waits; any thread may call this."""
         with contextlib.suppress(InvalidHandle):  # The node is being destroyed.
             self._guard.trigger()
 
@@ -180,7 +179,6 @@ class CommandThread:
         self._thread = threading.Thread(target=self._run, name='commands')
 
     def start(self) -> None:
-        """Begin to take messages."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -192,7 +190,6 @@ class CommandThread:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it takes messages."""
         return self._thread.is_alive()
 
     def take(self) -> None:

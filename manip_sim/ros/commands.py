@@ -193,7 +193,6 @@ class CommandSubscribers:
             subscription.close()
 
     def count_rejected(self, part: str) -> None:
-        """Count a message or goal for a part that is rejected."""
         self.statistics[self._entry_of[part]].rejected += 1
 
     def count(self, topic: str, part: str, commands: Sequence[Command]) -> None:

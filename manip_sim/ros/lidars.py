@@ -84,7 +84,6 @@ class LidarPublisher:
         node.thread.observe(self._publish, self.every, self._has_subscribers)
 
     def publish_truth(self) -> None:
-        """Publish the exact values too."""
         if self._exact is None:
             (row,) = truths(self._rows)
             self._node.table.append(row)

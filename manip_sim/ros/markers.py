@@ -60,11 +60,9 @@ class MarkerPublisher:
         return marker
 
     def look(self) -> bool:
-        """Return whether there are subscribers."""
         return self._output.has_subscribers
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish the markers of the present instant."""
         self._header.stamp = messages.stamp_of(simulation.time_ns)
         markers = [self._all_gone]
         contacts = read_contacts(simulation.model, simulation.data)

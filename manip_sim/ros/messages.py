@@ -24,7 +24,6 @@ def stamp_of(time_ns: int) -> Time:
 
 
 def nanoseconds_of(stamp: Time) -> int:
-    """Return a stamp as nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 

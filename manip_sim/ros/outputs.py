@@ -48,7 +48,6 @@ class Output:
 
     @property
     def subscribers(self) -> int:
-        """How many subscribers there are."""
         try:
             return 0 if self._closed else int(self._publisher.get_subscription_count())
         except InvalidHandle:  # It is being closed in another thread.
@@ -56,7 +55,6 @@ class Output:
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether there are subscribers."""
         return self.subscribers > 0
 
     @property
@@ -154,7 +152,6 @@ class Publication:
         self._message = SerializedMessage(make, count)
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish the message of the present instant."""
         numbers = self._read(simulation)
         if numbers is not None:
             self.output.publish(self._message.at(simulation.time_ns, numbers))

@@ -163,7 +163,6 @@ class Parameters:
                 for name, value in found.items()}
 
     def value(self, name: str) -> Any:
-        """Return the present value of a declared parameter."""
         return self._node.get_parameter(name).value
 
     def _as_declared(self, parameter: Parameter) -> Parameter:

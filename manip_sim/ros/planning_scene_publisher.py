@@ -67,7 +67,6 @@ class PlanningScenePublisher:
             output.close(node)
 
     def look(self) -> bool:
-        """Return whether there are subscribers."""
         counts = [output.subscribers for output in self._outputs]
         if any(now > before for now, before in zip(counts, self._counts)):
             self._whole_in = _AGAIN

@@ -249,7 +249,6 @@ class PosixExpression:
             fork.append(len(self._program))
 
     def found_in(self, text: str) -> bool:
-        """Return whether a part of a text matches."""
         waiting: set[int] = set()
         for position in range(len(text) + 1):
             waiting.add(0)

@@ -123,7 +123,6 @@ class StatePublishers(Publications):
             *READERS[row.by](self._robot, row.of, self._node.frame_prefix, read))
 
     def publish_truth(self) -> None:
-        """Also publish the exact states, below ``truth/``."""
         if self._all == self._measured:
             rows = truths(self._rows)
             self._node.table += [replace(row, name=self._scope.topic(row.name)) for row in rows]
@@ -201,7 +200,6 @@ class ModelPublisher:
         self._publish(self._world)
 
     def follow(self, simulation: Simulation) -> None:
-        """Publish the model with the robots and objects that a simulation has now."""
         self._publish(simulation.world)
 
     def _publish(self, world: World) -> None:

@@ -31,7 +31,6 @@ class DynamicsPublisher:
         self._gravity_compensation = node.declared.value('gravity_compensation')
 
     def publish(self) -> None:
-        """Publish what the joints of all robots are like, once."""
         self._publisher.publish(String(data=json.dumps({
             'timestep': self._simulation.timestep_s,
             'gravity_compensation': self._gravity_compensation,
@@ -85,12 +84,10 @@ class DescriptionPublisher:
         self._publish(self._world, self._robots)
 
     def add(self, scope: Scope, robot: SimulatedRobot) -> None:
-        """Publish the description of a robot that has come."""
         self._add(scope, robot)
         self._publish(self._simulation.world, [scope])
 
     def remove(self, scope: Scope) -> None:
-        """Publish the description of a robot no more."""
         self._hardware.pop(self._robots.pop(scope).name, None)
         self._node.destroy_publisher(self._publishers.pop(scope))
 

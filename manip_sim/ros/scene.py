@@ -69,7 +69,6 @@ class OdometryPublisher(Publications):
         return Publication(output, self._make, lambda _: read('odom'), 13)
 
     def publish_truth(self) -> None:
-        """Also publish the exact odometry, below ``truth/``."""
         if self._all == self._measured:
             (row,) = truths([BY_NAME['odom']])
             self._node.table.append(replace(row, name=self._scope.topic(row.name)))
@@ -179,7 +178,6 @@ class SceneTopics:
             [(frame, reader.origin) for frame, reader in self._readers.items()])
 
     def follow(self, simulation: Simulation) -> None:
-        """Publish the frames that a simulation has now."""
         if self._transforms is not None:
             self._transforms.follow(simulation)
 

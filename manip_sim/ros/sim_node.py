@@ -270,7 +270,6 @@ class SimNode(Node):
 
     def create_subscription(self, message_type: Any, topic: str, *arguments: Any, **keywords: Any
                             ) -> Any:
-        """Create a subscription as rclpy does."""
         self._check_listed(SUBSCRIBED, topic)
         return super().create_subscription(message_type, topic, *arguments, **keywords)
 
@@ -338,7 +337,6 @@ class SimNode(Node):
         super().destroy_node()
 
     def take_commands(self) -> None:
-        """Take the commands that have come."""
         if self._command_thread is not None:
             self._command_thread.take()
 

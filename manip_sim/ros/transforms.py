@@ -39,7 +39,6 @@ def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree]
 
 
 def create_outputs(node: Any) -> tuple[Output, Output]:
-    """Create the publishers of ``/tf`` and ``/tf_static``."""
     return (create_output(node, BY_NAME['/tf'], TFMessage),
             create_output(node, BY_NAME['/tf_static'], TFMessage))
 
@@ -78,11 +77,9 @@ class TransformPublisher:
             tree.static, self._prefix, stamp_of(simulation.time_ns), tree.static_poses))
 
     def look(self) -> bool:
-        """Return whether ``/tf`` has subscribers."""
         return self._moving.has_subscribers
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish the transforms of the frames that move."""
         if self._present is None:
             return
         tree, message = self._present

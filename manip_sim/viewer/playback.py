@@ -149,7 +149,6 @@ class Player:
         self._shown, self._plots = shown, shown.plots
 
     def _show(self, instant: int) -> None:
-        """Show an instant."""
         if self._scene is None:
             return
         self._instant = instant
@@ -172,7 +171,6 @@ class Player:
             self._images.pop(camera).remove()
 
     def _draw(self) -> None:
-        """Plot the chosen quantity."""
         chosen = self._plots.get(str(self._quantity.value))
         drawn = None if chosen is None else (chosen.title, *chosen.names)
         if drawn == self._drawn:

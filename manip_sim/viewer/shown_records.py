@@ -142,17 +142,14 @@ class ShownEpisode(Shown):
         return found
 
     def check(self, model: mujoco.MjModel) -> None:
-        """Check the size of the states."""
         if mujoco.mj_stateSize(model, STATE_PARTS) != self._states.shape[1]:
             raise RecordError('the states of the record do not fit its model')
 
     def place(self, kinematics: Kinematics, instant: int) -> None:
-        """Move all bodies to where they were, to the last bit."""
         mujoco.mj_setState(kinematics.model, kinematics.data, self._states[instant], STATE_PARTS)
         kinematics.compute()
 
     def lines(self, instant: int) -> list[Line]:
-        """Return task, robot, seed, how it ended, and the period."""
         episode, about = self._episode, self._episode.about
         success = None if episode.result is None else episode.success
         color = {True: _DONE, False: _FAILED, None: _CUT_OFF}[success]
@@ -217,7 +214,6 @@ class ShownWorld(Shown):
             f'Not recorded, and so at their start: {", ".join(missing)}')]
 
     def place(self, kinematics: Kinematics, instant: int) -> None:
-        """Move joints and free bodies to where their newest messages say."""
         now_s = self.times[instant] + self._begin_s + _TOLERANCE_S
         newest = [(times[index], messages[index]) for times, messages in self._joints
                   if (index := int(np.searchsorted(times, now_s, 'right')) - 1) >= 0]
@@ -233,7 +229,6 @@ class ShownWorld(Shown):
         kinematics.compute()
 
     def lines(self, instant: int) -> list[Line]:
-        """Return node, version, time, and what was not recorded."""
         of = f'state {instant} of {len(self.times) - 1}'
         often = f', of {self._every} recorded states one is shown' if self._every > 1 else ''
         return [Line(self._node, color=_CUT_OFF),
@@ -262,7 +257,6 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """What it is called on the page."""
         how = {True: 'done', False: 'FAILED', None: 'cut off'}[self.success]
         what = f'node {self.node}' if self.node else f'seed {self.seed}: {how}'
         return plain(f'{self.path.stem} #{self.number}, {what}')

@@ -65,7 +65,6 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
 
 
 def planes(model: mujoco.MjModel) -> Iterator[int]:
-    """Return the geoms that are planes."""
     return (int(i) for i in np.flatnonzero(model.geom_type == _PLANE))
 
 

@@ -50,7 +50,6 @@ class HandTarget:
             self._asked = True
 
     def show(self, shown: bool) -> None:
-        """Show or hide it."""
         self._control.visible = shown
 
     def send(self) -> None:
@@ -80,7 +79,6 @@ class HandTarget:
             self._control.wxyz = quat_wxyz
 
     def remove(self) -> None:
-        """Remove it from the scene."""
         self._control.remove()
 
 
@@ -153,7 +151,6 @@ class Pulling:
             self._drag.target = ends[1]
 
     def release(self) -> None:
-        """Let go of what is dragged."""
         if self._drag is not None:
             self._commands.let_go(self._drag.body)
             self._drag = None

@@ -70,5 +70,4 @@ class Kinematics:
             self.data.qpos[address + 3:address + 7] = quat_wxyz
 
     def compute(self) -> None:
-        """Compute where all bodies are."""
         mujoco.mj_kinematics(self.model, self.data)

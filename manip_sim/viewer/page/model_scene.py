@@ -46,7 +46,6 @@ class Overlays:
             self._show_arrows(what, color, arrows.get(what, np.zeros((0, 2, 3))))
 
     def clear(self) -> None:
-        """Remove all points and arrows."""
         self.show(_NOTHING, {})
 
     def _show_points(self, points: FloatArray) -> None:
@@ -183,7 +182,6 @@ class Scene:
             site.show_axes = shown
 
     def show_collision(self, shown: bool) -> None:
-        """Show or hide the shapes that collide."""
         for handle in self._collision:
             handle.visible = shown
 
@@ -211,7 +209,6 @@ class Scene:
                 font_screen_scale=0.8) for body in sorted(set(self._model.jnt_bodyid.tolist()))]
 
     def remove(self) -> None:
-        """Remove all of it from the scene."""
         self._server.scene.remove_by_name(ROOT)
 
 

@@ -64,12 +64,10 @@ class Page:
 
     @property
     def is_watched(self) -> bool:
-        """Whether any browser shows it."""
         return bool(self._server.get_clients())
 
     @property
     def wants_markers(self) -> bool:
-        """Whether contacts or wrenches are shown."""
         return self._view.wants_markers
 
     def _build(self, robots: Sequence[Robot], cameras: Sequence[str]) -> None:
@@ -144,7 +142,6 @@ class Page:
         self._aiming.begin(self._posture)
 
     def show_state(self, state: str, text: str, paused: bool | None = None) -> None:
-        """Show the state of the simulation, as :meth:`SimulationPanel.show` does."""
         self._simulation.show(state, text, paused)
 
     def show_trouble(self, text: str) -> None:

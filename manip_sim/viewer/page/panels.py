@@ -123,7 +123,6 @@ class ViewPanel:
 
     @property
     def wants_markers(self) -> bool:
-        """Whether contacts or wrenches are shown."""
         return bool(self._contacts.value or self._wrenches.value)
 
     def chosen(self, latest: Latest) -> tuple[FloatArray, dict[str, FloatArray]]:
@@ -271,7 +270,6 @@ class JointPanel:
         self._asked[name] = float(self._sliders[name].value)
 
     def stop(self) -> None:
-        """Command zero for all joints."""
         for name, slider in self._sliders.items():
             slider.value = 0.0
             self._asked[name] = 0.0
@@ -311,7 +309,6 @@ class JointPanel:
                 slider.value = value
 
     def remove(self) -> None:
-        """Remove the folder."""
         self.folder.remove()
 
 
@@ -340,7 +337,6 @@ class DrivePanel:
             gui.add_button('Stop').on_click(lambda _: events.add(self.stop))
 
     def stop(self) -> None:
-        """Command zero."""
         for slider in self._sliders:
             slider.value = 0.0
 
@@ -354,5 +350,4 @@ class DrivePanel:
         self._commands.drive(self._robot.space, (x, y, yaw))
 
     def remove(self) -> None:
-        """Remove the folder."""
         self.folder.remove()

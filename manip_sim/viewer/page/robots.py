@@ -49,7 +49,6 @@ class ShownJoint:
     ranges: dict[str, tuple[float, float]] = field(hash=False)
 
     def unit(self, field: str) -> str:
-        """Return the unit of goals in a field of commands."""
         units = (('m', 'm/s', 'N') if self.slides else ('rad', 'rad/s', 'N m'))
         return units[FIELDS.index(field)]
 

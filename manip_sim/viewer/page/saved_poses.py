@@ -39,7 +39,6 @@ class Poses:
 
     @property
     def names(self) -> list[str]:
-        """The names of all poses, sorted."""
         return sorted(self._poses)
 
     def get(self, name: str) -> dict[str, float]:

@@ -96,13 +96,11 @@ def page_address(server: Any, host: str, access: Access) -> str:
 
 
 def close_server(server: Any) -> None:
-    """Stop the server and close the connections to it."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
 def set_theme(server: Any, dark: bool) -> None:
-    """Make the page dark or light."""
     server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False,
                                brand_color=_BRAND, control_width='large')
 

@@ -162,7 +162,6 @@ class LookBack:
         self._timeline.reveal(True)
 
     def end(self) -> None:
-        """Show the present again."""
         if self._rows is not None:
             self._rows = None
             self._timeline.reveal(False)

@@ -87,7 +87,6 @@ class CommandSender:
         self._publish(f'{space}{part}/joint_command', message)
 
     def act(self, space: str, part: str, action: float) -> None:
-        """Publish an action."""
         size = self._action_sizes.get(f'{space}{part}')
         if size is None:
             self._notify(f'{part}: the length of an action is not known yet')
@@ -95,13 +94,11 @@ class CommandSender:
         self._publish(f'{space}{part}/command', Float64MultiArray(data=[action] * size))
 
     def drive(self, space: str, twist: tuple[float, float, float]) -> None:
-        """Publish a velocity of a mobile base."""
         message = Twist()
         message.linear.x, message.linear.y, message.angular.z = twist
         self._publish(f'{space}base/cmd_vel', message)
 
     def reach(self, space: str, arm: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
-        """Publish a target pose of a hand."""
         message = PoseStamped()
         message.header.frame_id = self._frames.get((space, arm), 'world')
         at, turn = message.pose.position, message.pose.orientation
@@ -110,12 +107,10 @@ class CommandSender:
         self._publish(f'{space}{arm}/target_pose', message)
 
     def pull(self, body: str, number: int, point: FloatArray, target: FloatArray) -> None:
-        """Publish a pull."""
         self._pull(Marker(ns=body, id=number, points=[
             Point(x=x, y=y, z=z) for x, y, z in (point.tolist(), target.tolist())]))
 
     def let_go(self, body: str) -> None:
-        """Publish the end of a pull."""
         self._pull(Marker(ns=body, action=Marker.DELETE))
 
     def _pull(self, message: Marker) -> None:
@@ -127,19 +122,15 @@ class CommandSender:
             self._notify('pull: the node does not take pulls')
 
     def pause(self, paused: bool) -> None:
-        """Call the service that pauses or resumes."""
         self._call('pause', SetBool.Request(data=paused), lambda: self.paused(paused))
 
     def step(self) -> None:
-        """Call the service that steps."""
         self._call('step', Trigger.Request())
 
     def reset(self) -> None:
-        """Call the service that resets."""
         self._call('reset', Trigger.Request())
 
     def tare(self) -> None:
-        """Call the service that tares."""
         self._call('tare_wrench', Trigger.Request())
 
     def _call(self, name: str, request: Any, done: Callable[[], None] = lambda: None) -> None:

@@ -71,7 +71,6 @@ def joint_states(message: JointState) -> JointStates:
 
 
 def seconds(stamp: Any) -> float:
-    """Return a stamp in [s]."""
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 

@@ -63,7 +63,6 @@ class Discovery:
 
     @property
     def is_there(self) -> bool:
-        """Whether somebody publishes the model."""
         return bool(self._node.count_publishers(self._archive))
 
     def _take_archive(self, message: UInt8MultiArray) -> None:
