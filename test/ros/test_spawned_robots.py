@@ -71,7 +71,7 @@ def entities_of(node):
         'publishers', 'subscriptions', 'services', 'timers', 'guards', 'waitables')} | {
             'parameters': len(node._parameters), 'table': len(node.table),
             'threads': len(threading.enumerate()),
-            'observers': len(node.thread._observers._all),
+            'observers': len(node.thread.observers._all),
             'group': len(node.inbox.group.entities)}
 
 
