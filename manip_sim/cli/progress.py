@@ -25,12 +25,7 @@ class ProgressBar:
         self._last_s = 0.0
 
     def show(self, done: int, more: str = '') -> None:
-        """
-        Show how much is done.
-
-        :param done: a number
-        :param more: what else is shown
-        """
+        """Show how much is done, and a text behind it."""
         if self._shows and time.monotonic() - self._last_s > _PERIOD_S:
             self._last_s = time.monotonic()
             print(f'\r\x1b[K{done} {self._what}{more}', end='', file=sys.stderr, flush=True)

@@ -171,21 +171,13 @@ class ActionServers:
         self.add(offered)
 
     def add(self, offered: Iterable[tuple[ActionMessages, CommandSubscribers]]) -> None:
-        """
-        Add servers of a robot.
-
-        :param offered: as at construction
-        """
+        """Add servers of a robot, as at construction."""
         self._servers += [
             GoalServer(self._node, messages, commands, self.tracker, self._log, self._timer.reset)
             for messages, commands in offered]
 
     def close(self, robot: SimulatedRobot, reason: str) -> None:
-        """
-        Abort the goals of a robot, and accept no more.
-
-        :param reason: why, for the clients
-        """
+        """Abort the goals of a robot, for a reason that its clients learn, and accept no more."""
         for server in self._servers:
             if server.robot is robot:
                 server.close()

@@ -170,11 +170,7 @@ class CameraPublishers:
         self._images[True] = ImageOutputs(self._create(rows), self._found)
 
     def wanted(self, exact: bool) -> tuple[bool, bool, bool]:
-        """
-        Return whether colours, depth and labels have subscribers.
-
-        :param exact: those of the exact images
-        """
+        """Return whether colours, depth and labels have subscribers, of exact images or others."""
         images = self._images.get(exact)
         return (False, False, False) if images is None else images.wanted()
 
@@ -253,11 +249,7 @@ class Cameras:
             self._node.get_logger().error('rendering hangs; its thread is abandoned')
 
     def watch(self, camera: str, every: int) -> None:
-        """
-        Request images of a camera from now on.
-
-        :param every: number of control periods for each image
-        """
+        """Request an image of a camera every so many control periods from now on."""
         publishers, thread = self._publishers[camera], self._node.thread
 
         def record(simulation: Simulation) -> None:

@@ -85,11 +85,7 @@ class CommandInbox(Inbox):
             self._guard.trigger()
 
     def wait(self, timeout_s: float) -> None:
-        """
-        Wait until a message comes or somebody wakes this, and take what has come.
-
-        :param timeout_s: how long to wait at most [s]
-        """
+        """Wait until a message comes or somebody wakes this, and take what has come."""
         try:
             self._receive(timeout_s)
         except (InvalidHandle, RCLError):  # Something is being closed in another thread.

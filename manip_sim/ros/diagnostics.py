@@ -54,11 +54,7 @@ class Pace:
         self.loss = 0.0
 
     def measure(self, now_s: float) -> None:
-        """
-        Measure up to the last control period.
-
-        :param now_s: monotonic wall time [s]
-        """
+        """Measure up to the last control period; ``now_s`` is monotonic wall time [s]."""
         thread, window = self._thread, self._window
         progress, paused, asked = thread.progress, thread.paused, thread.real_time_factor
         anew = (paused or self._was_paused or asked != self._asked

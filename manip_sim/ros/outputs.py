@@ -74,11 +74,7 @@ class Output:
         return self._stalled
 
     def close(self, node: Node) -> None:
-        """
-        Destroy the publisher; no messages are wanted from now on.
-
-        :param node: the node that created it
-        """
+        """Destroy the publisher; no messages are wanted from now on."""
         self._closed = True
         node.destroy_publisher(self._publisher)
 
@@ -109,11 +105,7 @@ def message_class(row: Topic) -> Any:
 
 
 def create_publisher(node: Node, row: Topic, message_type: Any = None) -> Publisher:
-    """
-    Create the publisher of a row of the table of topics.
-
-    :param message_type: instead of that of the row
-    """
+    """Create the publisher of a row of the table, or of another message type."""
     message_type = message_type or message_class(row)
     if row.latched:
         return node.create_publisher(message_type, row.name, QoSProfile(
@@ -169,11 +161,7 @@ class Publications:
         self._all = topics
 
     def close(self, node: Node) -> None:
-        """
-        Publish nothing any more, and destroy the publishers.
-
-        :param node: that created them
-        """
+        """Publish nothing any more, and destroy the publishers."""
         gone, self._all, self._subscribed = self._all, (), ()
         for topic in gone:
             topic.output.close(node)

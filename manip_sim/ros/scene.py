@@ -152,11 +152,7 @@ class SceneTopics:
             thread.observe(scene.publish, self._scene_every, scene.look)
 
     def remove(self, scope: Scope, prefix: str) -> None:
-        """
-        Publish nothing of a robot any more; to be called before it is deleted.
-
-        :param prefix: as for :meth:`add`
-        """
+        """Publish nothing of a robot any more; to be called before it is deleted."""
         odometry, scene = self._odometry.pop(scope, None), self._scenes.pop(scope, None)
         self._readers.pop(prefix + ODOM, None)
 

@@ -172,11 +172,7 @@ class SimNode(Node):
         self.commands = [served.commands for served in self.served.values()]
 
     def serve(self, scope: Scope, robot: SimulatedRobot) -> ServedRobot:
-        """
-        Publish the states of a robot and subscribe to its commands.
-
-        :param robot: whose parameters are declared
-        """
+        """Publish the states of a robot, whose parameters are declared, and take its commands."""
         served = self.served[scope] = ServedRobot(self, scope, robot)
         self.publish_truth_by(scope, served.states.publish_truth)
         return served

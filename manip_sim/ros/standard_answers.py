@@ -111,11 +111,7 @@ class Rejection(ManipSimError):
 
 @contextmanager
 def result_filled(result: Any) -> Iterator[None]:
-    """
-    Write into a result whether the ``with`` block succeeds; a ``ManipSimError`` is suppressed.
-
-    :param result: message ``Result``
-    """
+    """Write into a ``Result`` whether the block succeeds; a ``ManipSimError`` is suppressed."""
     result.result = int(ResultCode.RESULT_OK)
     try:
         yield

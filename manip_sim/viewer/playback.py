@@ -207,11 +207,7 @@ class Player:
                 np.where(whole == now, high, low))
 
     def update(self, now_s: float) -> None:
-        """
-        Do what people asked for, and play.
-
-        :param now_s: wall time [s]
-        """
+        """Do what people asked for, and play; ``now_s`` is wall time [s]."""
         self._events.run()
         if self._plot is not None and self._is_new:
             if self._new_s is None:

@@ -57,11 +57,7 @@ class Aiming:
         camera.position, camera.look_at = first_view(posture.model, posture.data, _ASPECT)
 
     def update(self, posture: Kinematics) -> None:
-        """
-        Aim the cameras that are new or at the first view, after :meth:`begin`.
-
-        :param posture: what is seen
-        """
+        """Aim the cameras that are new or at the first view, after :meth:`begin`."""
         clients = self._server.get_clients()
         self._aimed &= clients.keys()
         for number, client in clients.items():

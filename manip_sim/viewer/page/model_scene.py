@@ -158,11 +158,7 @@ class Scene:
             section_thickness=1.0, fade_distance=_FADE_M, shadow_opacity=0.25, **_GRID)
 
     def update(self, data: mujoco.MjData) -> None:
-        """
-        Show where the bodies are; only those that moved in their parent are sent.
-
-        :param data: the ``mujoco.MjData``
-        """
+        """Show where the bodies are; only those that moved in their parent are sent."""
         positions, quats = local_poses(self._model, data)
         moved = ~(np.abs(positions - self._positions) <= _SAME).all(axis=1)
         turned = ~(np.abs(quats - self._quats) <= _SAME).all(axis=1)

@@ -127,11 +127,7 @@ class Page:
         self._build(robots, cameras)
 
     def show_model(self, model: mujoco.MjModel, latest: Latest) -> None:
-        """
-        Replace the model in the scene.
-
-        :param latest: has the positions of its joints and objects
-        """
+        """Replace the model in the scene, at the newest positions of joints and objects."""
         if self._scene is not None:
             self._scene.remove()
         self._posture = Kinematics(model)

@@ -77,11 +77,7 @@ class Timeline:
         self._play.value = self._play.value and shown
 
     def update(self, now_s: float) -> None:
-        """
-        Play.
-
-        :param now_s: wall time [s]
-        """
+        """Play; ``now_s`` is wall time [s]."""
         elapsed_s = 0.0 if self._last_s is None else now_s - self._last_s
         self._last_s = now_s
         if not self._play.value:
@@ -132,11 +128,7 @@ class LookBack:
         return None if self._rows is None else self._rows[self._timeline.index]
 
     def forget(self, size: int) -> None:
-        """
-        Begin anew, live, as in another world.
-
-        :param size: how many positions its state has
-        """
+        """Begin anew, live, as in another world, with so many positions in a state."""
         self._kept = History(_SPAN_S, min(_MAX_INSTANTS, _MAX_BYTES // (8 * max(size, 1))))
         self.end()
 

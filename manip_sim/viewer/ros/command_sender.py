@@ -49,11 +49,7 @@ class CommandSender:
                               if size is not None and 1.0 <= size <= _MAX_ACTION_SIZE}
 
     def prepare(self, topics: Mapping[str, Any]) -> None:
-        """
-        Create publishers and clients early: a message sent before discovery is lost.
-
-        :param topics: their types by name
-        """
+        """Create publishers and clients early: a message sent before discovery is lost."""
         for topic in self._publishers.keys() - topics.keys():
             self._node.destroy_publisher(self._publishers.pop(topic))
         for topic, kind in topics.items():

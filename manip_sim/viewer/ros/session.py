@@ -97,11 +97,7 @@ class Session:
                 self._level = status.level
 
     def update(self, now_s: float) -> None:
-        """
-        Look at the node and bring the page up to date, after callbacks have run.
-
-        :param now_s: wall time [s]
-        """
+        """Bring the page up to date, after callbacks have run; ``now_s`` is wall time [s]."""
         self._discovery.load_model()
         if now_s >= self._next_search_s:
             self._next_search_s = now_s + _SEARCH_S
