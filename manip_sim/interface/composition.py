@@ -19,7 +19,7 @@ from manip_sim.interface.parameters import (
     composition_parameters, keyframe_parameter, mode_parameters, MODEL_PATH, node_parameters,
     periods_per_image, place_parameters, reflex_parameters, sensing_parameters, steps_per_period,
     stream_parameters, timeout_parameters, wrench_parameters)
-from manip_sim.interface.topics import PartLike, Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
 from manip_sim.models.cameras import ImageSettings
@@ -32,6 +32,7 @@ from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
 from manip_sim.simulation.camera_choice import (
     chosen_cameras, described_cameras, described_lidars)
+from manip_sim.simulation.parts import Part
 
 if TYPE_CHECKING:
     from manip_sim.tasks import Task
@@ -174,7 +175,7 @@ def declare_node(parameters: ParameterSource) -> None:
 
 
 def declare_parts(parameters: ParameterSource,
-                  served: Iterable[tuple[Scope, Mapping[str, PartLike]]]) -> None:
+                  served: Iterable[tuple[Scope, Mapping[str, Part]]]) -> None:
     """
     Declare the parameters that depend on the parts of each robot.
 

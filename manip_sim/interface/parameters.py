@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec
-from manip_sim.interface.topics import PartLike, Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.models.arenas import arena_names, arena_parameters
 from manip_sim.models.arenas.arena import ArenaParameter
 from manip_sim.models.bases import base_names
@@ -22,6 +22,7 @@ from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.message_clock import STREAM_INTERVAL_S
 from manip_sim.simulation.modes import default_mode, MODES
+from manip_sim.simulation.parts import Part
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
 _BASE_TIMEOUT_S = 0.5
@@ -384,6 +385,6 @@ def periods_per_message(publish_rate: float, rate: float) -> int:
     return min((fewer, fewer + 1), key=lambda n: abs(publish_rate / n - rate))
 
 
-def commanded_parts(parts: Mapping[str, PartLike]) -> list[str]:
+def commanded_parts(parts: Mapping[str, Part]) -> list[str]:
     """Return the parts with driven joints, which have a control mode: all but grippers."""
     return [name for name, part in parts.items() if part.gripper is None and part.actuators]

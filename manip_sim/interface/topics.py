@@ -15,10 +15,8 @@ has one topic for each, ``<name>`` for each object, ``<camera>`` for each camera
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 import re
-from typing import Any, Protocol
 
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
 PART, ARM, OBJECT, CAMERA, SENSOR, LIDAR = (
@@ -53,22 +51,6 @@ class Scope:
     def parameter(self, name: str) -> str:
         """Return the name of a parameter of the robot."""
         return f'{self.name}.{name}' if self.name else name
-
-
-class PartLike(Protocol):
-    """A subsystem, an arm or a gripper, as the simulation names them."""
-
-    @property
-    def joints(self) -> Collection[str]:
-        """The scalar joints."""
-
-    @property
-    def actuators(self) -> Collection[str]:
-        """All actuators."""
-
-    @property
-    def gripper(self) -> Any:
-        """The gripper, or None where the part is none."""
 
 
 @dataclass(frozen=True)

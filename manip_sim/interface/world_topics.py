@@ -5,21 +5,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import groupby
 from types import MappingProxyType
-from typing import Protocol
 
 from manip_sim.interface.topics import (
-    Action, ACTIONS, ARM, BY_NAME, CAMERA, GRIPPER, LIDAR, MEASURED, OBJECT, PART, PartLike, Scope,
-    SENSOR, TOKEN, Topic, TOPICS)
+    Action, ACTIONS, ARM, BY_NAME, CAMERA, GRIPPER, LIDAR, MEASURED, OBJECT, PART, Scope, SENSOR,
+    TOKEN, Topic, TOPICS)
+from manip_sim.simulation.parts import Part
+from manip_sim.simulation.surroundings import Surroundings
 
 #: What rows need that are of the world, not of a robot.
 _OF_WORLD = ('task', 'arena', 'loose', 'bodies')
 
 
-def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
+def actions_of(parts: Mapping[str, Part]) -> list[Action]:
     """
     Return the actions that the node has for a robot where control_msgs is installed.
 
@@ -30,7 +31,7 @@ def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
             if part.actuators and (part.gripper is not None) == (GRIPPER in pattern.name)]
 
 
-def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] = TOPICS
+def topics_of(parts: Mapping[str, Part], twist: bool, rows: Iterable[Topic] = TOPICS
               ) -> list[Topic]:
     """
     Return the topics that the node has for a robot, but for those of objects and cameras.
@@ -60,27 +61,7 @@ def topics_of_objects(names: Iterable[str]) -> list[Topic]:
             if row.per == OBJECT and row.needs == 'object']
 
 
-class SurroundingsLike(Protocol):
-    """What the arena has, as the simulation names it."""
-
-    @property
-    def mocap_names(self) -> Collection[str]:
-        """Names of the mocap bodies."""
-
-    @property
-    def joints(self) -> Collection[str]:
-        """The scalar joints of the arena."""
-
-    @property
-    def actuators(self) -> Collection[str]:
-        """The actuators of the arena that drive one of these."""
-
-    @property
-    def other_actuators(self) -> Collection[str]:
-        """The actuators that are of no part, and of no joint of the arena."""
-
-
-def topics_of_surroundings(found: SurroundingsLike) -> list[Topic]:
+def topics_of_surroundings(found: Surroundings) -> list[Topic]:
     """Return the topics that the node has for bodies, mocap bodies and joints of the arena."""
     there = {'arena/joint_states': found.joints, 'arena/joint_command': found.actuators,
              'actuators/states': found.other_actuators, 'actuators/command': found.other_actuators}
@@ -129,12 +110,12 @@ def topics_of_sensors(instruments: Iterable[tuple[str, str]]) -> list[Topic]:
             if row.per == SENSOR and row.by == kind]
 
 
-def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
+def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, Part], bool]],
                     objects: Iterable[str] = (),
                     cameras: Mapping[str, bool] = MappingProxyType({}),
                     sensors: Iterable[Topic] = (), task: bool = False,
                     lidars: Mapping[str, bool] = MappingProxyType({}),
-                    surroundings: SurroundingsLike | None = None) -> list[Topic]:
+                    surroundings: Surroundings | None = None) -> list[Topic]:
     """
     Return the topics that the node has for a world.
 
@@ -156,7 +137,7 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
         *[BY_NAME['~/task']] * task]))
 
 
-def _has(row: Topic, name: str, parts: Mapping[str, PartLike]) -> bool:
+def _has(row: Topic, name: str, parts: Mapping[str, Part]) -> bool:
     """Return whether a part or an arm has a topic."""
     if row.per == PART and (parts[name].gripper is not None) != (GRIPPER in row.name):
         return False
