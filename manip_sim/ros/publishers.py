@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -37,6 +37,10 @@ MESSAGE_TYPE: Any = JointTrajectoryControllerState or JointTrajectory
 ROWS = 9
 #: What makes a message of stamp and numbers, what reads the numbers, and how many there are.
 Reading = tuple[Make, Callable[[Simulation], FloatArray | None], int]
+#: Returns the numbers of a channel: measured or exact.
+Read = Callable[[str], FloatArray]
+#: Returns what reads a part of a robot, for a prefix of the names of frames.
+Reader = Callable[[SimulatedRobot, str, str, Read], Reading]
 
 
 def controller_numbers(state: ControllerState) -> FloatArray:
@@ -102,25 +106,28 @@ class ClockPublisher(Publications):
 
 class StatePublishers(Publications):
     """
-    Publishers of the states of a robot: the rows of the table that :data:`READERS` can read.
+    Publishers of the states of a robot: the rows of the table that some functions can read.
 
     :param robot: whose states are read
     :param scope: namespace of its topics
+    :param readers: by the name in a row; None: :data:`READERS`
     """
 
-    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope) -> None:
+    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope,
+                 readers: Mapping[str, Reader] | None = None) -> None:
         super().__init__()
         self._node, self._robot, self._scope = node, robot, scope
-        self._rows = [row for row in topics_of(robot.parts, twist=False)
-                      if row.direction == PUBLISHED and row.by in READERS]
+        self._readers = READERS if readers is None else readers
+        self._rows = [row for row in topics_of(robot.parts, twist=True)
+                      if row.direction == PUBLISHED and row.by in self._readers]
         self._measured = tuple(self._create(row, robot.sensing.measured) for row in self._rows)
         self.replace(self._measured)
 
-    def _create(self, row: Topic, read: Callable[[str], FloatArray]) -> Publication:
+    def _create(self, row: Topic, read: Read) -> Publication:
         named = replace(row, name=self._scope.topic(row.name))
         return Publication(
             create_output(self._node, named, _OTHER_TYPES.get(row.by)),
-            *READERS[row.by](self._robot, row.of, self._node.frame_prefix, read))
+            *self._readers[row.by](self._robot, row.of, self._node.frame_prefix, read))
 
     def publish_truth(self) -> None:
         if self._all == self._measured:
@@ -128,10 +135,6 @@ class StatePublishers(Publications):
             self._node.table += [replace(row, name=self._scope.topic(row.name)) for row in rows]
             self.replace((*self._measured, *(
                 self._create(row, self._robot.sensing.exact) for row in rows)))
-
-
-#: Returns the numbers of a channel: measured or exact.
-Read = Callable[[str], FloatArray]
 
 
 def _joints(robot: SimulatedRobot, part: str, _: str, read: Read) -> Reading:
@@ -169,7 +172,7 @@ def _twist(_: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
 
 
 #: By the name in a row of the table: returns what reads a part of a robot.
-READERS: dict[str, Callable[[SimulatedRobot, str, str, Read], Reading]] = {
+READERS: dict[str, Reader] = {
     'joints': _joints, 'controllers': _controllers, 'wrench': _wrench,
     'external_wrench': _external_wrench, 'pose': _pose, 'twist': _twist}
 #: Message types that depend on what is installed.

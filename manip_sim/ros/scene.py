@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,13 +15,12 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.topics import BY_NAME, Scope, Topic
-from manip_sim.interface.world_topics import truths
+from manip_sim.interface.topics import Scope
 from manip_sim.quoting import quoted
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.optional_packages import missing_note
-from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
+from manip_sim.ros.publishers import Read, Reading, StatePublishers
 from manip_sim.ros.transforms import offer_transforms, TransformPublisher
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -31,48 +28,29 @@ from manip_sim.simulation.end_effectors import EndEffectorReader
 from manip_sim.simulation.frames import FrameTree
 from manip_sim.simulation.odometry import OdometryReader
 
-#: Is to be called when objects have come or gone.
-Follower = Callable[[Simulation], None]
 #: The frame in which a mobile base has its odometry (REP 105), after the robot's prefix.
 ODOM = 'odom'
 
 
-class OdometryPublisher(Publications):
+def odometry_publishers(node: Any, robot: SimulatedRobot, reader: OdometryReader, scope: Scope,
+                        frame: str) -> StatePublishers:
     """
-    A publisher of a base's pose in the frame of its odometry, and of its twist in its own axes.
+    Publish a base's pose in the frame of its odometry, and its twist in its own axes.
 
     They have no noise: the covariances are zero.
 
-    :param robot: whose base it is
-    :param reader: reads the base
     :param scope: namespace of its topic
     :param frame: name of the frame of the odometry
     """
+    def exact() -> FloatArray:
+        found = reader.read(node.simulation.model, node.simulation.data)
+        return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
 
-    def __init__(self, node: Any, robot: SimulatedRobot, reader: OdometryReader, scope: Scope,
-                 frame: str) -> None:
-        super().__init__()
-        simulation, prefix = node.simulation, node.frame_prefix
-
-        def exact() -> FloatArray:
-            found = reader.read(simulation.model, simulation.data)
-            return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
-
-        self._node, self._scope, self._sensing = node, scope, robot.sensing
-        self._sensing.add('odom', exact)
-        self._make = partial(odometry, prefix + frame, prefix + reader.base)
-        self._measured = (self._create(BY_NAME['odom'], self._sensing.measured),)
-        self.replace(self._measured)
-
-    def _create(self, row: Topic, read: Callable[[str], FloatArray]) -> Publication:
-        output = create_output(self._node, replace(row, name=self._scope.topic(row.name)))
-        return Publication(output, self._make, lambda _: read('odom'), 13)
-
-    def publish_truth(self) -> None:
-        if self._all == self._measured:
-            (row,) = truths([BY_NAME['odom']])
-            self._node.table.append(replace(row, name=self._scope.topic(row.name)))
-            self.replace((*self._measured, self._create(row, self._sensing.exact)))
+    def reading(_: SimulatedRobot, __: str, prefix: str, read: Read) -> Reading:
+        return (partial(odometry, prefix + frame, prefix + reader.base),
+                lambda simulation: read('odom'), 13)
+    robot.sensing.add('odom', exact)
+    return StatePublishers(node, robot, scope, {'odometry': reading})
 
 
 def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArray) -> Odometry:
@@ -113,7 +91,7 @@ class SceneTopics:
         self._node, self._thread, value = node, node.thread, node.declared.value
         self._end_effectors: dict[str, EndEffectorReader] = {}
         self._readers: dict[str, OdometryReader] = {}
-        self._odometry: dict[Scope, OdometryPublisher] = {}
+        self._odometry: dict[Scope, StatePublishers] = {}
         self._scenes: dict[Scope, PlanningScenePublisher] = {}
         every = _divider(node, value('publish_rate'), value('tf_rate'))
         self._scene_every = periods_per_message(value('publish_rate'), RATE_HZ)
@@ -141,7 +119,7 @@ class SceneTopics:
             frame = prefix + ODOM
             reader = OdometryReader(self._node.simulation.model, robot.twist_joints)
             self._readers[frame] = reader
-            odometry = self._odometry[scope] = OdometryPublisher(
+            odometry = self._odometry[scope] = odometry_publishers(
                 self._node, robot, reader, scope, frame)
             self._node.publish_truth_by(scope, odometry.publish_truth)
             thread.observe(odometry.publish, look=odometry.look)
