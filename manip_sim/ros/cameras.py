@@ -15,7 +15,6 @@ import sys
 import time
 from typing import Any
 
-from builtin_interfaces.msg import Time
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -46,11 +45,6 @@ _PLUMB_BOB = 'plumb_bob'
 _ENCODINGS = {'u': 'rgb8', 'f': '32FC1', 'i': '32SC1'}
 #: How long the start waits for OpenGL [s].
 _READY_S = 10.0
-
-
-def header(stamp: Time, frame_id: str) -> Header:
-    """Return a header."""
-    return Header(stamp=stamp, frame_id=frame_id)
 
 
 def image(head: Header, pixels: NDArray[Any]) -> Image:
@@ -185,14 +179,14 @@ class CameraPublishers:
         self._names.publish(String(data=names))
 
     def publish_infos(self, time_ns: int) -> None:
-        self._info.header = header(stamp_of(time_ns), self._frame_id)
+        self._info.header = Header(stamp=stamp_of(time_ns), frame_id=self._frame_id)
         for output in self._infos:
             if output.wanted:
                 output.publish(self._info)
 
     def publish(self, shot: Shot) -> None:
         """Publish what the camera saw, and the intrinsics for that instant."""
-        head = header(stamp_of(shot.snapshot.time_ns), self._frame_id)
+        head = Header(stamp=stamp_of(shot.snapshot.time_ns), frame_id=self._frame_id)
         self._images[shot.view.exact].publish(head, shot.picture, shot.noise)
         if not shot.view.exact:
             self.publish_infos(shot.snapshot.time_ns)
