@@ -57,7 +57,7 @@ nitpick_ignore_regex = [
                         r'|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike|CameraLike'
                         r'|Pictures|VelocityLaw|Friction|TorqueSpeed|Shard|Base'
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
-                        r'|ControlState|ElementMap|Operations|Streams)'),
+                        r'|ControlState|ElementMap|Operations|Part|Streams|Surroundings)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.

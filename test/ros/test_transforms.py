@@ -63,7 +63,7 @@ def records(monkeypatch):
         return SerializedMessage(make, count)
     monkeypatch.setattr(transforms, 'SerializedMessage', serialized)
     monkeypatch.setattr(transforms, 'TFMessage', PlainMessage)
-    monkeypatch.setattr(transforms, 'create_outputs', lambda node, log: found)
+    monkeypatch.setattr(transforms, 'create_outputs', lambda node: found)
     return found
 
 
