@@ -112,11 +112,9 @@ class SensorSettings:
 
 def _described(values: Mapping[str, Any]) -> tuple[str, float | None, float]:
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.models.strict_descriptions import BaseModel, checked, ConfigDict, Field, Number
+    from manip_sim.models.strict_descriptions import checked, Field, Number, Strict
 
-    class SensorDescription(BaseModel):
-        model_config = ConfigDict(extra='forbid')
-
+    class SensorDescription(Strict):
         name: str
         rate: Optional[Annotated[Number, Field(  # noqa: UP045
             ge=MIN_RATE_HZ, le=MAX_RATE_HZ, allow_inf_nan=False)]] = None

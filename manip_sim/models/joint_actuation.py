@@ -20,7 +20,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.strict_descriptions import (
-    BaseModel, BeforeValidator, checked, ConfigDict, model_validator)
+    BeforeValidator, checked, model_validator, Strict)
 from manip_sim.models.strict_yaml import read_yaml
 from manip_sim.models.velocity_law import VelocityLaw
 from manip_sim.quoting import shown
@@ -41,7 +41,7 @@ def _per_joint(value: Any) -> tuple[float, ...]:
 PerJoint = Annotated[tuple[float, ...], BeforeValidator(_per_joint)]
 
 
-class Friction(BaseModel):
+class Friction(Strict):
     """
     Friction of joints; each a number, or one for each joint.
 
@@ -51,7 +51,6 @@ class Friction(BaseModel):
     :ivar stribeck_velocity: [rad/s or m/s]
     """
 
-    model_config = ConfigDict(extra='forbid')
     coulomb: PerJoint
     viscous: PerJoint | None = None
     static: PerJoint | None = None
@@ -66,7 +65,7 @@ class Friction(BaseModel):
         return self
 
 
-class TorqueSpeed(BaseModel):
+class TorqueSpeed(Strict):
     """
     Torque-speed curve of joints; each a number, or one for each joint.
 
@@ -74,13 +73,11 @@ class TorqueSpeed(BaseModel):
     :ivar no_load: velocity at which none is left [rad/s or m/s]
     """
 
-    model_config = ConfigDict(extra='forbid')
     knee: PerJoint
     no_load: PerJoint
 
 
-class _OfSubsystem(BaseModel):
-    model_config = ConfigDict(extra='forbid')
+class _OfSubsystem(Strict):
     friction: Friction | None = None
     torque_speed: TorqueSpeed | None = None
     #: Where the numbers are from, by what they are.

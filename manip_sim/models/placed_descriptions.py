@@ -21,7 +21,7 @@ from manip_sim.models.object_model import (
     check_object_name, MAX_MASS_KG, MIN_MASS_KG, SIZES)
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.strict_descriptions import (
-    BaseModel, BeforeValidator, checked, ConfigDict, Field, model_validator, Number, StrictBool,
+    BeforeValidator, checked, ConfigDict, Field, model_validator, Number, Strict, StrictBool,
     StrictInt)
 from manip_sim.quoting import counted, quoted, shown
 
@@ -67,7 +67,7 @@ _Tilt = Annotated[Number, Field(ge=-math.pi / 2, le=math.pi / 2, allow_inf_nan=F
 _Range = Annotated[Number, Field(gt=0.0, le=MAX_RANGE_M, allow_inf_nan=False)]
 
 
-class PlacedDescription(BaseModel):
+class PlacedDescription(Strict):
     """
     A name and a pose in the world.
 
@@ -78,7 +78,7 @@ class PlacedDescription(BaseModel):
     :ivar visual: only seen, not touched; an object stays where it is put
     """
 
-    model_config = ConfigDict(extra='forbid', frozen=True)
+    model_config = ConfigDict(frozen=True)
 
     name: str | None = None
     position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None

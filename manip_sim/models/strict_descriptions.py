@@ -19,10 +19,25 @@ except ImportError as error:  # Ubuntu 24.04 has version 1, and all else works w
     raise ModelError('models and objects from files and descriptions need pydantic 2: '
                      f"pip install 'pydantic>=2' ({error})") from error
 
-__all__ = ['AfterValidator', 'BaseModel', 'BeforeValidator', 'checked', 'ConfigDict', 'Field',
-           'model_validator', 'Number', 'StrictBool', 'StrictInt', 'ValidationError']
+__all__ = ['AfterValidator', 'BeforeValidator', 'checked', 'ConfigDict', 'Field',
+           'model_validator', 'Number', 'Strict', 'StrictBool', 'StrictInt', 'ValidationError']
+
+
+class Strict(BaseModel):
+    """A description with known keys only; pydantic compiles it when it is first used."""
+
+    # Each process that imports descriptions would wait for all of them.
+    model_config = ConfigDict(extra='forbid', defer_build=True)
+
 
 M = TypeVar('M', bound=BaseModel)
+
+
+def compile_descriptions(base: type[Strict] = Strict) -> None:
+    """Compile all descriptions imported by now, in a process that can read no file later."""
+    for kind in base.__subclasses__():
+        kind.model_rebuild()
+        compile_descriptions(kind)
 
 
 def _number(value: object) -> object:

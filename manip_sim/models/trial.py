@@ -112,6 +112,9 @@ def main() -> None:
     from manip_sim.models import loading  # noqa: F401
     # By the function above, so that it can be trusted.
     cpu_s, memory, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301
+    descriptions = sys.modules.get('manip_sim.models.strict_descriptions')
+    if descriptions is not None:  # The function may read some.
+        descriptions.compile_descriptions()
     os.nice(5)
     for limit, value in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0),
                          (resource.RLIMIT_FSIZE, 0), (resource.RLIMIT_NOFILE, 0)):

@@ -14,7 +14,7 @@ from manip_sim.errors import describe_choices, ModelError
 from manip_sim.models.objects import create_object, ObjectModel
 from manip_sim.models.placed_descriptions import Coordinate
 from manip_sim.models.strict_descriptions import (
-    BaseModel, BeforeValidator, checked, ConfigDict, Field, model_validator, Number, StrictBool)
+    BeforeValidator, checked, ConfigDict, Field, model_validator, Number, Strict, StrictBool)
 from manip_sim.quoting import quoted, shown
 
 _Positive = Annotated[Number, Field(gt=0.0, allow_inf_nan=False)]
@@ -27,11 +27,11 @@ _Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 HAND, GRIPPER = 'end_effector', 'gripper'
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra='forbid', frozen=True)
+class _Fixed(Strict):
+    model_config = ConfigDict(frozen=True)
 
 
-class Condition(_Strict):
+class Condition(_Fixed):
     """
     What must hold for success.
 
@@ -129,7 +129,7 @@ CONDITIONS: Mapping[str, type[Condition]] = {
     'joint': JointInRange, 'speed': Speed}
 
 
-class Range(_Strict):
+class Range(_Fixed):
     """
     Evenly distributed numbers.
 
@@ -149,7 +149,7 @@ class Range(_Strict):
         return self
 
 
-class Start(_Strict):
+class Start(_Fixed):
     """
     Where a thing is at the start.
 
@@ -162,7 +162,7 @@ class Start(_Strict):
     yaw: Any = 0.0
 
 
-class Mark(_Strict):
+class Mark(_Fixed):
     """
     A mark that is only seen, and part of the observation.
 
@@ -181,7 +181,7 @@ def _texted(value: object) -> object:
     return value
 
 
-class TaskDescription(_Strict):
+class TaskDescription(_Fixed):
     """
     A task; the lists are checked one by one.
 

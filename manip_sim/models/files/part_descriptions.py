@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.strict_descriptions import (
-    AfterValidator, BaseModel, ConfigDict, Field, ValidationError)
+    AfterValidator, Field, Strict, ValidationError)
 from manip_sim.models.regular_files import Files
 from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
 from manip_sim.quoting import quoted
@@ -34,10 +34,8 @@ def _rotation(numbers: list[float]) -> list[float]:
 Rotation = Annotated[list[Number], Field(min_length=3, max_length=4), AfterValidator(_rotation)]
 
 
-class Description(BaseModel):
+class Description(Strict):
     """Keys of all descriptions."""
-
-    model_config = ConfigDict(extra='forbid')
 
     #: Path of the model, relative to the YAML file.
     model: Name | None = None
@@ -55,10 +53,8 @@ class Description(BaseModel):
                 for name, value in self.xacro_args.items()}
 
 
-class FrameDescription(BaseModel):
+class FrameDescription(Strict):
     """A pose in the frame of a body or site."""
-
-    model_config = ConfigDict(extra='forbid')
 
     #: Name of a body or site.
     at: Name | None = None
@@ -66,10 +62,8 @@ class FrameDescription(BaseModel):
     orientation: Rotation = [0.0, 0.0, 0.0]
 
 
-class HandDescription(BaseModel):
+class HandDescription(Strict):
     """What the file of a hand, or of a robot with a hand, does not say of the hand."""
-
-    model_config = ConfigDict(extra='forbid')
 
     #: The grasp frame.
     grasp_point: FrameDescription | None = None
@@ -103,10 +97,8 @@ class GripperDescription(Description, HandDescription):
     start: Union[Name, dict[Name, Number], None] = None
 
 
-class ArmDescription(BaseModel):
+class ArmDescription(Strict):
     """Where an arm ends, and its hand or default gripper."""
-
-    model_config = ConfigDict(extra='forbid')
 
     #: The body or site that a gripper is mounted on, or a pose in it.
     mount: Union[Name, FrameDescription, None] = None
@@ -200,7 +192,7 @@ def read_description(file: Path, kind: type[DescriptionT], files: Files | None =
         raise _explained(file, kind, deepest) from error
 
 
-def _explained(file: Path, kind: type[BaseModel], error: Any) -> ModelError:
+def _explained(file: Path, kind: type[Strict], error: Any) -> ModelError:
     place = [str(part) for part in error['loc'] if not _is_of_union(part)]
     if error['type'] == 'extra_forbidden':
         where = '.'.join(place[:-1])
@@ -222,11 +214,11 @@ def _is_of_union(part: Any) -> bool:
 _UNION_MEMBERS = {'str', 'FrameDescription', 'OwnHandDescription', 'constrained-str'}
 
 
-def _keys_at(kind: type[BaseModel], place: list[str]) -> list[str]:
+def _keys_at(kind: type[Strict], place: list[str]) -> list[str]:
     """Return the keys that a mapping at some location in a file may have."""
     if not place:
         return list(kind.model_fields)
-    known: dict[str, type[BaseModel]] = {
+    known: dict[str, type[Strict]] = {
         'arms': ArmDescription, 'mount': FrameDescription, 'grasp_point': FrameDescription,
         'hand': OwnHandDescription}
     for name in reversed(place):
