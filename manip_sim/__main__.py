@@ -9,7 +9,6 @@ It imports little, so that a signal during the slow imports ends the process as 
 
 from __future__ import annotations
 
-import gc
 import sys
 
 from manip_sim.startup import import_mujoco, run_program
@@ -45,8 +44,6 @@ def _run() -> int:
         print(f"sim_node: unknown argument '{ours[0]}': parameters such as '-p robot:=Panda' come "
               "after '--ros-args'; see --help", file=sys.stderr)
         return 2
-    # Nothing that is imported and built at the start is garbage; run() enables collection again.
-    gc.disable()
     from manip_sim.environment import check_ros_environment, missing_module
     from manip_sim.errors import ManipSimError
     try:

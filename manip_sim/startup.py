@@ -9,6 +9,7 @@ It imports little, so that signals are handled as soon as a program begins.
 
 from __future__ import annotations
 
+import gc
 import os
 import select
 import signal
@@ -23,14 +24,26 @@ def run_program(program: Callable[[], int]) -> int:
     """
     Run a program that SIGINT, SIGTERM and SIGHUP end with code 0, from the first line on.
 
-    :param program: imports what takes long, then takes over by :class:`EndSignals`
+    :param program: imports what takes long, without collection of garbage: nothing of it is any;
+        then enables ``gc`` and takes over by :class:`EndSignals`
     """
+    gc.disable()
     exit_on_signals()
     open_standard_streams()
     try:
         return program()
     finally:
         ignore_end_signals()
+        spare_garbage()
+
+
+def spare_garbage() -> None:
+    """
+    Let Python not look for garbage when this process ends, as it is about to.
+
+    That would take a fifth of the processor time of a program that ends soon.
+    """
+    gc.freeze()
 
 
 def open_standard_streams() -> None:

@@ -243,3 +243,21 @@ def test_the_help_of_an_example_waits_for_no_node(program, monkeypatch, capsys):
     monkeypatch.setattr(sys, 'argv', [program, '--help'])
     assert vars(examples)['_run'](program) == 0
     assert f'usage: {program} ' in capsys.readouterr().out
+
+
+def test_a_program_begins_and_ends_without_looking_for_garbage():
+    script = ('import atexit, gc; from manip_sim.startup import run_program; '
+              'atexit.register(lambda: print(gc.get_freeze_count() > 1000)); '
+              'run_program(lambda: print(gc.isenabled()) or 0)')
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                          check=True)
+    assert done.stdout == 'False\nTrue\n'
+
+
+def test_a_command_looks_for_garbage_while_it_runs():
+    script = ('import gc, sys; sys.argv = ["manip_sim", "list", "bases"]; '
+              'from manip_sim.cli.__main__ import run; run(); '
+              'print(gc.isenabled(), gc.get_freeze_count() > 1000)')
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                          check=True)
+    assert done.stdout.splitlines()[-1] == 'True True'

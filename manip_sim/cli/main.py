@@ -10,6 +10,7 @@ It imports little: a command imports what it needs when it runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
+import gc
 import importlib
 import logging
 import os
@@ -54,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = parse(arguments)
         command = options.verb or importlib.import_module(f'manip_sim.cli.{options.module}')
+        gc.enable()
         text, code = command.run(options)
     except ManipSimError as error:
         return _fail(str(error))

@@ -44,6 +44,7 @@ def _run(name: str) -> int:
     if {'-h', '--help'} & set(sys.argv[1:]):
         print(f'usage: {name} [--help] [--ros-args ...]\n\n{_NAMES[name]}')
         return 0
+    import gc
     from importlib import import_module
 
     from manip_sim.environment import check_ros_environment, missing_module
@@ -57,6 +58,7 @@ def _run(name: str) -> int:
     except ManipSimError as error:
         problem = str(error)
     else:
+        gc.enable()
         signals = EndSignals()
         try:
             code: int = example.main(is_asked_to_end=lambda: signals.wait(0.0))

@@ -10,6 +10,7 @@ MuJoCo cannot be interrupted. The process has little time and memory, and cannot
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+import gc
 import hashlib
 import os
 from pathlib import Path
@@ -22,6 +23,7 @@ from typing import Any
 
 from manip_sim.errors import ModelError
 from manip_sim.quoting import one_line
+from manip_sim.startup import spare_garbage
 
 #: Limits of the process: CPU time [s], wall time [s] and address space [bytes].
 MAX_CPU_S, MAX_WALL_S, MAX_MEMORY_BYTES = 3, 60.0, 4 * 1024**3
@@ -106,6 +108,7 @@ def give_up() -> None:
 
 def main() -> None:
     """Do what is on standard input, and write what is wrong to standard output."""
+    gc.disable()  # It is too short for it.
     # No file can be opened later, and numpy imports this only when it is used.
     import numpy.random  # noqa: F401
 
@@ -126,3 +129,4 @@ def main() -> None:
         sys.stdout.write(str(error).removeprefix('it '))
     except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
         sys.stdout.write(f'cannot be loaded: {type(error).__name__}: {one_line(str(error), 200)}')
+    spare_garbage()

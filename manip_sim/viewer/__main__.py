@@ -9,6 +9,7 @@ It imports little, so that a signal during the slow imports ends the process as 
 
 from __future__ import annotations
 
+import gc
 import sys
 
 from manip_sim.startup import import_mujoco, run_program, use_one_blas_thread
@@ -58,12 +59,14 @@ def _run() -> int:
         import_mujoco()
         if options.record:
             from manip_sim.viewer.playback import show_records
+            gc.enable()
             return show_records(options)
         from manip_sim.viewer.ros.session import show
     except ImportError as error:
         return _fail(missing_module(error))
     except ManipSimError as error:
         return _fail(str(error))
+    gc.enable()
     try:
         return show(options, words[begin:])
     except ManipSimError as error:
