@@ -4,6 +4,7 @@
 """Records of somebody who wants to do harm: one line that names the file, and nothing written."""
 
 from dataclasses import replace
+from functools import cache
 import io
 import os
 import re
@@ -65,6 +66,12 @@ def archive(xml):
     return model(stream.getvalue())
 
 
+def when_used(make):
+    """Return a change that is made when it is used first: not in each process that finds tests."""
+    made = cache(make)
+    return lambda item, of: made()(item, of)
+
+
 NO_TOPIC, NO_USE = 'cannot be the name of a topic', 'the description of an episode cannot be used'
 CASES = {
     'a camera above the folder': (topic(IMAGES, f'/../../../evil{IMAGES[6:]}'), NO_TOPIC),
@@ -82,8 +89,10 @@ CASES = {
     'a period of weeks': (about(period_s='1e6'), NO_USE),
     'steps before the begin': (about(steps='-5'), NO_USE),
     'a huge seed': (about(seed=str(10**30)), 'data sets hold whole numbers below 2'),
-    'an image of 144 megapixels': (images(png(12000, 12000)), 'it has too many pixels'),
-    'an image of 81 megapixels': (images(png(9000, 9000)), 'it has 9000 times 9000 pixels'),
+    'an image of 144 megapixels': (
+        when_used(lambda: images(png(12000, 12000))), 'it has too many pixels'),
+    'an image of 81 megapixels': (
+        when_used(lambda: images(png(9000, 9000))), 'it has 9000 times 9000 pixels'),
     'an image that is text': (images(b'#!/bin/sh'), 'image of front .* neither JPEG nor PNG'),
     'an image that is cut off': (images(png(64, 48)[:20]), 'image of front cannot be read'),
     'no numbers in an action': (numbers(ACTION, []), 'has no actions'),
@@ -94,7 +103,8 @@ CASES = {
     'more joints than it has': (content(JOINTS, b'\0\1\0\0' + struct.pack(
         '<5I', 0, 0, 1, 0, 2**32 - 1)), 'JointState cannot be read')}
 MODELS = {
-    'a model that unpacks to much': (archive(b' ' * 2**28), 'at most 67108864 are unpacked'),
+    'a model that unpacks to much': (
+        when_used(lambda: archive(b' ' * 2**28)), 'at most 67108864 are unpacked'),
     'a model with null characters': (archive(b'\0<mujoco/>'), 'it is no text')}
 
 
