@@ -3,6 +3,7 @@
 
 """When control periods come: after a pause, while nothing moves, as fast as possible."""
 
+import statistics
 import time
 
 from builtin_interfaces.msg import Duration
@@ -77,8 +78,9 @@ def test_a_state_is_repeated_ten_times_a_second(how, serve, client):
     node.thread.observe(lambda _: shown.append(time.monotonic()))
     client.spin_until(lambda: len(ticks) > 12 and len(shown) > 12)
     assert len({time_ns for _, time_ns in ticks}) == 1
-    # A busy machine may be late, but neither is early nor waits for longer.
-    assert min(after - before for before, after in zip(shown[1:], shown[2:])) > 0.09
+    # A busy machine may be late, and early after that, but does not wait for longer.
+    assert statistics.median(
+        after - before for before, after in zip(shown[1:], shown[2:])) > 0.09
     assert 0.05 < max(waits) <= 0.1
 
 
