@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import contextlib
 import queue
 import threading
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.clock import Clock, ClockType
@@ -26,6 +26,9 @@ from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.goals import Ending, Goal, GoalError
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 #: How long a client may take to ask for a result, wall time [s]; the default of rcl_action.
 _RESULT_TIMEOUT_S = 10
@@ -247,7 +250,7 @@ def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], 
                 yield ParallelGripperMessages(types.parallel_gripper_command, robot, name, now_ns)
 
 
-def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: SimulationThread,
+def offer_actions(node: SimNode, commands: Sequence[CommandSubscribers], thread: SimulationThread,
                   log: RejectionLog) -> ActionServers | None:
     """
     Offer the actions if the package control_msgs is installed, else note that they are missing.

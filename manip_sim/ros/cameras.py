@@ -13,7 +13,7 @@ import io
 import json
 import sys
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -37,6 +37,9 @@ from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
 from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import Snapshot, take_snapshot, VisibleWorld
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 #: Of JPEG, the default of image_transport_plugins.
 _QUALITY = 95
@@ -140,7 +143,7 @@ class CameraPublishers:
     :param sensing: its noise and latency
     """
 
-    def __init__(self, node: Any, name: str, found: Intrinsics, depth: bool,
+    def __init__(self, node: SimNode, name: str, found: Intrinsics, depth: bool,
                  sensing: CameraSensing[Snapshot]) -> None:
         self._node = node
         self._found = found
@@ -199,7 +202,7 @@ class Cameras:
     :ivar names: of the cameras
     """
 
-    def __init__(self, node: Any, publishers: list[CameraPublishers]) -> None:
+    def __init__(self, node: SimNode, publishers: list[CameraPublishers]) -> None:
         self._node = node
         self._publishers = {found.view.camera: found for found in publishers}
         self.names = list(self._publishers)
@@ -298,7 +301,7 @@ class Cameras:
         return values
 
 
-def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings]) -> Cameras:
+def offer_cameras(node: SimNode, chosen: Mapping[str, ImageSettings]) -> Cameras:
     """
     Create the topics of the cameras that are chosen.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.parameter import Parameter
@@ -16,6 +16,9 @@ from std_msgs.msg import Float64MultiArray
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.commands import Command
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 
 class CartesianSubscribers:
@@ -26,7 +29,7 @@ class CartesianSubscribers:
     :param commands: the subscriptions of the robot, which count the messages
     """
 
-    def __init__(self, node: Any, commands: CommandSubscribers) -> None:
+    def __init__(self, node: SimNode, commands: CommandSubscribers) -> None:
         self._node, self._robot = node, commands.robot
         self._parse = commands.robot.parse_cartesian
         self._settings: dict[str, tuple[str, str]] = {}

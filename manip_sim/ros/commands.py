@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 import weakref
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
@@ -33,6 +33,9 @@ from manip_sim.ros.outputs import message_class
 from manip_sim.ros.reading import read_command, trajectory_fields
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.commands import Command, JointTrajectory as TrajectoryCommand, NoCommand
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 #: How many commands of a topic may wait to be taken.
 COMMAND_DEPTH = 10
@@ -128,7 +131,7 @@ class CommandSubscribers:
         ``joint_command`` for messages on the combined topic
     """
 
-    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope) -> None:
+    def __init__(self, node: SimNode, robot: SimulatedRobot, scope: Scope) -> None:
         self._node, self._thread, self._log = node, node.thread, node.rejections
         self.robot = robot
         self.scope = scope

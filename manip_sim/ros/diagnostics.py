@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import math
 import time
-from typing import Any
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import mujoco
@@ -26,6 +26,9 @@ from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.modes import MODES, POSITION
 from manip_sim.simulation.surroundings import ARENA
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 _PERIOD_S = 1.0
 #: Share of simulation time; a smaller loss causes no warning.
@@ -85,7 +88,7 @@ class Pace:
 class Diagnostics:
     """Publishes the status of the simulation, commands of each part, images and other nodes."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: SimNode) -> None:
         self._node, self._simulation, self._thread = node, node.simulation, node.thread
         self._commands: list[CommandSubscribers] = node.commands
         self._cameras: Cameras = node.cameras

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import json
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -18,6 +18,9 @@ from manip_sim.resources import package_version
 from manip_sim.ros.outputs import create_publisher
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import start, Task
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 #: Of how many episodes the digests are kept for states that are restored.
 _REMEMBERED = 1000
@@ -36,7 +39,7 @@ class EpisodePublisher:
     :param restart: puts the simulation to its start, from a seed or as it was
     """
 
-    def __init__(self, node: Any, restart: Callable[[int | None], None]) -> None:
+    def __init__(self, node: SimNode, restart: Callable[[int | None], None]) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/episode'])
         self._simulation: Simulation = node.simulation
         self._restart_simulation, self._joints_changed = restart, node.dynamics.publish
@@ -96,7 +99,7 @@ class TaskPublisher:
     :ivar seed: of the present start
     """
 
-    def __init__(self, node: Any, task: Task) -> None:
+    def __init__(self, node: SimNode, task: Task) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/task'])
         self._task, self._simulation, self._thread = task, node.simulation, node.thread
         self.seed: int = node.declared.value('seed')

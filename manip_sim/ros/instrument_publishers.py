@@ -9,7 +9,7 @@ from array import array
 from collections.abc import Callable
 from functools import partial
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 import numpy as np
@@ -26,6 +26,9 @@ from manip_sim.sensing.instruments import (
     ACCELEROMETER, GYRO, IMU, Instrument, MAGNETIC_FIELD, ORIENTATION, RANGE, VALUES, WRENCH)
 from manip_sim.simulation import Simulation
 
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
 #: What an entry of a covariance is set to where there is no such sensor (sensor_msgs/Imu).
 _NONE = -1.0
 #: Rows of a tactile sensor: depths, and speeds of sliding along two tangents.
@@ -40,7 +43,7 @@ class InstrumentPublishers(Publications):
     :ivar rates_hz: of the sensors with fewer messages than control periods [Hz]
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: SimNode) -> None:
         super().__init__()
         simulation = node.simulation
         served = served_instruments(simulation, node.robots)

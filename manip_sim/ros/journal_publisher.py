@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import json
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from std_msgs.msg import String
 
@@ -16,6 +16,9 @@ from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros.outputs import create_output
 from manip_sim.ros.episode_publishers import TaskPublisher
 from manip_sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 #: How often what has come is published, wall time [s].
 _EVERY_S = 0.05
@@ -32,7 +35,7 @@ class JournalPublisher:
     :param task: that is served, or None
     """
 
-    def __init__(self, node: Any, task: TaskPublisher | None) -> None:
+    def __init__(self, node: SimNode, task: TaskPublisher | None) -> None:
         self._output = create_output(node, BY_NAME['~/journal'])
         self._operations = node.thread.changes.operations
         self._journal = node.thread.changes.journal

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from array import array
 import sys
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
@@ -21,6 +21,9 @@ from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_output, Output
 from manip_sim.sensing.lidars import Lidar
 from manip_sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 #: x, y, z, the number of the ring and two bytes to fill up [bytes].
 _POINT = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('ring', '<u2'), ('', '<u2')])
@@ -72,7 +75,7 @@ class LidarPublisher:
     :ivar topic: name of the topic
     """
 
-    def __init__(self, node: Any, found: LidarModel) -> None:
+    def __init__(self, node: SimNode, found: LidarModel) -> None:
         self._node, self._thread = node, node.thread
         self._name = found.name
         self._frame_id = node.frame_prefix + found.name
@@ -110,7 +113,7 @@ class LidarPublisher:
             if lidar.rays.rings == 1 else point_cloud(head, lidar, ranges))
 
 
-def offer_lidars(node: Any, lidars: list[LidarModel]) -> None:
+def offer_lidars(node: SimNode, lidars: list[LidarModel]) -> None:
     """Create the topics of the lidars of a world."""
     scopes = {id(robot.sensing): scope for scope, robot in node.robots.items()}
     for found in lidars:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from geometry_msgs.msg import Point
 import numpy as np
@@ -20,6 +20,9 @@ from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.contacts import read_contacts
 from manip_sim.simulation.end_effectors import EndEffectorReader
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 #: Length of the arrow of a force [m/N].
 FORCE_SCALE = 0.01
@@ -43,7 +46,7 @@ class MarkerPublisher:
     :param end_effectors: readers of wrenches, by the beginning of the namespace of their markers
     """
 
-    def __init__(self, node: Any, end_effectors: Mapping[str, EndEffectorReader]) -> None:
+    def __init__(self, node: SimNode, end_effectors: Mapping[str, EndEffectorReader]) -> None:
         self._end_effectors = end_effectors
         self._output = create_output(node, BY_NAME['~/markers'])
         self._header = Header(frame_id=node.frame_prefix + messages.WORLD)

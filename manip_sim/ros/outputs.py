@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
@@ -25,6 +25,9 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 
 class Output:
@@ -115,7 +118,7 @@ def create_publisher(node: Node, row: Topic, message_type: Any = None) -> Publis
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
-def create_output(node: Any, row: Topic, message_type: Any = None) -> Output:
+def create_output(node: SimNode, row: Topic, message_type: Any = None) -> Output:
     """
     Create the output of a row of the table; unless it is latched, parameters override its QoS.
 

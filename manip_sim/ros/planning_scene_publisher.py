@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from geometry_msgs.msg import Point, Pose
 import numpy as np
@@ -21,6 +21,9 @@ from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.planning_scene import (
     BOX, CYLINDER, HeldObject, MESH, Obstacle, PlanningScene, Solid, SPHERE)
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 moveit_msgs: Any = import_optional('moveit_msgs.msg')
 
@@ -50,7 +53,7 @@ class PlanningScenePublisher:
     :param scope: namespace of its topics
     """
 
-    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope) -> None:
+    def __init__(self, node: SimNode, robot: SimulatedRobot, scope: Scope) -> None:
         self._robot, self._log = robot, node.rejections
         self._world, self._object, self._attached = self._outputs = [
             create_output(node, replace(BY_NAME[name], name=scope.topic(name)))
@@ -61,7 +64,7 @@ class PlanningScenePublisher:
         #: In how many looks the whole world is published again.
         self._whole_in = -1
 
-    def close(self, node: Any) -> None:
+    def close(self, node: SimNode) -> None:
         """Destroy the publishers, after the last call of the others."""
         for output in self._outputs:
             output.close(node)

@@ -9,7 +9,7 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 import numpy as np
@@ -27,6 +27,9 @@ from manip_sim.ros.outputs import create_output, create_publisher, Publication, 
 from manip_sim.ros.serialized import Make
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.state import ControllerState
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 JointTrajectoryControllerState: Any = getattr(
     import_optional('control_msgs.msg'), 'JointTrajectoryControllerState', None)
@@ -98,7 +101,7 @@ def _point(position: Any = None, velocity: Any = None, acceleration: Any = None,
 class ClockPublisher(Publications):
     """The publisher of ``/clock``."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: SimNode) -> None:
         super().__init__()
         output, nothing = create_output(node, BY_NAME['/clock']), np.empty(0)
         self.replace((Publication(output, messages.clock, lambda _: nothing, 0),))
@@ -113,7 +116,7 @@ class StatePublishers(Publications):
     :param readers: by the name in a row; None: :data:`READERS`
     """
 
-    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope,
+    def __init__(self, node: SimNode, robot: SimulatedRobot, scope: Scope,
                  readers: Mapping[str, Reader] | None = None) -> None:
         super().__init__()
         self._node, self._robot, self._scope = node, robot, scope

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 import json
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
@@ -21,11 +21,14 @@ from manip_sim.models.urdf_writer import Hardware, urdfs_of
 from manip_sim.ros.outputs import create_publisher
 from manip_sim.simulation import SimulatedRobot, Simulation
 
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
 
 class DynamicsPublisher:
     """A latched publisher of ``~/dynamics``, which says what a URDF does not: JSON by joint."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: SimNode) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/dynamics'])
         self._simulation = node.simulation
         self._gravity_compensation = node.declared.value('gravity_compensation')
@@ -51,7 +54,7 @@ class DescriptionPublisher:
     :param rates_hz: of the sensors with fewer messages than control periods [Hz]
     """
 
-    def __init__(self, node: Any, world: World, simulation: Simulation,
+    def __init__(self, node: SimNode, world: World, simulation: Simulation,
                  robots: Mapping[Scope, SimulatedRobot], plugin: str = '',
                  lockstep: bool = False,
                  rates_hz: Mapping[str, float] = MappingProxyType({})) -> None:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
@@ -28,11 +28,14 @@ from manip_sim.simulation.end_effectors import EndEffectorReader
 from manip_sim.simulation.frames import FrameTree
 from manip_sim.simulation.odometry import OdometryReader
 
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
 #: The frame in which a mobile base has its odometry (REP 105), after the robot's prefix.
 ODOM = 'odom'
 
 
-def odometry_publishers(node: Any, robot: SimulatedRobot, reader: OdometryReader, scope: Scope,
+def odometry_publishers(node: SimNode, robot: SimulatedRobot, reader: OdometryReader, scope: Scope,
                         frame: str) -> StatePublishers:
     """
     Publish a base's pose in the frame of its odometry, and its twist in its own axes.
@@ -87,7 +90,7 @@ def check_frame_prefix(prefix: str) -> str:
 class SceneTopics:
     """Odometry of each period, and frames, markers and planning scenes at their rates."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: SimNode) -> None:
         self._node, self._thread, value = node, node.thread, node.declared.value
         self._end_effectors: dict[str, EndEffectorReader] = {}
         self._readers: dict[str, OdometryReader] = {}
@@ -156,7 +159,7 @@ class SceneTopics:
             self._transforms.follow(simulation)
 
 
-def _divider(node: Any, publish_rate: float, tf_rate: float) -> int:
+def _divider(node: SimNode, publish_rate: float, tf_rate: float) -> int:
     every = periods_per_message(publish_rate, tf_rate)
     rate = publish_rate / every
     if abs(rate - tf_rate) > 1e-6 * tf_rate:

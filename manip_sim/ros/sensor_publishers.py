@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from rclpy.serialization import serialize_message
 
@@ -16,6 +16,9 @@ from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_output, message_class
 from manip_sim.simulation import Simulation
 
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
 
 class SensorPublisher:
     """
@@ -24,7 +27,7 @@ class SensorPublisher:
     :raises ModelError: if its class or the first message cannot be made
     """
 
-    def __init__(self, node: Any, offered: Offered) -> None:
+    def __init__(self, node: SimNode, offered: Offered) -> None:
         self._node = node
         self._offered = offered
         simulation, seed = node.simulation, node.get_parameter('seed').value
@@ -79,7 +82,7 @@ def _checked(message_class: Any) -> Any:
     return message
 
 
-def offer_sensors(node: Any) -> None:
+def offer_sensors(node: SimNode) -> None:
     """Publish the topics that other packages add; log those that cannot be used."""
     warn = node.get_logger().warning
     for offered in offered_topics(node.robots, node.table, lambda line: warn(one_line(line))):

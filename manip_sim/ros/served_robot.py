@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from rclpy.parameter import Parameter
 
@@ -18,6 +18,9 @@ from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.publishers import StatePublishers
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 
 class ServedRobot:
@@ -30,7 +33,7 @@ class ServedRobot:
     :ivar commands: the subscriptions
     """
 
-    def __init__(self, node: Any, scope: Scope, robot: SimulatedRobot) -> None:
+    def __init__(self, node: SimNode, scope: Scope, robot: SimulatedRobot) -> None:
         self._node, self._declared, self._thread = node, node.declared, node.thread
         self.scope, self.robot = scope, robot
         #: What uses the value of a live parameter, by its name.

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 
 class SimulationServices:
@@ -24,7 +27,7 @@ class SimulationServices:
     Commands that have come count before ``~/pause`` and ``~/step``.
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: SimNode) -> None:
         thread = self._thread = node.thread
         self._take_commands = node.take_commands
         node.create_service(SetBool, '~/pause', self._pause)

@@ -71,10 +71,11 @@ class SimNode(Node):
     """
 
     actions: ActionServers | None = None
-    #: The rows of the table for this world but for objects; None while rclpy makes its own topics.
-    table: list[Topic] | None = None
 
     def __init__(self, **arguments: Any) -> None:
+        #: The rows of the table for this world but for objects; none while rclpy makes its own
+        #: topics.
+        self.table: list[Topic] = []
         try:
             super().__init__('manip_sim', **arguments)
         except InvalidParameterTypeException as error:
@@ -271,7 +272,7 @@ class SimNode(Node):
 
     def _check_listed(self, direction: str, topic: str) -> None:
         # With use_sim_time rclpy subscribes to the clock.
-        if self.table is None or (direction, topic) == (SUBSCRIBED, '/clock'):
+        if not self.table or (direction, topic) == (SUBSCRIBED, '/clock'):
             return
         listed = [*self.table, *topics_of_objects(self.simulation.entities.free_names),
                   *topics_of_surroundings(self.simulation.surroundings)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.interface.composition import check_robot_name, declare_parts
@@ -31,6 +31,9 @@ from manip_sim.ros.introduction import inferred
 from manip_sim.ros.standard_answers import Rejection, ResultCode, SpawnCode
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot, RobotsPlan
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
 
 #: Ends of goals, results and their answers each take a round of the executor.
 _ROUNDS = 6
@@ -119,7 +122,7 @@ class SpawnedRobots:
     :param node: the node, whose members are used as those of a part of it
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: SimNode) -> None:
         self._node = node
         self._simulation, self._thread = node.simulation, node.thread
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from geometry_msgs.msg import Point, Quaternion, Vector3
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -28,6 +28,9 @@ from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose, Twist
 
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
 SERVICE_TYPES = import_optional('simulation_interfaces.srv')
 
 #: Whether the package is installed.
@@ -36,7 +39,7 @@ _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation
           'of a reset restarts simulation time, scope STATE lets it go on.')
 
 
-def offer_simulation_interfaces(node: Any, simulation: Simulation, thread: SimulationThread,
+def offer_simulation_interfaces(node: SimNode, simulation: Simulation, thread: SimulationThread,
                                 objects_changed: Callable[[Simulation], None], files: FilesBelow,
                                 robots: SpawnedRobots) -> None:
     """

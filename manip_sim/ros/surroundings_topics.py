@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from geometry_msgs.msg import Pose as PoseMessage, PoseStamped
 from sensor_msgs.msg import JointState
@@ -29,6 +29,9 @@ from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.surroundings import ACTUATORS
 
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
 #: What the message of a pull holds: two points, and no pose of its own.
 _ENDS, _NOWHERE = 2, PoseMessage()
 #: The topics of actuators that come and go with objects.
@@ -46,7 +49,7 @@ class SurroundingsTopics(Publications):
         ``objects/<name>`` and ``pull``
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: SimNode) -> None:
         super().__init__()
         self._node, self._changes = node, node.thread.changes
         self._surroundings, self._pulls = node.simulation.surroundings, node.simulation.pulls

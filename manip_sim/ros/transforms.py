@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
@@ -21,10 +21,13 @@ from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.frames import FrameTree, TreeFrame
 
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
 TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)
 
 
-def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree]
+def offer_transforms(node: SimNode, frames: Callable[[Simulation], FrameTree]
                      ) -> TransformPublisher | None:
     """
     Create the publisher of ``/tf`` and ``/tf_static``; note if ``tf2_msgs`` is missing.
@@ -38,7 +41,7 @@ def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree]
     return TransformPublisher(*create_outputs(node), frames, node.frame_prefix)
 
 
-def create_outputs(node: Any) -> tuple[Output, Output]:
+def create_outputs(node: SimNode) -> tuple[Output, Output]:
     return (create_output(node, BY_NAME['/tf'], TFMessage),
             create_output(node, BY_NAME['/tf_static'], TFMessage))
 
