@@ -7,14 +7,16 @@ import ast
 from collections import Counter
 import importlib
 from pathlib import Path
+import re
 import sys
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parents[1] / 'manip_sim'
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / 'manip_sim'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 TESTS_FOLDER = Path(__file__).resolve().parent
-TESTS = sorted(TESTS_FOLDER.rglob('*.py'))
+TESTS = sorted([*TESTS_FOLDER.rglob('*.py'), *(ROOT / 'hardware').rglob('*.py')])
 PURE = {'mujoco', 'numpy', 'pydantic', 'yaml'}
 #: By folder or module: the layers and the libraries that it may import.
 MAY_IMPORT = {
@@ -115,15 +117,43 @@ def test_a_class_has_its_name_for_itself():
     assert [name for name, count in classes.items() if count > 1] == []
 
 
-@pytest.mark.parametrize('path', TESTS, ids=lambda path: str(path.relative_to(TESTS_FOLDER)))
+def skips(tree):
+    """Yield what may skip a test, or expects it to fail: its line, and its reason or None."""
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and (
+                node.func.attr in ('importorskip', 'skip', 'skipif', 'xfail')):
+            given = [keyword.value for keyword in node.keywords if keyword.arg == 'reason']
+            if node.func.attr == 'skip':
+                given += node.args
+            yield node.lineno, given[0] if given else None
+        elif (isinstance(node, ast.Attribute) and node.attr in ('skip', 'xfail')
+                and id(node) not in called and ast.unparse(node.value).endswith('mark')):
+            yield node.lineno, None
+
+
+@pytest.mark.parametrize('path', TESTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_every_test_that_may_be_skipped_says_why(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-            reasons = {keyword.arg for keyword in node.keywords}
-            if node.func.attr in ('importorskip', 'skipif', 'xfail'):
-                assert 'reason' in reasons, f'{path}:{node.lineno}'
-            elif node.func.attr == 'skip':
-                assert node.args or 'reason' in reasons, f'{path}:{node.lineno}'
+    for line, reason in skips(ast.parse(path.read_text())):
+        assert reason is not None, f'{path}:{line}'
+        if isinstance(reason, ast.Constant):
+            assert isinstance(reason.value, str) and len(reason.value) > 8, f'{path}:{line}'
+
+
+@pytest.mark.parametrize('code', [
+    'pytest.importorskip("x")', 'pytest.mark.skipif(True)', 'pytest.skip()', 'pytest.mark.xfail',
+    '@pytest.mark.skip\ndef test(): pass'])
+def test_a_skip_without_a_reason_is_found(code):
+    assert [reason for _, reason in skips(ast.parse(code))] == [None]
+
+
+def test_ci_shows_why_tests_are_skipped():
+    # 'a': the reasons of all but passed tests, whatever the command line asks for beside it.
+    assert ' -ra"' in (ROOT / 'pyproject.toml').read_text()
+    for file in ('Makefile', '.ci/run', *(
+            path.relative_to(ROOT) for path in (ROOT / '.github').rglob('*.yml'))):
+        text = (ROOT / file).read_text()
+        assert not re.search(r'pytest.* (-r[^a]|-p no:terminal|--no-summary|-qq)', text), file
 
 
 def test_the_pictures_of_the_architecture_are_those_of_the_code(monkeypatch):

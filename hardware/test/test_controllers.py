@@ -297,7 +297,7 @@ def test_the_broadcaster_publishes_what_the_imu_of_the_hand_measures(controlled)
 
 
 def test_cycles_do_not_wait_for_a_sensor_with_a_lower_rate(controlled):
-    pytest.importorskip('pydantic', '2', 'descriptions of sensors need pydantic 2')
+    pytest.importorskip('pydantic', '2', reason='descriptions of sensors need pydantic 2')
     sim, _ = controlled(sensors=['{name: robot0_right_imu, rate: 20.0}'])
     received, measured = [], {}
     sim.node.create_subscription(Imu, 'robot0_right_imu_broadcaster/imu', received.append, 1000)

@@ -141,9 +141,9 @@ def test_a_lost_collision_shape_is_a_warning_of_its_own(tmp_path):
 
 @pytest.mark.parametrize('suffix', ['.glb', '.ply', '.off', '.dae'])
 def test_a_mesh_in_another_format_keeps_its_size(tmp_path, monkeypatch, suffix):
-    trimesh = pytest.importorskip('trimesh', reason='converts the meshes')
+    trimesh = pytest.importorskip('trimesh', reason='trimesh, which converts meshes, is missing')
     if suffix == '.dae':
-        pytest.importorskip('collada', reason='reads Collada')
+        pytest.importorskip('collada', reason='pycollada, which reads Collada, is missing')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
     trimesh.creation.box((0.1, 0.2, 0.3)).export(tmp_path / f'part{suffix}')
     mesh = f'<collision><geometry><mesh filename="part{suffix}"/></geometry></collision>'
@@ -158,8 +158,8 @@ def test_a_mesh_in_another_format_keeps_its_size(tmp_path, monkeypatch, suffix):
 
 
 def test_a_collada_file_in_millimetres_is_read_in_metres(tmp_path, monkeypatch):
-    trimesh = pytest.importorskip('trimesh', reason='converts the meshes')
-    pytest.importorskip('collada', reason='reads Collada')
+    trimesh = pytest.importorskip('trimesh', reason='trimesh, which converts meshes, is missing')
+    pytest.importorskip('collada', reason='pycollada, which reads Collada, is missing')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
     trimesh.creation.box((100.0, 200.0, 300.0)).export(tmp_path / 'part.dae')
     text = (tmp_path / 'part.dae').read_text()
@@ -173,7 +173,7 @@ def test_a_collada_file_in_millimetres_is_read_in_metres(tmp_path, monkeypatch):
 
 
 def test_a_mesh_that_cannot_be_converted_is_reported_with_the_reason(tmp_path, monkeypatch):
-    pytest.importorskip('trimesh', reason='converts the meshes')
+    pytest.importorskip('trimesh', reason='trimesh, which converts meshes, is missing')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
     write(tmp_path / 'part.glb', 'nothing of the kind')
     mesh = '<collision><geometry><mesh filename="part.glb"/></geometry></collision>'

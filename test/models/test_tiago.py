@@ -104,7 +104,7 @@ def test_its_base_drives_where_it_looks_and_not_sideways(simulation):
 
 
 def test_a_base_from_a_file_says_that_it_does_not_drive_sideways(tmp_path):
-    pytest.importorskip('pydantic', reason='descriptions need pydantic')
+    pytest.importorskip('pydantic', reason='descriptions of files need pydantic')
     from manip_sim.models.bases import create_base
     joints = ''.join(
         f'<joint name="joint_mobile_{name}" type="{kind}" axis="{axis}"/>'

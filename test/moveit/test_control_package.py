@@ -147,7 +147,8 @@ def test_two_packages_need_two_folders(tmp_path, capsys):
     assert not (tmp_path / 'own').exists()
 
 
-@pytest.mark.skipif(importlib.util.find_spec('rclpy') is None, reason='rcl reads the parameters')
+@pytest.mark.skipif(importlib.util.find_spec('rclpy') is None,
+                    reason='rcl, of ROS 2, reads the parameters')
 def test_rcl_reads_the_parameters_of_each_controller(package):
     import rclpy
     from rclpy.node import Node

@@ -28,7 +28,7 @@ def inbox(node):
     log, taken = RejectionLog(node.get_logger()), []
     inbox = create_command_inbox(node, log)
     if inbox is None:
-        pytest.skip('this rclpy is not known')
+        pytest.skip('this rclpy is not known: its executor takes commands')
     CommandSubscription(node, JointState, 'command', taken.append, inbox)
     return inbox, log, taken
 

@@ -115,7 +115,7 @@ sys.exit(main.run([]))
     ids=['physics', 'executor', 'commands', 'publishing'])
 def test_a_process_whose_thread_dies_ends_and_says_so(what, told, client, tmp_path):
     if what == 'commands' and not is_known():
-        pytest.skip('of this rclpy the executor takes commands')
+        pytest.skip('this rclpy is not known: its executor takes commands')
     now = tmp_path / 'fail_now'
     node = subprocess.Popen([sys.executable, '-c', FAILS, what, str(now)], text=True,
                             stderr=subprocess.PIPE)

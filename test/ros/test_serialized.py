@@ -84,7 +84,7 @@ def test_readers_that_allow_nothing_behind_a_message_read_the_bytes(kind):
     data = SerializedMessage(make, count).at(7, np.arange(float(count)))
     store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     if type(made).__module__.split('.')[0] not in {name.split('/')[0] for name in store.fielddefs}:
-        pytest.skip('rosbags does not know it')
+        pytest.skip('rosbags does not know the package of this type')
     name = f'{type(made).__module__.split(".")[0]}/msg/{type(made).__name__}'
     assert bytes(store.serialize_cdr(store.deserialize_cdr(data, name), name))[:4] == data[:4]
 

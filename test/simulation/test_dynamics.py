@@ -15,7 +15,7 @@ from manip_sim.models.urdf_writer import urdf_of
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 
-pin = pytest.importorskip('pinocchio', reason='needs pin')
+pin = pytest.importorskip('pinocchio', reason='pin is a tool of the extra test')
 
 
 @pytest.mark.parametrize('name', robot_names())

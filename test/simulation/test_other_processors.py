@@ -38,7 +38,7 @@ print(digest.hexdigest())
 """
 
 
-@pytest.mark.skipif(platform.machine() != 'x86_64', reason='the kernels are of x86-64')
+@pytest.mark.skipif(platform.machine() != 'x86_64', reason='the kernels are for x86-64')
 def test_poses_twists_and_actions_do_not_depend_on_the_kernels_of_the_blas():
     found = []
     flags = Path('/proc/cpuinfo').read_text().split()
