@@ -31,9 +31,9 @@ class Interval:
 
     :param robots: whose controls are written
     :param duration_s: length of the interval [s]
-    :param compute: computes the physics, and of all intervals that follow where control is planned
-        for them; it may be called in another thread, and spends most of its time without Python's
-        global interpreter lock
+    :param compute: computes the physics of this interval, and of the rest of the period if control
+        is planned for it; it may be called in another thread, and spends most of its time without
+        Python's global interpreter lock
     """
 
     __slots__ = ('robots', 'duration_s', 'compute')
