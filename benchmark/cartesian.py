@@ -19,9 +19,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.control.commands import Status
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Status
 
 POSES = 100
 LIMIT_S = 6.0

@@ -28,10 +28,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.control.commands import CommandHandle, Status
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import CommandHandle, Status
 
 PERIOD_S = 0.01
 #: Rest [rad/s], for how long [s], and how soon it shall come [s].

@@ -22,7 +22,9 @@ FLOORS = (
      'env': 'tasks for gymnasium'},
     {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing'},
     {'tasks': 'starts, success, episodes', 'worlds': 'many copies of one'},
-    {'simulation': 'what happens: physics, control', 'rendering': 'pictures'},
+    {'simulation': 'what happens: robots in a world, states', 'rendering': 'pictures'},
+    {'control': 'commands, modes, setpoints, servos, hands'},
+    {'physics': 'the compiled model and its data, steps, forces'},
     {'models': 'what exists: robots, grippers, arenas, worlds'},
     {'sensing': 'what is measured: instruments'})
 #: Name, what it does, what it may touch.
@@ -38,11 +40,11 @@ THREADS = (
 COMMAND = (
     ('DDS', 'joint_command'), ('ros/command_inbox.py', 'waits, takes the bytes'),
     ('ros/reading.py', 'bounds, then reads the message'),
-    ('ros/commands.py', 'names, stamps, counts'),
-    ('simulation/joint_command_parser.py', 'validates, clamps: a Command'),
+    ('ros/command_subscribers.py', 'names, stamps, counts'),
+    ('control/joint_command_parser.py', 'validates, clamps: a Command'),
     ('runtime/pending_commands.py', 'until the next control period'),
-    ('simulation/joint_controller.py', 'owns joints; setpoints'),
-    ('simulation/servos.py', 'controls'),
+    ('control/joint_controller.py', 'owns joints; setpoints'),
+    ('control/servos.py', 'controls'),
     ('mj_step', 'the physics'))
 STATE = (
     ('mj_step, mj_forward', 'the physics'), ('simulation/simulation.py', 'the end of a period'),

@@ -49,7 +49,7 @@ def _run() -> int:
     try:
         check_ros_environment()
         import_mujoco()
-        from manip_sim.ros.main import run
+        from manip_sim.ros.process import run
     except ImportError as error:
         return _fail(missing_module(error))
     except ManipSimError as error:

@@ -17,7 +17,9 @@ import sys
 
 from manip_sim.testing.domains import reserve_domain
 import numpy as np
+from operators import Operator
 import pytest
+from sampling import whole_robot
 
 from manip_sim.models.arenas.arena import ARENAS
 from manip_sim.models.bases import RethinkMount
@@ -55,7 +57,7 @@ MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 #: of processes that wait for each other take turns with those that compute.
 LONGEST = (
     'ros/test_pick_cube.py', 'ros/test_viewer.py', 'ros/test_documentation.py',
-    'simulation/test_control_figures.py', 'ros/test_process.py', 'ros/test_hand_over.py',
+    'control/test_control_figures.py', 'ros/test_process.py', 'ros/test_hand_over.py',
     'ros/test_spawned_files.py', 'experiments/test_runs.py', 'ros/test_neighbours.py',
     'models/test_catalogue_grasps.py', 'ros/test_soak.py', 'ros/test_task_node.py',
     'ros/test_journal.py', 'ros/test_spawned_robots.py', 'env/test_env.py',
@@ -63,12 +65,12 @@ LONGEST = (
     'moveit/test_control_package.py', 'ros/test_camera_topics.py', 'worlds/test_worlds.py',
     'tasks/test_tasks.py', 'ros/test_lockstep.py', 'ros/test_spawned_by_strangers.py',
     'models/test_add_your_own.py', 'ros/test_diagnostics.py', 'ros/test_pressing.py',
-    'test_contact_bench.py', 'simulation/test_cartesian_rest.py',
-    'simulation/test_point_streams.py', 'ros/test_topic_hardware.py',
-    'simulation/test_stream_bounds.py', 'testing/test_plugin.py', 'simulation/test_cartesian.py',
-    'moveit/test_moveit_package.py', 'test_fast.py', 'simulation/test_servos.py',
-    'test_install.py', 'test_gallery.py', 'simulation/test_setpoints.py', 'cli/test_cli_render.py',
-    'simulation/test_resuming.py', 'simulation/test_streams.py',
+    'test_contact_bench.py', 'control/test_cartesian_rest.py',
+    'control/test_point_streams.py', 'ros/test_topic_hardware.py',
+    'control/test_stream_bounds.py', 'testing/test_plugin.py', 'control/test_cartesian.py',
+    'moveit/test_moveit_package.py', 'test_fast.py', 'control/test_servos.py',
+    'test_install.py', 'test_gallery.py', 'control/test_setpoints.py', 'cli/test_cli_render.py',
+    'physics/test_resuming.py', 'control/test_streams.py',
     'simulation/test_robot_spawning.py', 'ros/test_hostile_viewer.py', 'ros/test_goal_server.py',
     'simulation/test_randomization.py', 'ros/test_commands.py', 'ros/test_services.py',
     'models/test_catalogue_matrix.py', 'ros/test_several_robots.py', 'ros/test_watch_only.py',
@@ -376,3 +378,15 @@ def run():
             if each_period is not None:
                 each_period()
     return advance
+
+
+@pytest.fixture
+def panda_op(panda_sim):
+    """Return an operator of the Panda."""
+    return Operator(panda_sim)
+
+
+@pytest.fixture
+def operator_of():
+    """Return a function that makes an operator of a robot of the catalogue."""
+    return lambda name, **options: Operator(whole_robot(name, **options))

@@ -25,35 +25,39 @@ MAY_IMPORT = {
     'models/mesh_objects.py': ({'models'}, PURE | {'coacd'}),
     # Files of others may have meshes that MuJoCo does not read.
     'models/files': ({'models'}, PURE | {'trimesh', 'xacro'}),
-    'simulation': ({'models', 'sensing', 'simulation'}, PURE),
-    'worlds': ({'models', 'simulation', 'worlds'}, PURE),
+    'physics': ({'models', 'physics'}, PURE),
+    'control': ({'control', 'models', 'physics', 'sensing'}, PURE),
+    'simulation': ({'control', 'models', 'physics', 'sensing', 'simulation'}, PURE),
+    'worlds': ({'control', 'models', 'physics', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),
-    'runtime': ({'models', 'sensing', 'simulation', 'rendering', 'runtime'}, PURE),
-    'tasks': ({'models', 'sensing', 'simulation', 'rendering', 'tasks'}, PURE),
+    'runtime': ({'control', 'models', 'physics', 'sensing', 'simulation', 'rendering', 'runtime'},
+                PURE),
+    'tasks': ({'control', 'models', 'physics', 'sensing', 'simulation', 'rendering', 'tasks'},
+              PURE),
     'env/ros': ({'env', 'simulation', 'tasks'}, None),
     'env': ({'env', 'models', 'tasks', 'worlds'}, PURE | {'gymnasium'}),
-    'records': ({'interface', 'models', 'records', 'simulation', 'tasks'},
+    'records': ({'control', 'interface', 'models', 'records', 'simulation', 'tasks'},
                 PURE | {'PIL', 'av', 'h5py', 'lz4', 'mcap', 'mcap_ros2', 'pyarrow', 'zstandard'}),
     'records/node_recorder.py': ({'records'}, None),
-    'moveit': ({'models', 'moveit', 'simulation'}, PURE),
+    'moveit': ({'control', 'models', 'moveit', 'simulation'}, PURE),
     'experiments/ros_policy.py': ({'tasks'}, None),
     'experiments': ({'experiments', 'records', 'tasks'},
                     PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
-    'cli': ({'cli', 'experiments', 'interface', 'models', 'moveit', 'records', 'simulation',
-             'rendering', 'tasks'}, PURE | {'PIL', 'tqdm'}),
+    'cli': ({'cli', 'control', 'experiments', 'interface', 'models', 'moveit', 'physics',
+             'records', 'simulation', 'rendering', 'tasks'}, PURE | {'PIL', 'tqdm'}),
     'gallery.py': ({'cli', 'models', 'rendering', 'simulation', 'tasks'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.
     'viewer/ros': ({'viewer', 'models', 'ros'}, None),
     'viewer': ({'models', 'records', 'viewer'}, PURE | {'PIL', 'viser'}),
-    'interface': ({'interface', 'models', 'sensing', 'simulation', 'tasks'}, PURE),
+    'interface': ({'control', 'interface', 'models', 'sensing', 'simulation', 'tasks'}, PURE),
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
 WITH_RCLPY = ('ros', 'env/ros', 'examples', 'testing', 'viewer/ros', 'records/node_recorder.py',
               'experiments/ros_policy.py', f'{INTERNALS}.py')
-TOP_LEVEL = {'algebra', 'arrays', 'entry_points', 'environment', 'errors', 'patching', 'quoting',
-             'resources', 'startup'}
+TOP_LEVEL = {'algebra', 'arrays', 'clamping', 'entry_points', 'environment', 'errors', 'patching',
+             'quoting', 'resources', 'startup', 'validation'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 
@@ -109,6 +113,11 @@ def test_no_module_compares_the_name_of_a_control_mode(path):
 
 def test_no_module_is_a_drawer_for_odds_and_ends():
     assert not [path for path in MODULES if path.name in FORBIDDEN_NAMES]
+
+
+def test_a_module_has_its_name_for_itself():
+    names = Counter(path.stem for path in MODULES if not path.stem.startswith('__'))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_a_class_has_its_name_for_itself():

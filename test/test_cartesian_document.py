@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 
-from manip_sim.simulation.commands import Status
+from manip_sim.control.commands import Status
 
 DOCUMENT = (Path(__file__).resolve().parents[1] / 'docs' / 'how_to' / 'cartesian.md').read_text()
 

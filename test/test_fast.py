@@ -22,9 +22,9 @@ def first(count, *changed):
 
 
 @pytest.mark.parametrize(('changed', 'wanted'), [
-    ('manip_sim/simulation/servos.py', 'test_servos.py'),
-    ('manip_sim/simulation/setpoints.py', 'test_setpoints.py'),
-    ('manip_sim/simulation/cartesian/pose_stream.py', 'test_pose_streams.py'),
+    ('manip_sim/control/servos.py', 'test_servos.py'),
+    ('manip_sim/control/setpoints.py', 'test_setpoints.py'),
+    ('manip_sim/control/cartesian/pose_stream.py', 'test_pose_streams.py'),
     ('manip_sim/models/files/urdf.py', 'test_files_urdf.py'),
     ('manip_sim/models/world.py', 'test_world.py'),
     ('manip_sim/runtime/pacing.py', 'test_pacing.py'),
@@ -34,7 +34,7 @@ def first(count, *changed):
     ('manip_sim/cli/tables.py', 'test_cli_tables.py'),
     ('manip_sim/cli/check.py', 'test_cli_check.py'),
     ('manip_sim/records/__init__.py', 'test_interrupted.py'),
-    ('manip_sim/ros/main.py', 'test_process.py'),
+    ('manip_sim/ros/process.py', 'test_process.py'),
     ('manip_sim/examples/hand_over.py', 'test_hand_over.py'),
     ('docs/reference/command.md', 'test_reference_pages.py'),
     ('test/cli/test_cli_main.py', 'test_cli_main.py')])

@@ -88,7 +88,7 @@ PICK, HAND = (('manip_sim.examples.__main__', name) for name in ('pick_cube', 'h
 
 @pytest.mark.parametrize(('program', 'module', 'number', 'code'), [
     (NODE, 'mujoco', signal.SIGINT, 0), (NODE, 'numpy', signal.SIGTERM, 0),
-    (NODE, 'manip_sim.ros.main', signal.SIGHUP, 0),
+    (NODE, 'manip_sim.ros.process', signal.SIGHUP, 0),
     (PAGE, 'argparse', signal.SIGINT, 0), (PAGE, 'manip_sim.errors', signal.SIGHUP, 0),
     (PAGE, 'numpy', signal.SIGTERM, 0),
     (PICK, 'manip_sim.environment', signal.SIGINT, 0), (PICK, 'mujoco', signal.SIGHUP, 0),

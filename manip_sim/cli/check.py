@@ -12,7 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from manip_sim.cli.composition import compose_from
+from manip_sim.cli.composing_options import compose_from
 from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.loading import compile_spec, load_spec

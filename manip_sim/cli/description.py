@@ -13,12 +13,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.cli.composition import Composed
+from manip_sim.cli.composing_options import Composed
 from manip_sim.cli.listing import origin
+from manip_sim.control.modes import EFFORT, POSITION
+from manip_sim.control.parts import Part
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
-from manip_sim.interface.served_instruments import served_instruments
 from manip_sim.interface.sensors import offered_topics
+from manip_sim.interface.served_instruments import served_instruments
 from manip_sim.interface.topics import Scope, SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world
 from manip_sim.models.bases import RobotBaseModel
@@ -26,11 +28,9 @@ from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.physics.actuator_properties import effort_range
+from manip_sim.physics.mechanism import actuated_joints, moved_joints
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.actuator_properties import effort_range
-from manip_sim.simulation.mechanism import actuated_joints, moved_joints
-from manip_sim.simulation.modes import EFFORT, POSITION
-from manip_sim.simulation.parts import Part
 
 _TARGET = {
     int(mujoco.mjtTrn.mjTRN_JOINT): 'joint', int(mujoco.mjtTrn.mjTRN_JOINTINPARENT): 'joint',

@@ -13,7 +13,7 @@ import warnings
 
 import mujoco
 
-from manip_sim.cli.composition import compose_from, Composed
+from manip_sim.cli.composing_options import compose_from, Composed
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import commanded_parts

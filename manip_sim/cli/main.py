@@ -16,7 +16,7 @@ import logging
 import os
 import sys
 
-from manip_sim.cli.parser import parse
+from manip_sim.cli.command_line import parse
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line
 from manip_sim.startup import use_one_blas_thread

@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 
 def _picture(options: argparse.Namespace) -> Image:
-    from manip_sim.cli.composition import arena_from, compose_from
+    from manip_sim.cli.composing_options import arena_from, compose_from
     from manip_sim.models import World
     from manip_sim.models.bases import create_base
     from manip_sim.models.grippers import create_gripper

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.errors import DivergenceError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
-from manip_sim.models.validation import whole_number
 from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation
 from manip_sim.tasks.pictures import CameraLike, Pictures
+from manip_sim.validation import whole_number
 
 #: Seeds that are drawn are below this.
 SEEDS = 2**31

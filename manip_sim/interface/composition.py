@@ -12,6 +12,7 @@ from typing import Any, TYPE_CHECKING
 
 import mujoco
 
+from manip_sim.control.parts import Part
 from manip_sim.errors import ModelError, ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
@@ -32,7 +33,6 @@ from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
 from manip_sim.simulation.camera_choice import (
     chosen_cameras, described_cameras, described_lidars)
-from manip_sim.simulation.parts import Part
 
 if TYPE_CHECKING:
     from manip_sim.tasks import Task

@@ -7,6 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
+from manip_sim.control.message_clock import STREAM_INTERVAL_S
+from manip_sim.control.modes import default_mode, MODES
+from manip_sim.control.parts import Part
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.topics import Scope
@@ -19,10 +23,6 @@ from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.sensing.settings import QUANTITIES
-from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.simulation.message_clock import STREAM_INTERVAL_S
-from manip_sim.simulation.modes import default_mode, MODES
-from manip_sim.simulation.parts import Part
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
 _BASE_TIMEOUT_S = 0.5

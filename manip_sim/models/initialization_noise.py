@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.validation import whole_number
 from manip_sim.quoting import shown
+from manip_sim.validation import whole_number
 
 TYPES = ('gaussian', 'uniform')
 #: As in robosuite 1.5.2, ``initialization_noise='default'`` [rad or m].

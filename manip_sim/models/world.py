@@ -16,15 +16,15 @@ from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.binary import to_binary
 from manip_sim.models.cameras import Camera, create_camera
-from manip_sim.models.lidars import create_lidar, LidarLike
 from manip_sim.models.initialization_noise import checked_seed, InitializationNoise
+from manip_sim.models.lidar_models import create_lidar, LidarLike
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
 from manip_sim.models.placements import check_placed
 from manip_sim.models.randomization import Randomization, RandomizationLike
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.validation import start_by_joint, whole_nanoseconds
+from manip_sim.validation import start_by_joint, whole_nanoseconds
 
 #: Ratio of frictional to normal constraint impedance: friction gives less than the contact.
 _IMPRATIO = 10.0

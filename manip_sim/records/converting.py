@@ -10,7 +10,7 @@ from pathlib import Path
 import tempfile
 
 from manip_sim.errors import RecordError
-from manip_sim.records.frames import Frames
+from manip_sim.records.episode_arrays import Frames
 from manip_sim.records.hdf5 import write_hdf5
 from manip_sim.records.lerobot import write_lerobot
 from manip_sim.records.recorded import Record

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.errors import RecordError
-from manip_sim.records.frames import Frames
+from manip_sim.records.episode_arrays import Frames
 from manip_sim.records.gate import model_xml
 
 #: robomimic's number for environments of gymnasium.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.errors import RecordError
-from manip_sim.records.frames import Columns, Frames
+from manip_sim.records.episode_arrays import Columns, Frames
 
 _DATA = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
 _VIDEO = 'videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4'

@@ -16,6 +16,7 @@ import weakref
 import mujoco
 import numpy as np
 
+from manip_sim.control.commands import Command, CommandHandle, GripperCommand, NoCommand, Status
 from manip_sim.errors import CommandError, DivergenceError, ManipSimError, ModelError, RecordError
 from manip_sim.interface.composition import compose_world, Composition
 from manip_sim.interface.given_parameters import GivenParameters
@@ -27,7 +28,6 @@ from manip_sim.records.recorded import Record, RecordedEpisode
 from manip_sim.records.recorder import physics_state
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Command, CommandHandle, GripperCommand, NoCommand, Status
 from manip_sim.simulation.operations import Operations
 from manip_sim.simulation.plain_state import check_sum, decoded, restore_plain
 from manip_sim.tasks import create_task, Episode, start

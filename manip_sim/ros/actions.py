@@ -19,7 +19,7 @@ from rclpy.task import Future
 from manip_sim.errors import SimulationEnded
 from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
-from manip_sim.ros.commands import CommandSubscribers
+from manip_sim.ros.command_subscribers import CommandSubscribers
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.optional_packages import ActionTypes, load_action_types, missing_note
 from manip_sim.runtime import SimulationThread

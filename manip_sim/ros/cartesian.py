@@ -13,9 +13,9 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 
-from manip_sim.ros.commands import CommandSubscribers
-from manip_sim.simulation.cartesian.reports import CartesianReport
-from manip_sim.simulation.commands import Command
+from manip_sim.control.cartesian.reports import CartesianReport
+from manip_sim.control.commands import Command
+from manip_sim.ros.command_subscribers import CommandSubscribers
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

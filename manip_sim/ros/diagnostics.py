@@ -14,18 +14,18 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import mujoco
 from rclpy.clock import Clock, ClockType
 
+from manip_sim.control.cartesian.reports import CartesianReport
+from manip_sim.control.gripper_controller import GripperController
+from manip_sim.control.modes import MODES, POSITION
+from manip_sim.control.surroundings import ARENA
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import one_line
-from manip_sim.ros.cameras import Cameras
+from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.cartesian import counts_of, reports_of
-from manip_sim.ros.commands import CommandStatistics, CommandSubscribers
+from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
 from manip_sim.runtime import SimulationThread
-from manip_sim.simulation.cartesian.reports import CartesianReport
-from manip_sim.simulation.gripper_controller import GripperController
-from manip_sim.simulation.modes import MODES, POSITION
-from manip_sim.simulation.surroundings import ARENA
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from manip_sim.control.modes import MODES, POSITION
 from manip_sim.interface.topics import Scope
 from manip_sim.models import World
 from manip_sim.models.lost_shapes import inferred_by_model, LostShape
 from manip_sim.models.robots import RobotModel
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.modes import MODES, POSITION
 
 Value = Callable[[str], Any]
 

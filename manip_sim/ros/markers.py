@@ -15,11 +15,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME
+from manip_sim.physics.contacts import read_contacts
+from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.ros import messages
 from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.contacts import read_contacts
-from manip_sim.simulation.end_effectors import EndEffectorReader
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

@@ -18,6 +18,7 @@ from std_msgs.msg import String, UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
+from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, Topic
 from manip_sim.interface.world_topics import topics_of, truths
 from manip_sim.models import World
@@ -26,7 +27,6 @@ from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.outputs import create_output, create_publisher, Publication, Publications
 from manip_sim.ros.serialized import Make
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.state import ControllerState
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

@@ -13,8 +13,8 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from manip_sim.control.command_parser import MAX_POINTS
 from manip_sim.errors import CommandError, ManipSimError, MessageError
-from manip_sim.simulation.command_parser import MAX_POINTS
 
 #: More than any command but a trajectory needs [bytes].
 _MAX_SIZE = 2**18

@@ -16,6 +16,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.topics import Scope
+from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.quoting import quoted
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.optional_packages import missing_note
@@ -24,7 +25,6 @@ from manip_sim.ros.publishers import Read, Reading, StatePublishers
 from manip_sim.ros.transforms import offer_transforms, TransformPublisher
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.end_effectors import EndEffectorReader
 from manip_sim.simulation.frames import FrameTree
 from manip_sim.simulation.odometry import OdometryReader
 

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
+from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
     compose_world, declare_cameras, declare_parts, spawn_files)
@@ -30,17 +31,18 @@ from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.actions import ActionServers, offer_actions
 from manip_sim.ros.arguments import without_source
-from manip_sim.ros.cameras import offer_cameras
+from manip_sim.ros.camera_publishers import offer_cameras
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
+from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.episode_publishers import EpisodePublisher
+from manip_sim.ros.episode_publishers import TaskPublisher
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
-from manip_sim.ros.journal_publisher import JournalPublisher
-from manip_sim.ros.lidars import offer_lidars
 from manip_sim.ros.introduction import inferred, introduction
+from manip_sim.ros.journal_publisher import JournalPublisher
+from manip_sim.ros.lidar_publishers import offer_lidars
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.overrides import check_qos_names, check_qos_values
-from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, ModelPublisher
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
@@ -51,10 +53,8 @@ from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.ros.surroundings_topics import SurroundingsTopics
-from manip_sim.ros.episode_publishers import TaskPublisher
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.surroundings import ARENA
 
 #: How many publications may wait, by stepping: states would become old in ``free``, else as many
 #: as a second of states, while a reader does not acknowledge.

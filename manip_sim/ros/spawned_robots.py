@@ -24,12 +24,12 @@ from manip_sim.models.lost_shapes import lost_shapes
 from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
+from manip_sim.physics.poses import Pose
 from manip_sim.quoting import quoted, shown
 from manip_sim.ros.actions import offers_of
 from manip_sim.ros.background import in_background, Rounds
 from manip_sim.ros.introduction import inferred
 from manip_sim.ros.standard_answers import Rejection, ResultCode, SpawnCode
-from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot, RobotsPlan
 
 if TYPE_CHECKING:

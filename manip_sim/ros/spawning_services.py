@@ -24,6 +24,8 @@ from manip_sim.models.objects import (
 from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml
+from manip_sim.physics.poses import Pose
+from manip_sim.physics.spawning import plan_with, plan_without, WorldPlan
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import WORLD
@@ -31,9 +33,7 @@ from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
 from manip_sim.ros.standard_answers import Rejection, result_filled, ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.robot_spawning import RobotsPlan
-from manip_sim.simulation.spawning import plan_with, plan_without, WorldPlan
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
 #: Formats of files and texts.

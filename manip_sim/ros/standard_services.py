@@ -14,6 +14,7 @@ from rclpy.node import Node
 
 from manip_sim.errors import CommandError
 from manip_sim.models.regular_files import FilesBelow
+from manip_sim.physics.poses import Pose, Twist
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import Rounds
 from manip_sim.ros.messages import stamp_of, WORLD
@@ -26,7 +27,6 @@ from manip_sim.ros.standard_answers import (
     SetEntityCode, SetStateCode, StateCode)
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.poses import Pose, Twist
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

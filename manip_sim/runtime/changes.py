@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterable, Mapping
 import threading
 from typing import Any
 
+from manip_sim.control.commands import Command, Status
+from manip_sim.control.surroundings import ARENA
 from manip_sim.runtime.journal import Journal
 from manip_sim.runtime.pending_commands import PendingCommands
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Command, Status
 from manip_sim.simulation.operations import Operations
-from manip_sim.simulation.surroundings import ARENA
 
 
 class PendingChanges:

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 import weakref
 
+from manip_sim.control.commands import Command, CommandHandle, GripperCommand
 from manip_sim.errors import ModelError
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Command, CommandHandle, GripperCommand
 from manip_sim.simulation.plain import Encoder
 from manip_sim.simulation.plain_state import check_sum, plain_state
 

@@ -11,11 +11,11 @@ import threading
 
 import numpy as np
 
+from manip_sim.control.commands import (
+    Command, CommandHandle, Status, STOPPED, TrajectoryStop)
+from manip_sim.control.ledger import takes_from
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import (
-    Command, CommandHandle, Status, STOPPED, TrajectoryStop)
-from manip_sim.simulation.ledger import takes_from
 
 #: Returns which atomic parts of a robot, given by its name, need no command.
 BusyParts = Callable[[str], frozenset[str]]

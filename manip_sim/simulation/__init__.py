@@ -3,9 +3,10 @@
 
 """The simulation of a world: no clock, no threads, no ROS; time is a count of physics steps."""
 
+from manip_sim.physics.end_effectors import Wrench
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import SimulationState
 from manip_sim.simulation.simulation import Simulation
-from manip_sim.simulation.state import State, Wrench
+from manip_sim.simulation.state import State
 
 __all__ = ['SimulatedRobot', 'Simulation', 'SimulationState', 'State', 'Wrench']

@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.physics.spawning import compile_visual, WorldPlan
 from manip_sim.simulation.randomized import apply_to_model, Drawn
 from manip_sim.simulation.simulation import Simulation
-from manip_sim.simulation.spawning import compile_visual, WorldPlan
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,12 @@ from functools import partial
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.control.planned_controls import PlannedRates
 from manip_sim.errors import DivergenceError
-from manip_sim.simulation.clock import Clock
-from manip_sim.simulation.free_base import FreeRoots
-from manip_sim.simulation.physics_steps import PhysicsSteps
-from manip_sim.simulation.planned_controls import PlannedRates
-from manip_sim.simulation.pulls import Pulls
+from manip_sim.physics.clock import Clock
+from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.physics_steps import PhysicsSteps
+from manip_sim.physics.pulls import Pulls
 from manip_sim.simulation.robot import SimulatedRobot
 
 #: Longest interval in which moving setpoints are linear [s].

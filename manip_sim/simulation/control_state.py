@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from manip_sim.control.commands import Command, CommandHandle
 from manip_sim.models.grippers import GripperModel
-from manip_sim.simulation.commands import Command, CommandHandle
 
 #: Attributes of all that has a state, and of grippers.
 Content = tuple[list[dict[str, Any]], list[dict[str, Any]]]
-_OWN = 'manip_sim.simulation.'
+#: Where the classes are that have a state of their own.
+_ROOMS = ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.simulation.')
 #: What has no identity, and cannot change.
 _VALUES = (type(None), bool, int, float, str, bytes, enum.Enum, np.generic)
 
@@ -35,7 +36,7 @@ class ControlState:
     The state of the objects that control robots.
 
     It comprises what can be reached from some objects through attributes and containers, by
-    classes of this room. What else is there at construction stays as it is: models, views into
+    classes of these rooms. What else is there at construction stays as it is: models, views into
     ``MjData``, functions, settings that are replaced as a whole.
 
     :param roots: what has a state, between two control periods
@@ -146,7 +147,7 @@ def _numbers(gripper: GripperModel) -> dict[str, Any]:
 
 
 def _is_own(found: object) -> bool:
-    return type(found).__module__.startswith(_OWN) and hasattr(found, '__dict__')
+    return type(found).__module__.startswith(_ROOMS) and hasattr(found, '__dict__')
 
 
 def is_frozen(found: object) -> bool:

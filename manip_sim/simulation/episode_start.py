@@ -10,14 +10,14 @@ from collections.abc import Iterable, Mapping
 import mujoco
 import numpy as np
 
+from manip_sim.control.parts import Part
+from manip_sim.control.surroundings import Surroundings
 from manip_sim.models.world import World
+from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.physics import Physics
 from manip_sim.sensing.robot_sensing import RobotSensing
-from manip_sim.simulation.free_base import FreeRoots
-from manip_sim.simulation.parts import Part
-from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.randomized import Randomized
 from manip_sim.simulation.robot_spawning import RobotsPlan
-from manip_sim.simulation.surroundings import Surroundings
 
 #: How long the coupled joints of grippers are simulated so that they settle at their start [s].
 _SETTLE_S = 0.5

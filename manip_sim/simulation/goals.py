@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Any
 
+from manip_sim.control.commands import Command, Status
+from manip_sim.control.ledger import Ledger
 from manip_sim.errors import CommandError
-from manip_sim.simulation.commands import Command, Status
-from manip_sim.simulation.ledger import Ledger
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
 

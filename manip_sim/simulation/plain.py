@@ -26,7 +26,8 @@ from manip_sim.quoting import quoted
 from manip_sim.simulation.control_state import is_foreign, owner_of
 
 #: Where the classes are.
-_ROOMS = ('manip_sim.simulation.', 'manip_sim.sensing.')
+_ROOMS = ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.sensing.',
+          'manip_sim.simulation.')
 #: Kinds of numbers that an array may have.
 _KINDS = 'biuf'
 _MAX_DEPTH = 200

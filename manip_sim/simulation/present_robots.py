@@ -11,12 +11,12 @@ import mujoco
 import numpy as np
 
 from manip_sim.models.robots import RobotModel
-from manip_sim.simulation.clock import Clock
-from manip_sim.simulation.efforts import ActuatorEfforts
-from manip_sim.simulation.external_wrench import ExternalWrench
-from manip_sim.simulation.physics import Physics
+from manip_sim.physics.clock import Clock
+from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.external_wrench import ExternalWrench
+from manip_sim.physics.physics import Physics
+from manip_sim.physics.velocity_laws import VelocityLaws
 from manip_sim.simulation.robot import SimulatedRobot
-from manip_sim.simulation.velocity_laws import VelocityLaws
 
 
 class PresentRobots:

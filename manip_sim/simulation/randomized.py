@@ -20,9 +20,9 @@ from manip_sim.models.placements import draw_places, extents
 from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.models.randomization import (
     GROUPS, OF_NODE, Randomization, RandomizationLike, Rule)
+from manip_sim.physics.physics import Physics
 from manip_sim.quoting import shown
 from manip_sim.sensing.settings import QUANTITIES
-from manip_sim.simulation.physics import Physics
 
 #: What was drawn, by ``group/name/quantity``: a number or several, in SI units.
 Drawn = Mapping[str, Any]

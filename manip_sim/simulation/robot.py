@@ -8,26 +8,27 @@ from __future__ import annotations
 from dataclasses import replace
 
 from manip_sim.arrays import FloatArray
+from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
+from manip_sim.control.cartesian.hands import find_frames, find_hands
+from manip_sim.control.command_parser import CommandParser
+from manip_sim.control.commands import (
+    Command, CommandHandle, GripperCommand, JointTrajectory, NoCommand, Status)
+from manip_sim.control.controlled_joints import ControllerState
+from manip_sim.control.delayed_commands import DelayedCommands
+from manip_sim.control.dynamics import joint_dynamics, JointDynamics
+from manip_sim.control.gripper_controller import GripperController
+from manip_sim.control.joint_controller import JointController
+from manip_sim.control.modes import MODES, POSITION
+from manip_sim.control.parts import atomic_parts, find_parts, Part
+from manip_sim.control.reflexes import Reflexes
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.validation import positive_number
-from manip_sim.simulation.cartesian.hands import find_frames, find_hands
-from manip_sim.simulation.cartesian.parser import CartesianParser
-from manip_sim.simulation.clock import Clock
-from manip_sim.simulation.command_parser import CommandParser
-from manip_sim.simulation.commands import (
-    Command, CommandHandle, GripperCommand, JointTrajectory, NoCommand, Status)
-from manip_sim.simulation.delayed_commands import DelayedCommands
-from manip_sim.simulation.dynamics import joint_dynamics, JointDynamics
-from manip_sim.simulation.efforts import ActuatorEfforts
-from manip_sim.simulation.gripper_controller import GripperController
-from manip_sim.simulation.joint_controller import JointController
-from manip_sim.simulation.modes import MODES, POSITION
-from manip_sim.simulation.parts import atomic_parts, find_parts, Part
-from manip_sim.simulation.physics import Physics
-from manip_sim.simulation.reflexes import Reflexes
+from manip_sim.physics.clock import Clock
+from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.physics import Physics
 from manip_sim.simulation.robot_reader import RobotReader
-from manip_sim.simulation.state import ControllerState, State
+from manip_sim.simulation.state import State
+from manip_sim.validation import positive_number
 
 
 class SimulatedRobot:
@@ -202,7 +203,7 @@ class SimulatedRobot:
         Change the control mode of a part; joints whose mode changes come to rest.
 
         :param part: such as ``arm``
-        :param mode: the name of one of ``manip_sim.simulation.modes.MODES``, such as ``effort``
+        :param mode: the name of one of ``manip_sim.control.modes.MODES``, such as ``effort``
         :raises CommandError: if the part is a gripper
         :raises ModelError: if the gains of the mode cannot be used
         :raises UnknownNameError: if there is no such part or mode

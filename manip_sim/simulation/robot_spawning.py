@@ -20,12 +20,12 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import EmptyArena
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.world import World
-from manip_sim.quoting import shown
-from manip_sim.simulation.activation import (
+from manip_sim.physics.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
-from manip_sim.simulation.carrying import ElementMap
-from manip_sim.simulation.free_base import compensate_free_robots
-from manip_sim.simulation.spawning import plan_world, WorldPlan
+from manip_sim.physics.carrying import ElementMap
+from manip_sim.physics.free_base import compensate_free_robots
+from manip_sim.physics.spawning import plan_world, WorldPlan
+from manip_sim.quoting import shown
 
 if TYPE_CHECKING:
     from manip_sim.simulation.simulation import Simulation

@@ -14,24 +14,24 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
+from manip_sim.control.cartesian.pose_stream import PoseStream
+from manip_sim.control.cartesian.robot_frames import Frame
+from manip_sim.control.cartesian.targets import Target
+from manip_sim.control.command_parser import CommandParser
+from manip_sim.control.message_clock import MessageClock, MessageClocks
+from manip_sim.control.point_streams import PointStreams
+from manip_sim.control.streams import RampEstimator, StreamEstimator, WaitingGoals
+from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.errors import ModelError
+from manip_sim.physics.clock import Clock
+from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.physics import Physics, PHYSICS
+from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.resources import package_version
-from manip_sim.simulation.cartesian.frames import Frame
-from manip_sim.simulation.cartesian.parser import CartesianParser
-from manip_sim.simulation.cartesian.pose_stream import PoseStream
-from manip_sim.simulation.cartesian.targets import Target
-from manip_sim.simulation.clock import Clock
-from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.control_state import Content, ControlState
-from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.episode_start import EpisodeStart
-from manip_sim.simulation.message_clock import MessageClock, MessageClocks
-from manip_sim.simulation.physics import Physics, PHYSICS
-from manip_sim.simulation.physics_steps import PhysicsSteps
-from manip_sim.simulation.point_streams import PointStreams
 from manip_sim.simulation.robot import SimulatedRobot
-from manip_sim.simulation.streams import RampEstimator, StreamEstimator, WaitingGoals
-from manip_sim.simulation.velocity_stream import VelocityStream
 
 #: What control changes in a model: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')

@@ -11,31 +11,31 @@ from typing import Any
 
 import mujoco
 
+from manip_sim.control.surroundings import Surroundings
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.validation import whole_number
 from manip_sim.models.world import World
+from manip_sim.physics.clock import Clock
+from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.physics import Physics
+from manip_sim.physics.physics_steps import PhysicsSteps
+from manip_sim.physics.pulls import Pulls
+from manip_sim.physics.spawning import plan_world, WorldPlan
 from manip_sim.sensing.lidars import Lidars
-from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.control_period import ControlPeriods, Interval
 from manip_sim.simulation.control_state import Content
-from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.episode_start import EpisodeStart
-from manip_sim.simulation.free_base import FreeRoots
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
-from manip_sim.simulation.physics import Physics
-from manip_sim.simulation.physics_steps import PhysicsSteps
 from manip_sim.simulation.present_robots import PresentRobots
-from manip_sim.simulation.pulls import Pulls
 from manip_sim.simulation.randomized import Drawn, Randomized
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_spawning import (
     actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)
 from manip_sim.simulation.saved_state import SavedStates, SimulationState
-from manip_sim.simulation.spawning import plan_world, WorldPlan
 from manip_sim.simulation.start_check import check_start
-from manip_sim.simulation.surroundings import Surroundings
+from manip_sim.validation import whole_number
 
 
 class Simulation:

@@ -13,9 +13,9 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray
 from manip_sim.models.robots.subsystems import driven_joint
+from manip_sim.physics.actuator_properties import effort_range
+from manip_sim.physics.mechanism import actuated_joints, moved_joints
 from manip_sim.quoting import quoted_names
-from manip_sim.simulation.mechanism import actuated_joints, moved_joints
-from manip_sim.simulation.actuator_properties import effort_range
 from manip_sim.simulation.start_defect import StartDefect
 
 #: A force nearer to its limit than this fraction of it is at the limit.

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
+from manip_sim.control.commands import JointTrajectory, Status
+from manip_sim.control.joint_command_parser import check_names
 from manip_sim.errors import CommandError
-from manip_sim.simulation.joint_command_parser import check_names
-from manip_sim.simulation.commands import JointTrajectory, Status
 from manip_sim.simulation.goals import Goal, GoalCode, GoalError
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation

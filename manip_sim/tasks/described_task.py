@@ -19,9 +19,9 @@ from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.objects import Description
 from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.physics.poses import Pose, Twist
 from manip_sim.quoting import quoted
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.tasks.grasping import bodies_of_gripper, held_only_by, speed, touching
 from manip_sim.tasks.placing import add_goal, draw, draw_yaw, move_mocap, nearness
 from manip_sim.tasks.task import Task

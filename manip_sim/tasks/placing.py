@@ -20,8 +20,8 @@ from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena
 from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.physics.poses import Pose, Twist
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.poses import Pose, Twist
 
 _GOAL_RGBA = (0.1, 0.8, 0.2, 0.5)
 

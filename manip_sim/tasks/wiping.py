@@ -12,8 +12,8 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.models.arenas import Arena
+from manip_sim.physics.contacts import read_contacts
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.contacts import read_contacts
 from manip_sim.tasks.expert import Expert, Hold, pointing_down
 from manip_sim.tasks.grasping import bodies_of_gripper
 from manip_sim.tasks.placing import draw, move_mocap, nearness

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 import contextlib
 
+from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
+from manip_sim.control.cartesian.controller import CartesianController
+from manip_sim.control.cartesian.operational_space_controller import FollowingHand, HandEfforts
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.cartesian.commands import CartesianCommand
-from manip_sim.simulation.cartesian.controller import CartesianController
-from manip_sim.simulation.cartesian.operational_space_controller import FollowingHand, HandEfforts
 from manip_sim.simulation.control_period import Interval
 from manip_sim.worlds.joint_rows import JointRows, takes
 

@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from manip_sim.control.commands import JointSetpoint
+from manip_sim.control.joint_controller import JointController
+from manip_sim.control.profiles import Plan
 from manip_sim.simulation import SimulatedRobot
-from manip_sim.simulation.commands import JointSetpoint
-from manip_sim.simulation.joint_controller import JointController
-from manip_sim.simulation.profiles import Plan
 from manip_sim.worlds.servo_rows import ServoRows
 from manip_sim.worlds.setpoint_rows import SetpointRows
 from manip_sim.worlds.shared_goals import take_goals

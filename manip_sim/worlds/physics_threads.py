@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 import os
 
-from manip_sim.models.validation import whole_number
+from manip_sim.validation import whole_number
 
 
 class PhysicsThreads:

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.clamping import clamp
+from manip_sim.control.commands import Command, JointSetpoint
+from manip_sim.control.modes import POSITION
 from manip_sim.errors import CommandError
+from manip_sim.physics.end_effectors import EndEffector
+from manip_sim.physics.poses import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
-from manip_sim.simulation.commands import Command, JointSetpoint
-from manip_sim.simulation.modes import POSITION
-from manip_sim.simulation.numbers import clamp
-from manip_sim.simulation.poses import Pose, Twist
-from manip_sim.simulation.state import EndEffector
 from manip_sim.worlds.rows import chosen, rows
 from manip_sim.worlds.stream_rows import Streams
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.clamping import as_numbers
 from manip_sim.errors import CommandError
 from manip_sim.quoting import shown
-from manip_sim.simulation.numbers import as_numbers
 
 
 def chosen(where: ArrayLike | None, count: int) -> BoolArray:

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.control.planned_controls import CALM
+from manip_sim.control.profiles import Plan
 from manip_sim.simulation import SimulatedRobot
-from manip_sim.simulation.planned_controls import CALM
-from manip_sim.simulation.profiles import Plan
 
 
 class ServoRows:

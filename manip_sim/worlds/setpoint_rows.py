@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.simulation.profiles import (
+from manip_sim.control.profiles import (
     braking_velocity, change_before_the_end, low_pass, Plan, plan_ramps, ramp,
     velocity_before_the_end, way_of_ramp, within)
-from manip_sim.simulation.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
+from manip_sim.control.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
 from manip_sim.worlds.shared_goals import SharedGoals
 
 #: What a generator is made of that changes in time, of shape (n,).

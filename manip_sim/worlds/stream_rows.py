@@ -16,12 +16,12 @@ from functools import partial
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.control.commands import JointSetpoint, Status
+from manip_sim.control.message_clock import MessageClock
+from manip_sim.control.modes import POSITION
+from manip_sim.control.planned_controls import PlannedRates
+from manip_sim.control.streams import WaitingGoal
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.commands import JointSetpoint, Status
-from manip_sim.simulation.message_clock import MessageClock
-from manip_sim.simulation.modes import POSITION
-from manip_sim.simulation.planned_controls import PlannedRates
-from manip_sim.simulation.streams import WaitingGoal
 from manip_sim.worlds.joint_rows import takes
 from manip_sim.worlds.servo_rows import ServoRows
 from manip_sim.worlds.setpoint_rows import SetpointRows

@@ -17,10 +17,10 @@ from manip_sim.arrays import BoolArray, IntArray
 from manip_sim.errors import (
     CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models.initialization_noise import checked_seed
-from manip_sim.models.validation import whole_number
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
+from manip_sim.validation import whole_number
 from manip_sim.worlds.control_together import ControlTogether, follows_hands
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds

@@ -79,7 +79,7 @@ def rejected(here):
 def composing(monkeypatch):
     """Return a function that lets a command have a world of one robot, whatever is asked for."""
     def compose(command, robot):
-        from manip_sim.cli.composition import Composed
+        from manip_sim.cli.composing_options import Composed
         parameters = GivenParameters({})
         declare_node(parameters)
         composed = Composed(Composition([Scope()], World([robot]), 5), parameters)

@@ -13,7 +13,7 @@ import sys
 import pytest
 
 import manip_sim
-from manip_sim.cli.parser import COMPOSITION
+from manip_sim.cli.command_line import COMPOSITION
 
 COMMANDS = ('list', 'describe', 'export', 'render', 'check', 'record', 'replay', 'convert')
 #: Raises what a class of another package may raise, in place of a command.

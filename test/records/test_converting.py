@@ -20,7 +20,7 @@ import av  # noqa: E402
 import h5py  # noqa: E402
 import pyarrow.parquet as parquet  # noqa: E402
 
-from manip_sim.records.frames import Frames  # noqa: E402
+from manip_sim.records.episode_arrays import Frames  # noqa: E402
 from manip_sim.records.lerobot import write_lerobot  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 

@@ -17,6 +17,7 @@ from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.models import compose_robot
 from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
+from manip_sim.physics.spawning import plan_with
 from manip_sim.records.definitions import definition, full_name
 from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import NODE
@@ -25,7 +26,6 @@ from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 from manip_sim.simulation.robot_spawning import plan_with_robot
-from manip_sim.simulation.spawning import plan_with
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 
 TEXT, TOPIC = 'std_msgs/String', '/manip_sim/journal'
@@ -309,7 +309,7 @@ def test_other_versions_are_told(recorded, verify, tmp_path):
 def scrambled(value, random):
     """Return JSON in which something was replaced."""
     odd = (None, True, -1, 2**62, 1e308, float('nan'), '', 'x' * 99, [], {}, ['#', 0], ['@', 3],
-           ['o', 'manip_sim.simulation.commands:CommandHandle', {}], ['v', '<f8', [9], 0, 0, [8]],
+           ['o', 'manip_sim.control.commands:CommandHandle', {}], ['v', '<f8', [9], 0, 0, [8]],
            ['a', '<f8', [2**40], '', 'C'])
     if isinstance(value, (list, dict)) and value and random.random() < 0.97:
         keys = list(value) if isinstance(value, dict) else range(len(value))

@@ -22,7 +22,7 @@ from manip_sim.cli.main import main as manip_sim  # noqa: E402
 from manip_sim.errors import RecordError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.records.definitions import definition, full_name  # noqa: E402
-from manip_sim.records.frames import Frames  # noqa: E402
+from manip_sim.records.episode_arrays import Frames  # noqa: E402
 from manip_sim.records.record_file import RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.records.recorder import MODEL, NODE  # noqa: E402

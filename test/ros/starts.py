@@ -66,7 +66,7 @@ if __name__ == '__main__':
     from manip_sim.__main__ import main
     from manip_sim.startup import import_mujoco
     import_mujoco()
-    import manip_sim.ros.main  # noqa: F401
+    import manip_sim.ros.process  # noqa: F401
     found = []
     for words in json.load(sys.stdin):
         found.append(_start(words))

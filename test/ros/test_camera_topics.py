@@ -24,10 +24,10 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from manip_sim.errors import ManipSimError
+from manip_sim.physics.spawning import plan_without
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.ros.outputs import Output
 from manip_sim.sensing.images import ImageNoise
-from manip_sim.simulation.spawning import plan_without
 
 #: It looks along x, so that in its optical frame z is x, x is -y and y is -z.
 FRONT = '{name: front, position: [-0.5, 1.0, 1.2], fovy: 50}'
@@ -357,8 +357,8 @@ def render(*_, **__):
     threading.Event().wait()
 
 OffscreenRenderer.render = render
-from manip_sim.ros import main
-sys.exit(main.run(['--ros-args', '-p', 'cameras:=[birdview]']))
+from manip_sim.ros import process
+sys.exit(process.run(['--ros-args', '-p', 'cameras:=[birdview]']))
 """
 
 

@@ -90,7 +90,7 @@ def base():
     from types import SimpleNamespace
 
     from manip_sim.models import compose
-    from manip_sim.ros.commands import CommandSubscribers
+    from manip_sim.ros.command_subscribers import CommandSubscribers
     from manip_sim.simulation import Simulation
     robot = Simulation(compose('PandaOmron')).robot
     robot.set_control_mode('base', 'velocity')

@@ -15,8 +15,8 @@ from rclpy.parameter import parameter_dict_from_yaml_file
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from manip_sim.physics.poses import Pose
 from manip_sim.resources import share_directory
-from manip_sim.simulation.poses import Pose
 
 EXAMPLE = 'manip_sim.examples'
 CONFIG = share_directory() / 'config' / 'hand_over.yaml'
@@ -123,8 +123,8 @@ def test_an_arm_that_does_not_move_is_told(node, process, client):
 
 
 def test_a_cube_that_does_not_stand_at_the_goal_is_told():
-    from manip_sim.examples.hand_over import HandOverDemonstration
     from manip_sim.examples.demonstration import TaskFailed
+    from manip_sim.examples.hand_over import HandOverDemonstration
     rclpy.init(domain_id=DOMAIN)
     task = HandOverDemonstration()
     try:

@@ -9,7 +9,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from manip_sim.simulation.modes import MODES
+from manip_sim.control.modes import MODES
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 STIFFNESS, PUSH_N_M = 100.0, 3.0

@@ -19,9 +19,9 @@ import yaml
 
 from manip_sim.models.objects import create_object
 from manip_sim.models.urdf_writer import urdf_of
+from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.ros import planning_scene_publisher
 from manip_sim.simulation.planning_scene import BOX, MESH, Obstacle, Solid
-from manip_sim.simulation.spawning import plan_with, plan_without
 
 needs_moveit_msgs = pytest.mark.skipif(
     importlib.util.find_spec('moveit_msgs') is None,

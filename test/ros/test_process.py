@@ -79,7 +79,7 @@ def test_several_signals_are_as_good_as_one(sim_process, client):
 FAILS = """
 import os
 import sys
-from manip_sim.ros import main
+from manip_sim.ros import process
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.publishing_thread import PublishingThread
@@ -103,7 +103,7 @@ elif sys.argv[1] == 'publishing':
         self, sys.exit if os.path.exists(sys.argv[2]) else publish)
 else:
     fails(GuardedExecutor, 'spin_once', sys.exit)
-sys.exit(main.run([]))
+sys.exit(process.run([]))
 """
 
 

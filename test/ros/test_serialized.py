@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
+from manip_sim.control.controlled_joints import ControllerState, JointReference
 from manip_sim.ros import messages, outputs, transforms
 from manip_sim.ros.publishers import controller_numbers, controller_state, ROWS
 from manip_sim.ros.scene import odometry
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation.frames import TreeFrame
-from manip_sim.simulation.state import ControllerState, JointReference
 
 NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
 FRAMES = [TreeFrame('link1', 'world'), TreeFrame('link2', 'link1'), TreeFrame('ball', 'world')]

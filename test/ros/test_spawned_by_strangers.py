@@ -28,12 +28,12 @@ from manip_sim.interface.composition import spawn_files
 from manip_sim.models import held_models, trial
 from manip_sim.models.files import requested_robot
 from manip_sim.models.regular_files import FilesBelow
+from manip_sim.physics.poses import Pose
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
 from manip_sim.ros.background import begin, in_background, THREAD_NAME
 from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
 from manip_sim.ros.spawning_services import SpawningServices
-from manip_sim.simulation.poses import Pose
 from manip_sim.startup import leave
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'models'))

@@ -16,10 +16,10 @@ from std_srvs.srv import Trigger
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.models.objects import create_object
+from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.ros import transforms
 from manip_sim.ros.messages import nanoseconds_of, stamp_of
 from manip_sim.ros.serialized import SerializedMessage
-from manip_sim.simulation.spawning import plan_with, plan_without
 
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.05, 'mass': 0.1, 'position': [1.5, 0.0, 0.5]}
 

@@ -13,13 +13,13 @@ import pytest
 
 from manip_sim.models import World
 from manip_sim.models.objects import create_object
+from manip_sim.physics.poses import Pose
+from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.runtime.camera_thread import _Order, CameraThread, CameraView
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
-from manip_sim.simulation.poses import Pose
-from manip_sim.simulation.spawning import plan_with, plan_without
 
 WAIT_S = 300.0
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.2, 'position': [3.0, 0.0, 1.0],

@@ -6,12 +6,12 @@
 import numpy as np
 import pytest
 
-from manip_sim.models.robots import Panda
-from manip_sim.runtime.pending_commands import CommandBuffer
-from manip_sim.simulation.commands import (
+from manip_sim.control.commands import (
     BaseTwist, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory, Status,
     TrajectoryStop)
-from manip_sim.simulation.trajectory import Trajectory
+from manip_sim.control.trajectory import Trajectory
+from manip_sim.models.robots import Panda
+from manip_sim.runtime.pending_commands import CommandBuffer
 
 ROBOT = Panda()
 RIGHT, BOTH = frozenset(['right']), frozenset(['right', 'left'])

@@ -8,13 +8,13 @@ import time
 
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.errors import UnknownNameError
 from manip_sim.models import compose, World
 from manip_sim.models.robots import Panda, UR5e
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Status
 from manip_sim.simulation.goals import Ending
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot

@@ -5,9 +5,9 @@
 
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError
 from manip_sim.runtime.pending_commands import PendingCommands
-from manip_sim.simulation.commands import Status
 
 SHOWN_NS, NEXT_NS = 3_600_020_000_000, 3_600_030_000_000
 

@@ -11,13 +11,13 @@ import time
 import numpy as np
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError, ModelError, SimulationEnded, UnknownNameError
 from manip_sim.models import World
 from manip_sim.models.robots import Panda, UR5e
 from manip_sim.runtime import simulation_thread, SimulationThread
 from manip_sim.runtime.observers import Observers
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Status
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.models import compose
 from manip_sim.models.grippers import gripper_names
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Status
 from manip_sim.simulation.goals import Ending, GoalCode, GoalError
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 

@@ -6,9 +6,9 @@
 import numpy as np
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.models import compose, compose_robot, World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Status
 from manip_sim.worlds import Worlds
 
 STEPS = 5

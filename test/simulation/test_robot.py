@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from sampling import whole_robot
 
+from manip_sim.control.commands import Command, Status
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.parameters import commanded_parts, mode_parameters
 from manip_sim.interface.topics import Scope
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Command, Status
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 
 

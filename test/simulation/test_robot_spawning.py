@@ -9,14 +9,14 @@ import weakref
 import numpy as np
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot, create_arena, World
 from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
+from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.simulation import robot_spawning, Simulation
-from manip_sim.simulation.commands import Status
 from manip_sim.simulation.robot_spawning import plan_with_robot
-from manip_sim.simulation.spawning import plan_with, plan_without
 
 BOX = {'shape': 'box', 'size': [0.04] * 3, 'mass': 0.1}
 

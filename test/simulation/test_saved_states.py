@@ -16,12 +16,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models import compose, create_object
 from manip_sim.models.robots import ROBOTS
+from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Status
-from manip_sim.simulation.spawning import plan_with, plan_without
 
 NOISE = {'type': 'uniform', 'magnitude': 0.1}
 #: What may happen in a run.

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from manip_sim import simulation as package
+from manip_sim.control.commands import Command
 from manip_sim.errors import CommandError, DivergenceError, ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import TableArena
@@ -21,7 +22,6 @@ from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import Panda
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Command
 
 #: Classes of data that change: all others are handed from thread to thread as they are.
 CHANGING = {'commands.CommandHandle', 'cartesian.reports.CartesianReport',

@@ -10,8 +10,8 @@ import pytest
 
 from manip_sim.models import compose
 from manip_sim.models.objects import create_object
+from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.spawning import plan_with, plan_without
 
 FILES = Path(__file__).resolve().parents[1] / 'data/files'
 ARM = FILES / 'stand_arm.xml'

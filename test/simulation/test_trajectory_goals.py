@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.errors import DivergenceError
-from manip_sim.simulation.commands import Status
 from manip_sim.simulation.goals import Ending, GoalCode, GoalError
 from manip_sim.simulation.tolerances import JointTolerance, Tolerances
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest

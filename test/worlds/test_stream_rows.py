@@ -10,10 +10,10 @@ import contextlib
 import numpy as np
 import pytest
 
+from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import Status
 from manip_sim.worlds import Worlds
 
 COUNT, STEPS = 5, 10

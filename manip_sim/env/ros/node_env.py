@@ -26,9 +26,9 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.arrays import FloatArray
+from manip_sim.clamping import finite_numbers
 from manip_sim.env.task_env import action_space, observation_space, SEEDS, TaskEnv
 from manip_sim.errors import CommandError, ManipSimError
-from manip_sim.simulation.numbers import finite_numbers
 from manip_sim.tasks.latency import whole_number
 from manip_sim.tasks.observation import IMAGE, Observation
 

@@ -23,9 +23,9 @@ from manip_sim.models.placements import Placement
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.spec_edits import begin_like
-from manip_sim.models.validation import finite_numbers
 from manip_sim.quoting import shown
 from manip_sim.resources import asset_path
+from manip_sim.validation import finite_numbers
 
 Value = Union[bool, float]
 

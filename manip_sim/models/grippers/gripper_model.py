@@ -21,7 +21,7 @@ from manip_sim.models.grippers.tactile import add_tactile_sensors
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.registry import Registry
-from manip_sim.models.validation import finite_numbers, unit_quaternion
+from manip_sim.validation import finite_numbers, unit_quaternion
 
 _IDENTITY_WXYZ = (1.0, 0.0, 0.0, 0.0)
 _AXIS_SITE_OFFSET_M = 0.1

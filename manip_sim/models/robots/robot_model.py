@@ -25,8 +25,8 @@ from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.subsystems import Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
-from manip_sim.models.validation import finite_numbers
 from manip_sim.models.velocity_law import VelocityLaw
+from manip_sim.validation import finite_numbers
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 #: Body on a mobile base that has the contents of the root.

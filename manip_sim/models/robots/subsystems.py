@@ -18,7 +18,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.validation import finite_numbers
+from manip_sim.validation import finite_numbers
 
 SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs', 'other')
 #: In the order in which they are tried; a name without any of them is arm.

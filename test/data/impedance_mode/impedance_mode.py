@@ -6,7 +6,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from manip_sim.simulation.modes import Position
+from manip_sim.control.modes import Position
 
 
 @dataclass(frozen=True)

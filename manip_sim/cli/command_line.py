@@ -1,0 +1,399 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The command line of ``manip_sim``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import contextlib
+import logging
+from pathlib import Path
+import shutil
+import sys
+import textwrap
+from typing import Any, NoReturn
+
+from manip_sim.cli.option_types import (
+    assignment, count, image_size, number, numbers, positive, whole)
+from manip_sim.cli.verb import GROUP, OfferedVerb
+from manip_sim.entry_points import offers
+from manip_sim.errors import ModelError
+from manip_sim.resources import package_version
+
+#: The options of a composition; None where they are not given.
+COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'idn', 'prefix',
+               'position', 'orientation', 'timestep', 'no_gravity_compensation', 'tactile',
+               'cameras', 'params_file')
+KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects', 'tasks')
+#: Text is never wrapped to fewer characters than this, the minimum of argparse.
+_NARROWEST = 11
+#: Of this package, beside this one.
+_PROGRAMS = ('sim_node', 'sim_view', 'pick_cube', 'hand_over')
+_EXIT_CODES = ('Exit codes: 0 success; 1 a problem was found, or the command failed; 2 wrong '
+               'command line')
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that reports an error in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f'manip_sim: {message}; see {self.prog} --help\n')
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        with contextlib.suppress(BrokenPipeError):  # As from Python 3.11 on.
+            super()._print_message(message, file)
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """
+    Read a command line.
+
+    Ends the process with exit code 2 if it is wrong, and 0 after ``--help`` and ``--version``.
+
+    :param arguments: the words, by default those of the process
+    :raises ModelError: if it is for a verb of another package that cannot be used
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    parser = _Parser(
+        prog='manip_sim', allow_abbrev=False,
+        description='List robots, grippers, bases and arenas; describe, check, render and export '
+                    'compositions of them; run policies on tasks; record nodes, and repeat and '
+                    'convert records. Works without ROS.',
+        epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
+               "The node is another program, 'sim_node'.")
+    parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
+    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
+                                     title='commands')
+    for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_run,
+                _add_merge, _add_record, _add_replay, _add_convert):
+        add(commands)
+    if not (words and words[0] in commands.choices):
+        _add_verbs(commands, words)
+        _check_first(words, parser)
+    options, left = parser.parse_known_args(words)
+    if options.command == 'convert' and len(left) == 1 and not left[0].startswith('-'):
+        # Of several files before --to, argparse takes the last one for OUT, which comes after it.
+        options.files.append(options.out)
+        options.out = Path(left.pop())
+    problem = _unknown(left, options) or _conflict(options)
+    if problem:
+        commands.choices[options.command].error(problem)
+    return options
+
+
+def _add_verbs(commands: Any, words: Sequence[str]) -> None:
+    """Add the verbs of other packages; one that cannot be used is logged, unless it is asked."""
+    for name, offer in offers(GROUP).items():
+        try:
+            if name in commands.choices:
+                raise ModelError(f'{offer} is ignored: manip_sim has a command of that name')
+            verb = OfferedVerb(offer)
+            parser = _command(commands, name, '', verb.summary)
+            parser.set_defaults(verb=verb)
+            verb.add_arguments(parser)
+        except ModelError as error:
+            if words[:1] == [name]:
+                raise ModelError(f'command {error}') from error
+            logging.getLogger('manip_sim').warning('command %s', error)
+
+
+def _check_first(words: Sequence[str], parser: _Parser) -> None:
+    """End the process if the first word is another program, or an option of a command."""
+    first = words[0] if words else ''
+    if first in _PROGRAMS:
+        parser.error(f"{first} is a program of its own: type '{first}' without 'manip_sim'")
+    if first.startswith('-') and first not in ('-h', '--help', '--version'):
+        parser.error(f"a COMMAND comes before '{first}', as in: manip_sim describe --robot Panda")
+
+
+def _unknown(words: Sequence[str], options: argparse.Namespace) -> str | None:
+    """Return an error message about words that were not recognized, or None."""
+    if not words:
+        return None
+    named = hasattr(options, 'robot') and not words[0].startswith('-')
+    hint = ' (options name the parts: --robot NAME)' if named else ''
+    return f'unrecognized arguments: {" ".join(words)}{hint}'
+
+
+def _conflict(options: argparse.Namespace) -> str | None:
+    """Return which options do not go together, or None."""
+    given = [name for name in COMPOSITION if getattr(options, name, None) is not None]
+    if options.command == 'check' and options.file is not None and given:
+        return 'check either a FILE or a composition, not both'
+    if 'params_file' in given and len(given) > 1:
+        return f'--params-file cannot be combined with --{given[0].replace("_", "-")}'
+    if options.command == 'export':
+        folder = isinstance(options.ros2_control, Path)
+        if (options.file is not None) + (options.moveit is not None or folder) != 1:
+            return 'give either a FILE, or --moveit DIR, --ros2-control DIR, or both of them'
+        if options.ros2_control and not folder and (
+                options.moveit or options.file.suffix.lower() != '.urdf'):
+            return '--ros2-control without DIR is for a .urdf'
+        if options.name and (options.file is None or options.file.suffix.lower() != '.urdf'):
+            return '--name is for a .urdf'
+    if options.command != 'render':
+        return None
+    if options.camera is not None and (options.azimuth, options.elevation) != (None, None):
+        return 'use either --camera or --azimuth and --elevation'
+    alone = [name for name in ('gripper', 'base', 'arena') if getattr(options, name) is not None]
+    if options.robot == 'none' and len(alone) != 1:
+        return "with '--robot none' give one of --gripper, --base and --arena to be shown alone"
+    return None
+
+
+def _command(commands: Any, name: str, module: str, summary: str, more: str = '',
+             example: str = '') -> Any:
+    description = f'{summary[0].upper()}{summary[1:]}. {more}'.strip()
+    # The epilog has lines of its own, so argparse must not wrap either.
+    width = max(shutil.get_terminal_size().columns - 2, _NARROWEST)
+    parser = commands.add_parser(
+        name, help=summary, allow_abbrev=False, description=textwrap.fill(description, width),
+        formatter_class=argparse.RawDescriptionHelpFormatter, epilog=f'{example}\n{_EXIT_CODES}')
+    parser.set_defaults(module=module, verb=None)
+    return parser
+
+
+def _add_list(commands: Any) -> None:
+    parser = _command(
+        commands, 'list', 'listing',
+        'list the available parts and tasks, and where they come from',
+        example='example: manip_sim list grippers')
+    parser.add_argument('kind', nargs='?', choices=KINDS, metavar='KIND',
+                        help=f'{", ".join(KINDS[:-1])} or {KINDS[-1]} (default: all)')
+    parser.add_argument('--json', action='store_true', help='print JSON, in SI units')
+
+
+def _add_describe(commands: Any) -> None:
+    parser = _command(
+        commands, 'describe', 'describe', 'describe a composition',
+        'Lists parts, joints, limits, actuators, sensors, masses, frames, cameras, and the '
+        'topics, services and parameters of a node with this composition. Tables fit the width '
+        'of the terminal.',
+        'example: manip_sim describe --robot Panda --gripper Robotiq85Gripper --arena table')
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument('--json', action='store_true', help='print JSON, in SI units')
+    form.add_argument('--yaml', action='store_true', help="print what was inferred of the robot's "
+                      'file, as the YAML file that describes it')
+    add_composition(parser)
+
+
+def _add_export(commands: Any) -> None:
+    parser = _command(
+        commands, 'export', 'export', 'write a composition to a file for MuJoCo or ROS',
+        'The file name selects the format: .xml is MJCF that refers to the mesh files by their '
+        'paths, .mjz and .zip are a MuJoCo archive that contains them, .mjb is the compiled '
+        'model, exact to the last bit, for the same release of MuJoCo, and .urdf is a URDF of the '
+        'robot with base and grippers. --moveit writes a package for MoveIt 2: URDF, SRDF, '
+        'limits, controllers, launch file. --ros2-control DIR writes a package for ros2_control: '
+        'URDF, controllers, launch files; with both, MoveIt uses these controllers.',
+        'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
+        '          manip_sim export panda.urdf --robot Panda --prefix left_\n'
+        '          manip_sim export --moveit panda_moveit_config --robot Panda\n'
+        '          manip_sim export --ros2-control panda_control --robot Panda')
+    parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
+                        help='out.xml, out.mjz, out.zip, out.mjb or out.urdf')
+    parser.add_argument('--moveit', type=Path, metavar='DIR',
+                        help='new folder for the package; its name is that of the package')
+    parser.add_argument('--name', metavar='ROBOT', help='the robot to write, if there are several')
+    parser.add_argument('--ros2-control', nargs='?', type=Path, const=True, default=False,
+                        metavar='DIR', help='new folder for a package that starts ros2_control; '
+                        'without DIR: add a <ros2_control> tag to a .urdf, for the setup in '
+                        'config/topic_based_ros2_control.yaml')
+    add_composition(parser)
+
+
+def _add_render(commands: Any) -> None:
+    parser = _command(
+        commands, 'render', 'render', 'render a picture, without a screen',
+        'Shows the start of a composition from two sides, or from the side that you choose. With '
+        "'--robot none' it shows a gripper, a base or an arena alone.",
+        'examples: manip_sim render panda.png --arena table\n'
+        '          manip_sim render hand.png --robot none --gripper FourierRightHand\n'
+        'On Linux, pictures are rendered with EGL; MUJOCO_GL selects glfw or osmesa instead.')
+    parser.add_argument('file', type=Path, metavar='FILE', help='such as out.png or out.jpg')
+    parser.add_argument('--size', type=image_size, default=(800, 540), metavar='WIDTHxHEIGHT',
+                        help='size of the picture [pixels] (default: 800x540)')
+    parser.add_argument('--azimuth', type=number, metavar='DEGREES',
+                        help='show one side: 0 looks along x, 90 along y')
+    parser.add_argument('--elevation', type=number, metavar='DEGREES',
+                        help='show one side: negative looks down')
+    parser.add_argument('--camera', metavar='NAME', help='show the view of a camera of the model')
+    add_composition(parser)
+
+
+def _add_check(commands: Any) -> None:
+    parser = _command(
+        commands, 'check', 'check', 'check the start of a composition, or of an MJCF file',
+        'Reports shapes that intersect, blocked joints, joints outside their range, joints with '
+        'no actuator, two actuators or one that is too weak, and missing files, and says how to '
+        'fix them. A file is checked as it is, at its keyframe home or else at its first one.',
+        'examples: manip_sim check --robot UR5e --gripper FourierRightHand\n'
+        '          manip_sim check my_robot.xml')
+    parser.add_argument('file', nargs='?', type=Path, metavar='FILE', help='an MJCF file')
+    add_composition(parser)
+
+
+def _add_record(commands: Any) -> None:
+    parser = _command(
+        commands, 'record', 'record', 'record topics of a running node',
+        'Writes an MCAP file as rosbag2 does, with the model, the parameters and the definitions '
+        'of all types inside. Ctrl-C ends it and completes the file. It needs ROS.',
+        'examples: manip_sim record all.mcap\n'
+        "          manip_sim record joints.mcap joint_states '~/mjcf' --duration 10")
+    parser.add_argument('file', type=Path, metavar='FILE', help='new file, such as out.mcap')
+    parser.add_argument('topics', nargs='*', metavar='TOPIC', help='topic of the node; relative '
+                        'names are in its namespace (default: all that it publishes or '
+                        'subscribes to)')
+    parser.add_argument('--node', default='manip_sim', metavar='NAME', help='full name of the '
+                        'node, such as /left/manip_sim (default: /manip_sim)')
+    parser.add_argument('--duration', type=positive, metavar='SECONDS',
+                        help='end after this wall time [s]')
+
+
+def _add_replay(commands: Any) -> None:
+    parser = _command(
+        commands, 'replay', 'replay', 'repeat recorded episodes or nodes in a fresh simulation',
+        'Reports how many episodes succeed. With --verify it compares the state of each control '
+        'period and the digests with those of the record, and reports in which period it first '
+        'differs, or what cannot be repeated.',
+        'example: manip_sim replay --verify run.mcap\n'
+        'With --verify the exit code is 0 only if all episodes and nodes are equal to the last '
+        'bit and the files are complete.')
+    _add_records(parser)
+    parser.add_argument('--verify', action='store_true',
+                        help='compare states and digests with those of the record')
+
+
+def _add_convert(commands: Any) -> None:
+    parser = _command(
+        commands, 'convert', 'convert', 'convert recorded episodes to a data set for learning',
+        'Writes a data set of LeRobot 3.0 (a folder with Parquet and video files), or of '
+        'robomimic (an HDF5 file). Actions stay as they were applied, to the last bit.',
+        'examples: manip_sim convert records/ --to lerobot pick_cube\n'
+        '          manip_sim convert run.mcap --to hdf5 pick_cube.hdf5')
+    _add_records(parser)
+    parser.add_argument('--to', choices=('lerobot', 'hdf5'), required=True,
+                        help='the format of the data set')
+    parser.add_argument('out', type=Path, metavar='OUT', help='new folder, or new file')
+    parser.add_argument('--only-success', action='store_true',
+                        help='leave out episodes without success')
+
+
+def _add_records(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('files', nargs='+', type=Path, metavar='FILE',
+                        help='a record, or a folder with records (*.mcap)')
+
+
+def _add_run(commands: Any) -> None:
+    parser = _command(
+        commands, 'run', 'run', 'run a policy on a task for many seeds, and report its success',
+        'Writes a row for each episode to episodes.parquet, and the success with its 95 % '
+        'interval to summary.json. To continue an interrupted run, repeat the command. An '
+        'episode in which the policy fails gets a row with the error, and the exit code is 1.',
+        'examples: manip_sim run pick_cube --policy expert --seeds 0:100 --out results\n'
+        '          manip_sim run reach --policy my_policy.py:Reach --latency 0.15 --seeds 0:1000 '
+        '--out late\n'
+        '          manip_sim run pick_cube --policy expert --seeds 0:12 --state-latency '
+        '0,0.05,0.1,0.15,0.25,0.4 --out sweep')
+    parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks', "
+                        'or the path of a YAML file that describes one')
+    parser.add_argument('--policy', required=True, help="'expert'; MODULE:CLASS or FILE.py:CLASS "
+                        'with reset(seed) and act(observation); MODULE:FUNCTION of an '
+                        'observation; a TorchScript (.pt) or ONNX file; or ros:/NAMESPACE of a '
+                        'node that answers observations')
+    parser.add_argument('--policy-limit', type=positive, metavar='SECONDS',
+                        help='longest wall time of an answer of the policy; after that, its '
+                        'episode fails (default: 10 for a node, 600 for others)')
+    parser.add_argument('--seeds', required=True, metavar='SEEDS',
+                        help='such as 0:1000, which is 0 to 999, 0:1000:10 or 1,5,10:20')
+    parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder of the run')
+    parser.add_argument('--robot', default='Panda', metavar='NAME', help='(default: Panda)')
+    parser.add_argument('--gripper', default='default', metavar='NAME',
+                        help="(default: the robot's own, unless the task needs another one)")
+    parser.add_argument('--action', default='osc_pose', metavar='KIND', help='osc_pose, '
+                        'joint_position, joint_velocity or joint_effort (default: osc_pose)')
+    parser.add_argument('--control-hz', type=number, default=20.0, metavar='HZ',
+                        help='actions per second of simulated time (default: 20)')
+    parser.add_argument('--latency', type=numbers, metavar='SECONDS[,...]',
+                        help='delay of each command, in simulated time (default: 0); several '
+                        'values make several runs, in DIR/latency_SECONDS, with one table')
+    parser.add_argument('--state-latency', type=numbers, metavar='SECONDS[,...]',
+                        help='age of the observed state (default: 0); several values as above')
+    for option, what in (('--latency-jitter', '--latency'),
+                         ('--state-latency-jitter', '--state-latency')):
+        parser.add_argument(option, type=number, metavar='SECONDS',
+                            help=f'standard deviation of {what}, drawn from the seed (default: '
+                            '0)')
+    parser.add_argument('--noise', action='append', metavar='NOISE', help='noise on what is '
+                        "observed: a profile ('franka', 'ur', 'ideal'), whose latency applies "
+                        'unless --latency and the like are given, a parameter file of the node, '
+                        'or NAME:=VALUE; may be repeated, the last one wins')
+    parser.add_argument('--randomization', type=Path, metavar='FILE', help='YAML file with '
+                        'distributions, drawn at each start from its seed')
+    parser.add_argument('--cameras', action='append', metavar='NAME', help='camera whose images '
+                        'are observed, or description of another camera; may be repeated')
+    parser.add_argument('--image-size', type=image_size, metavar='WIDTHxHEIGHT',
+                        help='size of the images [pixels] (default: that of the camera)')
+    parser.add_argument('--worlds', type=count, metavar='N', help='how many episodes run at '
+                        'once, each in a process (default: one for each processor)')
+    parser.add_argument('--engine', choices=('processes', 'ray'), default='processes',
+                        help='what runs the episodes (default: processes of this machine)')
+    parser.add_argument('--address', metavar='ADDRESS', help='address of a Ray cluster, such as '
+                        "'auto' (default: start one here)")
+    parser.add_argument('--shard', default='1/1', metavar='I/K', help='run only one of K parts, '
+                        'from 1/K to K/K; parts in one folder are merged')
+    parser.add_argument('--record', action='store_true',
+                        help='record each episode in DIR/records/SEED.mcap')
+
+
+def _add_merge(commands: Any) -> None:
+    parser = _command(
+        commands, 'merge', 'run', 'merge the folders of shards that ran separately', '',
+        'example: manip_sim merge shard1 shard2 --out results')
+    parser.add_argument('folders', nargs='+', type=Path, metavar='DIR', help='folders of a run')
+    parser.add_argument('--out', required=True, type=Path, metavar='DIR',
+                        help='folder for the merged run')
+
+
+def add_composition(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a composition, which ``compose_from`` reads."""
+    group = parser.add_argument_group(
+        'composition', "For the names, type 'manip_sim list'.")
+    group.add_argument('--robot', metavar='NAME', help='robot, by name or from a file (default: '
+                       'Panda)')
+    group.add_argument('--gripper', metavar='NAME', help="gripper on every arm, or by arm as in "
+                       "'{right: PandaGripper, left: none}'; 'default' is the robot's own, "
+                       "'none' mounts none (default: default)")
+    group.add_argument('--base', metavar='NAME', help="what the robot stands on; 'default' is the "
+                       "robot's own, 'none' is the floor (default: default)")
+    group.add_argument('--arena', metavar='NAME', help='what surrounds the robot (default: empty)')
+    group.add_argument('--arena-param', action='append', metavar='NAME=VALUE', type=assignment,
+                       help="parameter of the arena, such as table_height=0.9; 'manip_sim list "
+                       "arenas' lists them; may be repeated")
+    group.add_argument('--object', action='append', metavar='OBJECT', help='a free body: a YAML '
+                       "or MJCF file, or a description such as '{name: can, shape: cylinder, "
+                       "size: [0.03, 0.12], mass: 0.3, position: [0.5, 0, 0.06]}'; may be "
+                       'repeated')
+    group.add_argument('--idn', type=whole, metavar='N', help='number in names such as '
+                       'robot0_joint1 (default: 0)')
+    group.add_argument('--prefix', metavar='TEXT', help='start of all names, such as left_, '
+                       'instead of that number')
+    group.add_argument('--position', nargs=3, type=number, metavar=('X', 'Y', 'Z'),
+                       help='position of the floor below the root [m] (default: set by the arena)')
+    group.add_argument('--orientation', nargs=3, type=number, metavar=('ROLL', 'PITCH', 'YAW'),
+                       help='orientation of the root [rad]')
+    group.add_argument('--timestep', type=number, metavar='SECONDS',
+                       help='physics step (default: 0.002)')
+    group.add_argument('--no-gravity-compensation', action='store_true', default=None,
+                       help='switch gravity compensation off')
+    group.add_argument('--tactile', action='store_true', default=None,
+                       help='tactile sensors on the pads of the grippers')
+    group.add_argument('--params-file', type=Path, metavar='FILE', help='parameter file of a '
+                       'node, instead of all these options; may describe several robots and '
+                       'objects')
+    group.add_argument('--cameras', action='append', metavar='NAME', help='camera of the model '
+                       'whose images the node publishes, or description of another camera, as '
+                       "for the node: '{name: front, position: [2, 0, 1], look_at: [0, 0, 1]}'; "
+                       'may be repeated')

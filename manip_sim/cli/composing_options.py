@@ -1,0 +1,117 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compose a world from the options of a command line, through the parameters of the node."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from dataclasses import dataclass
+from typing import Any
+
+from manip_sim.control.parts import find_parts
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.interface.composition import (
+    compose_arena, compose_world, Composition, declare_node, declare_parts)
+from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_files import read_parameters
+from manip_sim.models import arenas
+from manip_sim.models.arenas import Arena
+from manip_sim.quoting import quoted
+
+#: The options whose values are those of the parameters of the same name.
+_PARAMETERS = ('robot', 'gripper', 'base', 'arena', 'idn', 'prefix', 'position', 'orientation',
+               'timestep', 'tactile', 'cameras')
+_BOOL = {'true': True, 'false': False}
+
+
+@dataclass(frozen=True)
+class Composed:
+    """
+    What was composed from the options.
+
+    :ivar composition: the world, and the scope in which the node serves each robot
+    :ivar parameters: those that the node needs for it
+    """
+
+    composition: Composition
+    parameters: GivenParameters
+
+
+def compose_from(options: argparse.Namespace) -> Composed:
+    """
+    Return the composition that the options describe.
+
+    :raises ManipSimError: if a parameter cannot be used, or the parts do not fit together
+    """
+    parameters = GivenParameters(_given(options))
+    composition = compose_world(parameters)
+    world = composition.world
+    # A world that cannot be controlled has no parts; it is reported later.
+    with contextlib.suppress(ModelError):
+        model = world.compile()
+        parts = [find_parts(model, robot) for robot in world.robots]
+        declare_parts(parameters, zip(composition.scopes, parts))
+        parameters.check_names()
+    return Composed(composition, parameters)
+
+
+def arena_from(options: argparse.Namespace) -> Arena:
+    """Return the arena that the options describe; raises as :func:`compose_from`."""
+    given = _given(options)
+    parameters = GivenParameters({name: value for name, value in given.items()
+                                  if name not in ('robot', 'gripper', 'base', 'tactile')})
+    declare_node(parameters)
+    return compose_arena(parameters)
+
+
+def _given(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters that the node needs for the same composition."""
+    if options.params_file is not None:
+        return read_parameters(options.params_file)
+    given = {name: getattr(options, name) for name in _PARAMETERS
+             if getattr(options, name) is not None}
+    if options.no_gravity_compensation:
+        given['gravity_compensation'] = False
+    if options.object is not None:
+        given['objects'] = options.object
+    return {**given, **{name if name == 'cube' else f'arena.{name}': value
+                        for name, value in _arena_values(options).items()}}
+
+
+def _arena_values(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters of the arena that are given; raises as :func:`compose_from`."""
+    if options.arena_param is None:
+        return {}
+    name = options.arena or 'empty'
+    known = arena_parameters(name)
+    values = {}
+    for parameter, text in options.arena_param:
+        if parameter not in known:
+            raise UnknownNameError(f"parameter of arena '{name}'", parameter, known)
+        values[parameter] = _as(known[parameter], f'{name}: {parameter}', text)
+    return values
+
+
+def arena_parameters(name: str) -> dict[str, Any]:
+    """
+    Return the parameters of an arena with their defaults.
+
+    :raises UnknownNameError: if there is no such arena
+    """
+    return {parameter.name: parameter.default for parameter in arenas.arena_parameters(name)}
+
+
+def _as(default: Any, name: str, text: str) -> Any:
+    """Return a text converted to the type of a default."""
+    if isinstance(default, bool):
+        if text.lower() not in _BOOL:
+            raise ModelError(f'{name} must be true or false, got {quoted(text)}')
+        return _BOOL[text.lower()]
+    if isinstance(default, (int, float)):
+        try:
+            return type(default)(text)
+        except ValueError as error:
+            raise ModelError(f'{name} must be a number, got {quoted(text)}') from error
+    return text

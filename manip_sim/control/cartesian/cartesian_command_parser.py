@@ -1,0 +1,120 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Validate Cartesian commands from outside; nothing is changed here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.algebra import length
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.clamping import action_example, clamp, finite_numbers
+from manip_sim.control.cartesian.cartesian_commands import (
+    CartesianPose, CartesianTwist, PoseAction)
+from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
+from manip_sim.control.cartesian.robot_frames import RobotFrames, rotation_of
+from manip_sim.control.joint_controller import JointController
+from manip_sim.errors import UnknownNameError
+from manip_sim.models.quaternion import xyzw_to_wxyz
+from manip_sim.models.robots import RobotModel
+from manip_sim.physics.poses import Pose, Twist
+
+
+class CartesianParser:
+    """
+    A parser of Cartesian commands for the arms of a robot.
+
+    :param robot: for which the commands are
+    :param joints: controller of the joints; only read
+    :param frames: of the robot
+    """
+
+    def __init__(self, robot: RobotModel, joints: JointController, frames: RobotFrames) -> None:
+        self._robot = robot
+        self._joints = joints
+        self._frames = frames
+
+    def look_at_model(self, model: mujoco.MjModel) -> None:
+        """Take over the ids of the robot's frames in another model."""
+        self._frames.look_at_model(model)
+
+    @property
+    def _settings(self) -> Mapping[str, CartesianSettings]:
+        return self._joints.cartesian.settings
+
+    def pose(self, arm: str, position: ArrayLike, quat_xyzw: ArrayLike, frame: str = ''
+             ) -> CartesianPose:
+        """
+        Return the command to bring ``grip_site`` of an arm to a pose.
+
+        :param position: in the frame [m], shape (3,)
+        :param quat_xyzw: in the frame, of length 1, shape (4,)
+        :param frame: a link of the robot or a frame on one; empty for ``world``
+        :raises CommandError: if the frame is unknown, or the numbers are not those of a pose
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        indices = self._indices_of(arm)
+        found = self._frames.find(frame, f'{arm}: a target pose')
+        pose = Pose.checked(position, quat_xyzw)
+        return CartesianPose(
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+            frame=found, position=pose.position,
+            rotation=rotation_of(xyzw_to_wxyz(pose.quat_xyzw)))
+
+    def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = ''
+              ) -> CartesianTwist:
+        """
+        Return the command for a velocity of ``grip_site`` of an arm.
+
+        A velocity above the limit of the settings is scaled down to it, and counted as clamped.
+
+        :param linear: [m/s], shape (3,)
+        :param angular: [rad/s], shape (3,)
+        :param frame: whose axes the velocity is in; empty for ``world``
+        :raises CommandError: if the frame is unknown, or a number is not finite or too great
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        indices = self._indices_of(arm)
+        found = self._frames.find(frame, f'{arm}: a target twist')
+        twist = Twist.checked(linear, angular)
+        settings = self._settings[arm]
+        halves = [_shortened(twist.linear, settings.linear_velocity),
+                  _shortened(twist.angular, settings.angular_velocity)]
+        return CartesianTwist(
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+            frame=found,
+            twist=np.concatenate([vector for vector, _ in halves]),
+            clamped=sum(clamped for _, clamped in halves))
+
+    def action(self, arm: str, action: ArrayLike) -> PoseAction:
+        """
+        Return the command for an action of robosuite's OSC_POSE.
+
+        :param action: six numbers in [-1, 1]: along x, y, z and about x, y, z
+        :raises CommandError: if the length is wrong or a number is not finite
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        indices = self._indices_of(arm)
+        numbers = finite_numbers(action, 6, f'{arm}: a pose action')
+        inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
+        return PoseAction(
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+            action=inside, clamped=clamped, clamped_example=action_example(numbers, inside))
+
+    def _indices_of(self, arm: str) -> IntArray:
+        if arm not in self._settings:
+            raise UnknownNameError('arm with a gripper', arm, self._settings)
+        return self._joints.indices_of(arm)
+
+
+def _shortened(vector: FloatArray, limit: float) -> tuple[FloatArray, int]:
+    """Return a vector that is no longer than a limit, and how many of its numbers changed."""
+    size = length(vector)
+    if size <= limit:
+        return vector, 0
+    return vector * (limit / size), int(np.count_nonzero(vector))

@@ -1,0 +1,80 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Validated Cartesian commands; the poses of frames are looked up when they take effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.control.cartesian.robot_frames import Frame
+from manip_sim.control.commands import Command
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CartesianCommand(Command):
+    """
+    A command for the ``grip_site`` of an arm, carried out by the joints of the arm alone.
+
+    A newer command may take some of the joints; the others go on as well as they can.
+
+    :ivar arm: ``right`` or ``left``
+    """
+
+    arm: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CartesianPose(CartesianCommand):
+    """
+    A pose that ``grip_site`` comes to and keeps.
+
+    The frame's pose is taken when the command takes effect. From then on the goal is fixed in that
+    frame if the arm does not move it (such as a mobile base), otherwise in ``world``.
+
+    :ivar frame: of the pose
+    :ivar position: [m], shape (3,)
+    :ivar rotation: rotation matrix, shape (3, 3)
+    """
+
+    frame: Frame
+    position: FloatArray
+    rotation: FloatArray
+
+    @property
+    def goal(self) -> FloatArray:
+        """Position and rotation."""
+        return np.concatenate([self.position, self.rotation.ravel()])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CartesianTwist(CartesianCommand):
+    """
+    A velocity of ``grip_site``, which lasts until the timeout passes without a fresh one.
+
+    :ivar frame: whose axes the twist is in; the linear velocity is that of ``grip_site``
+    :ivar twist: linear [m/s] and angular [rad/s], shape (6,)
+    """
+
+    frame: Frame
+    twist: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseAction(CartesianCommand):
+    """
+    An action of robosuite's controller OSC_POSE, in its default configuration.
+
+    The goal is the present measured pose of ``grip_site``, not the last goal, moved by 0.05 m and
+    turned by 0.5 rad for an action of 1, along and about the axes of the arm's site
+    ``<arm>_center``, in which it stays fixed. The turn is a rotation vector. This is
+    ``input_type`` delta, ``input_ref_frame`` base, ``goal_update_mode`` achieved (robosuite 1.5,
+    ``controllers/parts/arm/osc.py``).
+
+    :ivar action: in [-1, 1], shape (6,)
+    """
+
+    action: FloatArray

@@ -1,0 +1,71 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The hands of a robot, and the frames that commands for them may refer to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+
+from manip_sim.arrays import IntArray
+from manip_sim.control.cartesian.robot_frames import Frame, RobotFrames
+from manip_sim.control.parts import Part
+from manip_sim.models.robots import RobotModel
+from manip_sim.physics.end_effectors import EndEffectorReader
+
+
+@dataclass(frozen=True)
+class Hand:
+    """
+    The hand of an arm.
+
+    :ivar tip: its ``grip_site``
+    :ivar origin: site ``<arm>_center``, or else the body that the arm is mounted on
+    :ivar qpos: addresses of the arm's joints in ``qpos``, shape (n,)
+    """
+
+    tip: Frame
+    origin: Frame
+    qpos: IntArray
+
+
+def find_hands(model: mujoco.MjModel, robot: RobotModel, parts: Mapping[str, Part],
+               end_effectors: Mapping[str, EndEffectorReader]) -> dict[str, Hand]:
+    """
+    Return the hands of a robot by arm, of the arms that have a gripper and driven joints.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param parts: of the robot, by name
+    :param end_effectors: readers of the grippers, by arm
+    """
+    hands = {}
+    for arm, reader in end_effectors.items():
+        joints = [j for j in parts[arm].driven_joints if j] if arm in parts else []
+        if not joints:
+            continue
+        tip = model.site(reader.grip_site)
+        body = int(model.body_parentid[int(model.joint(joints[0]).bodyid[0])])
+        center = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE,
+                                   f'{robot.naming_prefix}{arm}_center')
+        origin = Frame(model.body(body).name, body)
+        if center >= 0:
+            origin = Frame(model.site(center).name, int(model.site_bodyid[center]), center)
+        hands[arm] = Hand(Frame(tip.name, int(tip.bodyid[0]), int(tip.id)), origin,
+                          parts[arm].qpos_addresses)
+    return hands
+
+
+def find_frames(model: mujoco.MjModel, robot: RobotModel,
+                end_effectors: Mapping[str, EndEffectorReader]) -> RobotFrames:
+    """
+    Return the links of a robot and of what is mounted on it, and the sites of its grippers.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param end_effectors: readers of the grippers, by arm
+    """
+    bodies = [*robot.bodies, *(body for part in robot.models for body in part.bodies)]
+    return RobotFrames(model, bodies, [site for reader in end_effectors.values()
+                                       for site in (reader.grip_site, reader.ft_frame)])

@@ -1,0 +1,251 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Validated commands, with numbers in range, and what became of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import ClassVar, TypeVar
+
+import numpy as np
+
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.control.trajectory import Trajectory
+from manip_sim.models.robots import RobotModel
+
+C = TypeVar('C', bound='Command')
+#: Stamps are compared modulo this, so that seconds of any clock keep their nanoseconds [ns].
+_STAMPS_NS = 10**15
+
+
+class Status(Enum):
+    """What has become of a command."""
+
+    WAITING = 'waiting'
+    RUNNING = 'running'
+    DONE = 'done'
+    REPLACED = 'replaced'
+    ABORTED = 'aborted'
+
+
+#: How an empty trajectory ends other trajectories.
+STOPPED = (Status.ABORTED, 'ended by an empty trajectory')
+
+
+@dataclass
+class CommandHandle:
+    """
+    What has become of a command that was submitted; it may be read from any thread.
+
+    A command is *done* when a position or gripper goal is reached by the setpoint, a pose is
+    reached, or a trajectory has ended; a velocity or an effort lasts. It is *replaced* when newer
+    commands have taken over all of its joints, and *aborted* by a reset, a change of mode, a
+    timeout, a withdrawal or an empty trajectory.
+
+    :ivar status: of the command
+    :ivar reason: why it was aborted
+    :ivar error: goal minus measured position when it was done [rad or m], in units of the controls
+        for a gripper, translation [m] and rotation vector [rad] for a pose, shape (6,); or None
+    """
+
+    status: Status = Status.WAITING
+    reason: str = ''
+    error: FloatArray | None = None
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the command still waits or runs."""
+        return self.status in (Status.WAITING, Status.RUNNING)
+
+    def end(self, status: Status, reason: str = '', error: FloatArray | None = None) -> None:
+        """Set what became of the command; only the first call counts."""
+        if self.is_active:
+            self.reason, self.error, self.status = reason, error, status
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Command:
+    """
+    A command for joints or for a gripper.
+
+    :ivar robot: the robot that it was made for; others have other joints at the same indices
+    :ivar parts: the parts that it is for, atomic ones
+    :ivar indices: of the robot's controlled joints, or of the gripper's actuators
+    :ivar sent_ns: when it was sent, by the sender's clock [ns]; 0: unknown
+    :ivar messages: how many messages it stands for: itself and those that it replaced unused
+    :ivar clamped: how many numbers were clamped to their range
+    :ivar clamped_example: the first of them in words, such as ``joint1 from 9 to 2.8973``
+    :ivar handle: what becomes of the command
+    """
+
+    #: Times by clocks that a reset does not restart.
+    not_in_digest: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
+
+    robot: RobotModel
+    parts: frozenset[str]
+    indices: IntArray
+    sent_ns: int = 0
+    messages: int = 1
+
+    @property
+    def sent_s(self) -> float:
+        """When it was sent [s], small enough to keep its nanoseconds; 0: unknown."""
+        return self.sent_ns % _STAMPS_NS * 1e-9
+    clamped: int = 0
+    clamped_example: str = ''
+    handle: CommandHandle = field(default_factory=CommandHandle, compare=False)
+
+    @property
+    def goal(self) -> FloatArray | None:
+        """Numbers that equal those of the message before in a copy of it, or None."""
+        return None
+
+    def without(self: C, indices: IntArray) -> C | None:
+        """Return the command without some of its joints, or None if no joint is left."""
+        taken = set(indices.tolist())
+        kept = [index not in taken for index in self.indices.tolist()]
+        if all(kept):
+            return self
+        return self._only(np.array(kept)) if any(kept) else None
+
+    def _only(self: C, kept: BoolArray) -> C:
+        return replace(self, indices=self.indices[kept])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointSetpoint(Command):
+    """
+    Goals for some joints.
+
+    :ivar modes: name of the control mode that each goal is meant for
+    :ivar values: at the joints, in SI units, shape of ``indices``
+    """
+
+    modes: tuple[str, ...]
+    values: FloatArray
+
+    @property
+    def goal(self) -> FloatArray:
+        """The goals."""
+        return self.values
+
+    def _only(self, kept: BoolArray) -> JointSetpoint:
+        modes = tuple(mode for mode, keep in zip(self.modes, kept) if keep)
+        return replace(self, indices=self.indices[kept], modes=modes, values=self.values[kept])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoCommand(Command):
+    """
+    A message that names joints of some parts without a number: they go on as before.
+
+    It has no effect, but in lock-step it is the answer of its parts.
+    """
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointTrajectory(Command):
+    """
+    A trajectory for some joints.
+
+    :ivar trajectory: of all joints that it was made for
+    :ivar columns: those of the trajectory that the joints of ``indices`` follow
+    :ivar start_ns: simulation time of its time zero [ns]; 0 for when it takes effect
+    :ivar start_s: the same since the last reset [s]; None until it is known
+    :ivar slowed: factor by which it was slowed down to keep to velocity limits; 1 if it was not
+    """
+
+    trajectory: Trajectory
+    columns: IntArray
+    start_ns: int = 0
+    start_s: float | None = None
+    slowed: float = 1.0
+
+    @property
+    def sent_s(self) -> float:
+        """Its time zero, as that of other commands."""
+        return self.start_ns % _STAMPS_NS * 1e-9
+
+    def own_trajectory(self) -> JointTrajectory:
+        """Return the command with a trajectory of its joints alone."""
+        return replace(self, trajectory=self.trajectory.of(self.columns),
+                       columns=np.arange(len(self.columns)))
+
+    def as_setpoint(self, modes: tuple[str, ...]) -> JointSetpoint:
+        """Return the command to go to the last point, in the modes of its joints."""
+        return JointSetpoint(
+            robot=self.robot, parts=self.parts, indices=self.indices, clamped=self.clamped,
+            handle=self.handle, modes=modes,
+            values=self.trajectory.positions[-1, self.columns])
+
+    def _only(self, kept: BoolArray) -> JointTrajectory:
+        return replace(self, indices=self.indices[kept], columns=self.columns[kept])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrajectoryStop(Command):
+    """The end of the trajectories of some joints, which come to rest."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseTwist(Command):
+    """
+    A velocity of a mobile base in its own frame.
+
+    :ivar twist: along x [m/s], along y [m/s], about z [rad/s], shape (3,)
+    :ivar joints: the joints x, y and yaw of the base, shape (3,)
+    :ivar columns: which of these each of ``indices`` is
+    """
+
+    twist: FloatArray
+    joints: IntArray
+    columns: IntArray
+
+    def _only(self, kept: BoolArray) -> BaseTwist:
+        return replace(self, indices=self.indices[kept], columns=self.columns[kept])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperCommand(Command):
+    """A command for a gripper; ``indices`` are those of its actuators."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperAction(GripperCommand):
+    """
+    An action of a gripper, which lasts until its next command.
+
+    :ivar action: for ``GripperModel.format_action``, shape (dof,)
+    """
+
+    action: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperSetpoint(GripperCommand):
+    """
+    Positions for some joints of a gripper.
+
+    :ivar joints: their names
+    :ivar values: [rad or m], in the order of ``joints``
+    """
+
+    joints: tuple[str, ...]
+    values: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperGrasp(GripperSetpoint):
+    """
+    A position for one joint; all other fingers close by the same fraction of their range.
+
+    Fingers that are stopped on the way to an end of their range press with all the force allowed.
+
+    :ivar max_effort: of the actuators, at their joints [N or N m]; 0 for their own limits
+    :ivar max_velocity: of the joint [rad/s or m/s]; 0 for its own limit
+    """
+
+    max_effort: float = 0.0
+    max_velocity: float = 0.0

@@ -1,0 +1,275 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The driven joints of a robot: names, parts, modes, limits and setpoints, to be read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.control.ledger import Ledger
+from manip_sim.control.modes import default_mode, MODES
+from manip_sim.control.parts import Part
+from manip_sim.control.servos import Servos
+from manip_sim.control.setpoints import SetpointGenerator
+from manip_sim.control.trajectory import Trajectory
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.physics.physics import Physics
+
+#: A trajectory that would have to be slowed down more than this is rejected.
+_MAX_SLOWDOWN = 1000.0
+#: How often it is slowed down further at most; two are nearly always enough.
+_MOST_ROUNDS = 10
+#: Words in the names of the joints of a mobile base that moves along x, y and turns about z.
+_TWIST_JOINTS = ('forward', 'side', 'yaw')
+
+
+class Holder(Protocol):
+    """What holds the setpoints and commands of joints for several control periods."""
+
+    def give_back(self) -> None:
+        """Bring them up to date in the controllers they belong to, and hold them no longer."""
+
+
+@dataclass(frozen=True)
+class JointReference:
+    """
+    Setpoints and commanded efforts of some joints at one instant.
+
+    :ivar position: [rad or m], shape (n,)
+    :ivar velocity: [rad/s or m/s], shape (n,)
+    :ivar acceleration: [rad/s^2 or m/s^2], shape (n,)
+    :ivar effort: commanded, zero for joints that follow setpoints [N m or N], shape (n,)
+    :ivar gives_effort: whether a joint has a commanded effort and no setpoint, shape (n,)
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    effort: FloatArray
+    gives_effort: BoolArray
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """
+    Reference and measured state of some joints.
+
+    :ivar names: of the driven joints, n of them
+    :ivar reference: their setpoints and commanded efforts
+    :ivar position: measured [rad or m], shape (n,)
+    :ivar velocity: measured [rad/s or m/s], shape (n,)
+    :ivar effort: of the actuators at the joint in the last physics step [N m or N], shape (n,)
+    """
+
+    names: tuple[str, ...]
+    reference: JointReference
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+
+
+class ControlledJoints:
+    """
+    The joints that actuators drive, each with its servo, its setpoint and its control mode.
+
+    Setpoints and commands may be held by something else for a while; whoever asks for them here
+    gets them back first.
+
+    :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
+    :param parts: by name; those of one arm and of both arms may overlap
+    :param atomic: the names of the parts that do not overlap
+    :ivar names: of the driven joints, in the order of their indices
+    :ivar modes: the names of their control modes
+    :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
+    :ivar holder: of setpoints and commands at present, or None for this controller itself
+    """
+
+    #: None whenever states are read.
+    not_in_digest = ('holder',)
+
+    def __init__(self, physics: Physics, parts: Mapping[str, Part],
+                 atomic: Sequence[str]) -> None:
+        driven = [(actuator, joint) for name in atomic for actuator, joint in
+                  zip(parts[name].actuators, parts[name].driven_joints) if joint is not None]
+        self.names = [joint for _, joint in driven]
+        self._index_of = {name: index for index, name in enumerate(self.names)}
+        self._indices_of = {name: self.find([j for j in part.driven_joints if j])
+                            for name, part in parts.items()}
+        self._part_of = [name for name in atomic for _ in parts[name].driven_joints]
+        self.twist_indices = self._find_twist_joints(parts)
+        self._sideways = 'base' not in parts or parts['base'].sideways
+        self._servos = Servos(physics, [a for a, _ in driven], self.names)
+        self._generator = SetpointGenerator(
+            self._servos.position_clamp(), self._servos.cruising_velocity,
+            self._servos.acceleration_limit)
+        self._ledger = Ledger(len(self.names))
+        self.holder: Holder | None = None
+        self.modes = tuple(default_mode(part) for part in self._part_of)
+        self._effort = np.zeros(len(self.names))
+
+    def _find_twist_joints(self, parts: Mapping[str, Part]) -> IntArray | None:
+        if 'base' not in parts:
+            return None
+        words = [set((joint or '').split('_')) for joint in parts['base'].driven_joints]
+        found = [[i for i, w in enumerate(words) if key in w] for key in _TWIST_JOINTS]
+        if any(len(indices) != 1 for indices in found):
+            return None
+        return self._indices_of['base'][[indices[0] for indices in found]]
+
+    def take_back(self) -> None:
+        """Hold setpoints and commands here, whatever held them before."""
+        if self.holder is not None:
+            self.holder.give_back()
+
+    @property
+    def _setpoints(self) -> SetpointGenerator:
+        if self.holder is not None:
+            self.holder.give_back()
+        return self._generator
+
+    @property
+    def commands(self) -> Ledger:
+        """The commands that have not ended."""
+        if self.holder is not None:
+            self.holder.give_back()
+        return self._ledger
+
+    def indices_of(self, part: str) -> IntArray:
+        """
+        Return the indices of a part's driven joints.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        if part not in self._indices_of:
+            raise UnknownNameError('part', part, self._indices_of)
+        return self._indices_of[part]
+
+    def find(self, names: Sequence[str]) -> IntArray:
+        """Return the indices of driven joints."""
+        return np.array([self._index_of[name] for name in names], dtype=np.int64)
+
+    def parts_of(self, indices: IntArray) -> frozenset[str]:
+        """Return the atomic parts that joints belong to."""
+        return frozenset([self._part_of[i] for i in indices.tolist()])
+
+    def mode_of(self, name: str) -> str:
+        """Return the control mode of a driven joint."""
+        return self.modes[self._index_of[name]]
+
+    def modes_of(self, indices: IntArray) -> tuple[str, ...]:
+        """Return the control modes of driven joints."""
+        modes = self.modes
+        return tuple([modes[i] for i in indices.tolist()])
+
+    def ranges(self, indices: IntArray, modes: Sequence[str] | None = None) -> FloatArray:
+        """
+        Return the ranges that actions span, shape (n, 2), a copy.
+
+        :param modes: of all joints, as :attr:`modes` was when they were looked up; a thread beside
+            that of the simulation has to look once only; None: the present ones
+        """
+        modes = self.modes if modes is None else modes
+        ranges = {mode: MODES[mode].ranges(self._servos) for mode in set(modes)}
+        return np.array([ranges[modes[i]][i] for i in indices]).reshape(-1, 2)
+
+    def acceleration_limits(self, indices: IntArray) -> FloatArray:
+        """Return the acceleration limits of setpoints [rad/s^2 or m/s^2], shape (n,), a copy."""
+        return np.array(self._servos.acceleration_limit[indices])
+
+    def velocity_limits(self, indices: IntArray) -> FloatArray:
+        """Return the velocity limits [rad/s or m/s], shape (n,), a copy."""
+        return np.array(self._servos.velocity_limit[indices])
+
+    def clamps(self, indices: IntArray, modes: Sequence[str] | None = None) -> FloatArray:
+        """
+        Return the ranges to which goals are clamped, shape (n, 2), a copy.
+
+        :param modes: of all joints, as for :meth:`ranges`
+        """
+        modes = self.modes if modes is None else modes
+        clamps = {mode: MODES[mode].clamps(self._servos) for mode in set(modes)}
+        return np.array([clamps[modes[i]][i] for i in indices]).reshape(-1, 2)
+
+    def twist_clamps(self, indices: IntArray, modes: Sequence[str]) -> FloatArray:
+        """
+        Return the ranges to which twists of the mobile base are clamped, shape (3, 2), a copy.
+
+        :param indices: :attr:`twist_indices`
+        :param modes: of all joints, as for :meth:`ranges`
+        """
+        clamps = self.clamps(indices, modes)
+        if not self._sideways:
+            clamps[1] = 0.0
+        return clamps
+
+    def fitted(self, trajectory: Trajectory, indices: IntArray, elapsed_s: float
+               ) -> tuple[Trajectory, float]:
+        """
+        Return a trajectory that keeps to the velocity limits, and the factor of its duration.
+
+        A trajectory that is slowed down begins now.
+
+        :param indices: the joints that follow it, from where their setpoints are now
+        :param elapsed_s: how long it has been running [s]
+        :raises CommandError: if it is much too fast, or its spline is not finite
+        """
+        position, velocity = self._setpoints.position[indices], self._setpoints.velocity[indices]
+        limit, slowed, whole = self._servos.velocity_limit[indices], trajectory, 1.0
+        slowed.begin_at(position, velocity, elapsed_s)
+        # The velocity at which the motion begins stays, so once may not be enough, and then
+        # little is gained by the same again.
+        for _ in range(_MOST_ROUNDS):
+            highest = slowed.highest_velocity()
+            factor = float((highest / limit).max(initial=0.0))
+            if factor <= 1.0 + 1e-6:
+                break
+            whole *= factor if whole == 1.0 else factor**2
+            if whole > _MAX_SLOWDOWN:
+                worst = int(np.argmax(highest / limit))
+                raise CommandError(
+                    f"joint '{self.names[indices[worst]]}' would have to move at "
+                    f'{highest[worst]:g} per second, its limit is {limit[worst]:g}')
+            slowed = trajectory.slowed(whole, elapsed_s)
+            slowed.begin_at(position, velocity)
+        return slowed, whole
+
+    def limited(self, part: str) -> int:
+        """
+        Return how often streamed goals of a part required more than the velocity limits.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        return int(self._setpoints.limited[self.indices_of(part)].sum())
+
+    def lost(self, part: str) -> int:
+        """
+        Return how many messages of a part's streams seem to have been lost before they came.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        return int(self._setpoints.lost[self.indices_of(part)].max(initial=0))
+
+    def controller_state(self, part: str, data: mujoco.MjData, efforts: FloatArray
+                         ) -> ControllerState:
+        """
+        Return the reference and the measured state of a part's driven joints, copies.
+
+        :param efforts: of all degrees of freedom [N m or N], shape (nv,)
+        :raises UnknownNameError: if there is no such part
+        """
+        indices, setpoints = self.indices_of(part), self._setpoints
+        gives = self._servos.gives_effort(indices)
+        reference = JointReference(
+            setpoints.position[indices], setpoints.velocity[indices],
+            setpoints.acceleration[indices], np.where(gives, self._effort[indices], 0.0), gives)
+        dofs = self._servos.dofs[indices]
+        return ControllerState(
+            tuple(self.names[i] for i in indices), reference,
+            data.qpos[self._servos.qpos[indices]], data.qvel[dofs], efforts[dofs])

@@ -1,0 +1,268 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Control a gripper: approach the goals of actions and joint commands as fast as allowed."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.commands import (
+    Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, Status)
+from manip_sim.control.formatting import Formatter
+from manip_sim.control.gripper_actuators import GripperActuators
+from manip_sim.control.gripper_force import ForceLimit
+from manip_sim.control.gripper_joints import GripperJoints
+from manip_sim.control.ledger import Ledger
+from manip_sim.control.parts import Part
+from manip_sim.physics.physics import Physics
+
+#: Rate at which robosuite calls a gripper's ``format_action`` [Hz].
+GRIPPER_RATE_HZ = 20.0
+#: A finger has come to an end of its range if it is nearer than this fraction of the range.
+_AT_END = 0.015
+#: A finger has stopped if it would take longer than this to cross its range [s].
+_STOPPED_S = 20.0
+#: How long a stopped finger takes to press with its full force [s].
+_PRESS_S = 0.05
+#: Two setpoints that differ by less than this fraction of the range are the same.
+_SAME = 1e-9
+
+
+class GripperController:
+    """
+    A controller that calls a gripper's ``format_action`` at robosuite's 20 Hz of simulation time.
+
+    An action lasts until the next one, so one message closes fully, and how often it is repeated
+    does not matter. Actions and joint commands set goals; the setpoints approach them no faster
+    than the fingers may move. If an action or a grasp leads to an end of the range and a finger is
+    stopped before it, the setpoint goes on until the actuator exerts its full force.
+
+    :param physics: of the world, whose position servos have a setpoint activation
+    :param part: the gripper
+    :param timestep_s: of the physics [s]
+    :ivar joints: those that take position commands
+    :ivar commands: the command that has not ended, and who took the actuators last
+    :raises ModelError: if an actuator or ``format_action`` cannot be used
+    """
+
+    def __init__(self, physics: Physics, part: Part, timestep_s: float) -> None:
+        if part.gripper is None:
+            raise ValueError(f'{part.name} is not a gripper')
+        self.part = part
+        self._physics = physics
+        self._timestep_s = timestep_s
+        self._actuators = GripperActuators(physics, part)
+        self._force = ForceLimit(physics, self._actuators)
+        self._formatter = Formatter(part.gripper, len(part.actuators))
+        self.joints = GripperJoints(physics, part.name, self._actuators)
+        self._tolerance = _SAME * np.ptp(self._actuators.ranges, axis=1)
+        self.commands = Ledger(len(part.actuators))
+        self._forget()
+
+    def _forget(self) -> None:
+        count = len(self.part.actuators)
+        self._action: FloatArray | None = None
+        self._next_call_s = 0.0
+        # Whether the state of ``format_action`` matches the goal.
+        self._in_step = False
+        self._goal = np.zeros(count)
+        # Which servos were sent to an end of their range, and stopped before it.
+        self._to_end = np.zeros((count, 2), dtype=bool)
+        self._pressing = np.zeros(count, dtype=bool)
+        self._pace = np.full(count, np.inf)
+        self._turned = False
+        self._moving = False
+
+    @property
+    def faults(self) -> int:
+        """How many calls of the gripper's ``format_action`` or ``start_at`` failed."""
+        return self._formatter.faults
+
+    @property
+    def last_fault(self) -> str:
+        """What the last of these calls did; empty if there was none."""
+        return self._formatter.last_fault
+
+    @property
+    def moving(self) -> bool:
+        """Whether :meth:`tick` has to be called; if not, the setpoints stay where they are."""
+        return self._moving
+
+    @property
+    def dof(self) -> int:
+        """Length of an action."""
+        return self._formatter.dof
+
+    @property
+    def indices(self) -> IntArray:
+        """All indices of the gripper's actuators."""
+        return np.arange(len(self.part.actuators))
+
+    def reset(self, data: mujoco.MjData) -> None:
+        """Abort all commands and hold the fingers where they are."""
+        reason = 'the simulation was reset'
+        self.commands.end(Status.ABORTED, reason)
+        self.commands.release(self.indices, Status.ABORTED, reason)
+        self._force.set(0.0)
+        self._forget()
+        mujoco.mj_fwdPosition(self._physics.model, data)
+        self._goal = np.clip(self._actuators.place(data), *self._actuators.ranges.T)
+        self._actuators.hold(data, self._goal)
+        self._in_step = self._formatter.start_at(self._normalised(self._goal))
+
+    def apply(self, command: Command, data: mujoco.MjData) -> None:
+        """Apply a command; it takes effect with the next :meth:`tick`."""
+        self.commands.end(Status.REPLACED)  # Also one of a gripper without actuators.
+        self.commands.take(command, self.indices)
+        self.commands.running.append(command)
+        command.handle.status = Status.RUNNING
+        self._force.set(command.max_effort if isinstance(command, GripperGrasp) else 0.0)
+        if isinstance(command, GripperAction):
+            if not self._in_step:
+                # A joint command may still be under way.
+                self._goal = np.clip(self._actuators.setpoints(data), *self._actuators.ranges.T)
+                self._in_step = self._formatter.start_at(self._normalised(self._goal))
+            self._action = command.action
+        elif isinstance(command, GripperSetpoint):
+            self._action, self._in_step = None, False
+            positions = self.joints.with_followers(dict(zip(command.joints, command.values)))
+            goal = self._actuators.rest(self._actuators.lengths_at(data, positions))
+            grasp = command if isinstance(command, GripperGrasp) else None
+            if grasp is not None:
+                goal = self._together(goal)
+            self._set_goal(np.where(np.isnan(goal), self._goal, goal), to_end=grasp is not None)
+            self._pace = self._pace_of(grasp, data)
+        self._moving = True
+
+    def _together(self, goal: FloatArray) -> FloatArray:
+        """Close servos without a goal (NaN) by the same fraction as the first one that has one."""
+        low, high = self._actuators.ranges.T
+        closing = self._formatter.closing
+        first = int(np.flatnonzero(~np.isnan(goal))[0])
+        part = (goal[first] - low[first]) / (high[first] - low[first])
+        # For a servo that closes in the other direction, the remaining fraction counts.
+        part = np.where(closing == closing[first], part, 1.0 - part)
+        follows = np.isnan(goal) & self._actuators.is_servo & (closing != 0.0)
+        return np.where(follows & (closing[first] != 0.0), low + part * (high - low), goal)
+
+    def _pace_of(self, grasp: GripperGrasp | None, data: mujoco.MjData) -> FloatArray:
+        """Return how fast setpoints may move so that the joint keeps to a grasp's velocity."""
+        if grasp is None or not grasp.max_velocity:
+            return np.full(len(self._goal), np.inf)
+        present = float(data.joint(grasp.joints[0]).qpos[0])
+        duration_s = abs(float(grasp.values[0]) - present) / grasp.max_velocity
+        return np.asarray(np.abs(self._goal - self._actuators.setpoints(data))
+                          / max(duration_s, self._timestep_s))
+
+    def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
+        """
+        Abort a command; if it was the last one, all fingers stop, unless one of them presses.
+
+        :param handle: of the command
+        :param reason: why, for the handle
+        """
+        own = self.commands.withdraw(handle, reason)
+        if own.size and self._moving and not self._pressing.any():
+            self._action, self._in_step = None, False
+            self._set_goal(self._actuators.setpoints(data), to_end=False)
+
+    def _set_goal(self, goal: FloatArray, to_end: bool) -> None:
+        low, high = self._actuators.ranges.T
+        self._goal = np.clip(goal, low, high)
+        ends = np.stack([self._goal - low, high - self._goal], axis=1) <= self._tolerance[:, None]
+        before = self._to_end
+        self._to_end = ends & to_end & (self._actuators.overtravel > 0.0)
+        self._pressing &= (before & self._to_end).any(axis=1)
+        self._turned = True
+
+    def tick(self, data: mujoco.MjData, duration_s: float) -> None:
+        """
+        Write the controls of the physics steps that follow.
+
+        :param duration_s: of these steps [s]
+        """
+        self._call_if_due(data)
+        actuators = self._actuators
+        place, start = actuators.place(data), actuators.setpoints(data)
+        target = self._target(data, place, start)
+        if self._turned:
+            # A servo that presses the other way lets go at once, or its finger would have to wait
+            # until the setpoint has come back to it.
+            against = actuators.is_servo & ((target - place) * (start - place) < 0.0)
+            start, self._turned = np.where(against, place, start), False
+        setpoints = start + self._stride(target - start, duration_s)
+        present = actuators.setpoints(data)
+        there = np.abs(setpoints - present) <= self._tolerance
+        actuators.approach(data, np.where(there & actuators.is_servo, present, setpoints),
+                           duration_s)
+        waits = self._to_end.any(axis=1) & ~self._pressing
+        self._moving = self._action is not None or not there.all() or bool(waits.any())
+        if not self._moving:
+            for command in list(self.commands.running):
+                self.commands.finish(command, self._goal - place)
+
+    def _target(self, data: mujoco.MjData, place: FloatArray, setpoints: FloatArray) -> FloatArray:
+        """Return the goals, beyond the end of the range where the full force is requested."""
+        span = np.ptp(self._actuators.ranges, axis=1)
+        # Forces may also push a finger past the end.
+        before = np.stack([place - self._goal, self._goal - place], axis=1)
+        self._to_end &= before >= _AT_END * span[:, None]
+        arrived = np.abs(setpoints - self._goal) <= self._tolerance
+        stopped = np.abs(self._actuators.speed_of_place(data)) < span / _STOPPED_S
+        self._pressing |= arrived & stopped
+        self._pressing &= self._to_end.any(axis=1)
+        below, above = (self._actuators.overtravel * self._to_end * self._pressing[:, None]).T
+        target: FloatArray = self._goal - below + above
+        return target
+
+    def _stride(self, distance: FloatArray, duration_s: float) -> FloatArray:
+        """Return how far setpoints move in an interval."""
+        speeds = np.minimum(self._actuators.speeds, self._pace)
+        press = self._actuators.overtravel.max(axis=1, initial=0.0) / _PRESS_S
+        reach = np.where(self._pressing, press, speeds) * duration_s
+        stride: FloatArray = np.clip(distance, -reach, reach)
+        return stride
+
+    def _call_if_due(self, data: mujoco.MjData) -> None:
+        """Call the gripper's ``format_action`` if it is due."""
+        now, period_s = data.time, 1.0 / GRIPPER_RATE_HZ
+        if self._action is None or now < self._next_call_s - self._timestep_s / 2.0:
+            return
+        late = now - self._next_call_s
+        self._next_call_s = period_s + (self._next_call_s if late < period_s else now)
+        goal = self._formatted_goal()
+        if goal is None:
+            return
+        if self._turns_back(goal, data):
+            place = np.clip(self._actuators.place(data), *self._actuators.ranges.T)
+            self._formatter.start_at(self._normalised(np.where(
+                self._actuators.is_servo, place, self._goal)))
+            again = self._formatted_goal()
+            goal = goal if again is None else again
+        if (np.abs(goal - self._goal) <= self._tolerance).all():
+            self._action = None
+        self._set_goal(goal, to_end=True)
+        # Until the next call the setpoints move evenly, not in jumps.
+        self._pace = (np.full(len(goal), np.inf) if self._action is None else
+                      np.abs(goal - self._actuators.setpoints(data)) / period_s)
+
+    def _formatted_goal(self) -> FloatArray | None:
+        assert self._action is not None
+        command = self._formatter.format(self._action)
+        low, high = self._actuators.ranges.T
+        return None if command is None else low + (command + 1.0) / 2.0 * (high - low)
+
+    def _turns_back(self, goal: FloatArray, data: mujoco.MjData) -> bool:
+        """Return whether a goal moves back towards a finger, but not past it."""
+        place = self._actuators.place(data)
+        ahead, still_ahead = self._goal - place, goal - place
+        back = (ahead * still_ahead > 0.0) & (np.abs(still_ahead) < np.abs(ahead))
+        return bool((back & self._actuators.is_servo).any())
+
+    def _normalised(self, setpoints: FloatArray) -> FloatArray:
+        low, high = self._actuators.ranges.T
+        commands: FloatArray = (setpoints - low) / (high - low) * 2.0 - 1.0
+        return commands

@@ -1,0 +1,400 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Control the joints of a robot: which command owns each joint, and where its setpoint goes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.clamping import clamp
+from manip_sim.control.base_twists import BaseTwists
+from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
+from manip_sim.control.cartesian.controller import CartesianController
+from manip_sim.control.cartesian.hands import Hand
+from manip_sim.control.command_timeouts import CommandTimeouts
+from manip_sim.control.commands import (
+    BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
+from manip_sim.control.controlled_joints import ControlledJoints
+from manip_sim.control.modes import Arrival, MODES
+from manip_sim.control.parts import Part
+from manip_sim.control.planned_controls import PlannedControls
+from manip_sim.control.trajectory_following import TrajectoryFollowing
+from manip_sim.physics.physics import Physics
+
+C = TypeVar('C', bound=Command)
+
+
+class JointController(ControlledJoints):
+    """
+    Position, velocity and effort control of all driven joints of a robot.
+
+    A command owns the joints it names until a newer one names them; so commands for one part, or
+    one joint, never disturb another. A joint in effort mode holds its position until it gets its
+    first effort.
+
+    :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
+    :param parts: by name; those of one arm and of both arms may overlap
+    :param atomic: the names of the parts that do not overlap
+    :param hands: of the arms that take Cartesian commands, by arm
+    :ivar cartesian: controller of the hands
+    :ivar plan: the controls of the intervals that follow in a period, where they are planned
+    """
+
+    def __init__(self, physics: Physics, parts: Mapping[str, Part],
+                 atomic: Sequence[str], hands: Mapping[str, Hand] | None = None) -> None:
+        super().__init__(physics, parts, atomic)
+        self.cartesian = CartesianController(
+            physics, hands or {}, self.names, self._servos, self._setpoints)
+        self._everything = np.arange(len(self.names))
+        self._timeouts = CommandTimeouts(atomic)
+        self._trajectories = TrajectoryFollowing(
+            self._setpoints, self.commands, len(self.names))
+        self.plan = PlannedControls(self._servos, self._setpoints)
+        self._base = BaseTwists(self._servos, self._setpoints)
+        #: The parts whose timeout ends Cartesian targets too.
+        self._targets_end = set(atomic)
+        #: Whether new efforts have yet to be written.
+        self._efforts_due = False
+        self._written = False
+
+    def look_at_joints(self) -> None:
+        """Take over damping and dry friction of the joints, which were changed in the model."""
+        self.take_back()
+        self._servos.look_at_joints()
+        self.cartesian.look_at_joints()
+
+    @property
+    def moving(self) -> bool:
+        """Whether setpoints change, or may change, in the next interval."""
+        if self._generator.moving or self._efforts_due or self._ledger.waiting:
+            return True
+        for command in self._ledger.running:
+            if isinstance(command, (JointTrajectory, BaseTwist)) or (
+                    isinstance(command, CartesianCommand) and self.cartesian.moves(command)):
+                return True
+        return False
+
+    @property
+    def timeouts(self) -> dict[str, int]:
+        """Number of command timeouts of each atomic part."""
+        return self._timeouts.counts
+
+    @property
+    def resting(self) -> bool:
+        """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
+        return not (self._generator.moving or self._written or self._ledger.running
+                    or self._ledger.waiting or self._timeouts.pending)
+
+    @property
+    def busy_parts(self) -> frozenset[str]:
+        """The atomic parts that follow a trajectory, or wait for its start."""
+        return frozenset().union(*(
+            self.parts_of(t.indices) for t in self.commands.trajectories))
+
+    # ------------------------------------------------------------------ commands
+
+    def set_timeout(self, part: str, timeout_s: float, ends_targets: bool = True) -> None:
+        """
+        Change how long the last command of a part lasts if no fresh one comes.
+
+        :param timeout_s: simulation time [s]; 0 for no timeout
+        :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
+        :raises UnknownNameError: if there is no such part
+        """
+        self.take_back()
+        for name in self.parts_of(self.indices_of(part)):
+            self._timeouts.set(name, timeout_s)
+            # Without a timeout it makes no difference, and is none in saved states either.
+            ends = ends_targets or not timeout_s
+            (self._targets_end.add if ends else self._targets_end.discard)(name)
+
+    def set_stream(self, part: str, longest_s: float | None = None, hold_s: float | None = None
+                   ) -> None:
+        """
+        Change what counts as a stream, and what happens when one stops.
+
+        :param longest_s: longest interval between messages of a stream [s]; None: no change
+        :param hold_s: how long a part goes on at the velocity of a stream of goals after one was
+            due [s]; 0 for two message intervals; None: no change
+        :raises UnknownNameError: if there is no such part
+        """
+        indices = self.indices_of(part)
+        self._setpoints.set_stream(indices, longest_s, hold_s)
+        for arm in self.cartesian.settings:
+            if np.isin(self.indices_of(arm), indices).all():
+                self.cartesian.set_stream(arm, longest_s, hold_s)
+
+    def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
+        """
+        Change the control mode of a part; joints whose mode changes come to rest.
+
+        :param mode: the name of one of :data:`MODES`
+        :raises ModelError: if the gains of the mode cannot be used; nothing has changed then
+        :raises UnknownNameError: if there is no such part or mode
+        """
+        wanted = MODES[mode]
+        changed = np.array([i for i in self.indices_of(part) if self.modes[i] != mode],
+                           dtype=np.int64)
+        if changed.size:
+            gains = wanted.gains([self.names[i] for i in changed])
+            restart = self._servos.set_gains(changed, gains)
+            self.commands.release(changed, Status.ABORTED, f'the control mode is {mode} now')
+            self.modes = tuple(mode if i in changed else m for i, m in enumerate(self.modes))
+            self._timeouts.forget(self.parts_of(changed))
+            self._hold(changed, data, restart)
+
+    def stop(self, part: str, reason: str, data: mujoco.MjData) -> None:
+        """
+        Abort the commands of a part; its joints come to rest as after a change of mode.
+
+        :param part: an atomic one
+        :param reason: why, for the handles of the commands
+        """
+        indices = self.indices_of(part)
+        self.commands.release(indices, Status.ABORTED, reason)
+        self._timeouts.forget([part])
+        self._hold(indices, data)
+
+    def efforts_allowed(self, indices: IntArray) -> FloatArray:
+        """Return the greatest efforts of joints [N m or N], shape (n,)."""
+        return np.asarray(np.abs(self._servos.ranges['effort'][indices]).max(axis=1))
+
+    def dofs(self, indices: IntArray) -> IntArray:
+        """Return the addresses of joints in ``qvel``, shape (n,)."""
+        return np.asarray(self._servos.dofs[indices])
+
+    def _hold(self, indices: IntArray, data: mujoco.MjData, restart: bool = False) -> None:
+        """
+        Let joints come to rest as soon as their acceleration limits allow.
+
+        :param restart: whether gains of servos have changed
+        """
+        servos, setpoints = self._servos, self._setpoints
+        gives = servos.gives_effort(indices)
+        free = indices[gives]
+        behind = np.stack(servos.behind(setpoints.acceleration))
+        if free.size:
+            self._effort[free] = 0.0
+            servos.give_effort(free, False)
+            setpoints.place(free, data.qpos[servos.qpos[free]], data.qvel[servos.dofs[free]])
+            behind[:, free] = 0.0
+        setpoints.brake(indices)
+        braking = indices[setpoints.acceleration[indices] != 0.0]
+        if braking.size:
+            # From the first step on, as far ahead of their joints as when they brake for long.
+            position, velocity = (np.stack(servos.behind(setpoints.acceleration)) - behind)[
+                :, braking]
+            setpoints.position[braking] += position
+            setpoints.velocity[braking] += velocity
+            setpoints.brake(braking)
+        if free.size or braking.size or restart:
+            # Those that brake push the others, which have to withstand at once.
+            servos.start(data, setpoints.position, setpoints.velocity, setpoints.acceleration)
+
+    def reset(self, data: mujoco.MjData) -> None:
+        """Abort all commands and hold the joints where they are; modes stay."""
+        everything = self._everything
+        self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
+        self._timeouts.clear()
+        self._trajectories.forget()
+        self._base.forget()
+        self.cartesian.reset(data)
+        self._effort[:] = 0.0
+        self._servos.give_effort(everything, False)
+        position = data.qpos[self._servos.qpos]
+        self._setpoints.reset(position)
+        self._servos.hold(data, position)
+        self._efforts_due = self._written = False
+
+    def apply(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float) -> None:
+        """
+        Apply a command, at the beginning of a control period.
+
+        It loses joints whose control mode has changed since, and is aborted if none is left.
+
+        :param now_s: simulation time since the last reset [s]
+        :param period_s: length of the period [s]
+        """
+        self._setpoints.now_s = now_s
+        meant = self._of_present_mode(command)
+        if meant is None:
+            command.handle.end(Status.ABORTED, 'the control mode has changed')
+            return
+        meant.handle.status = Status.RUNNING
+        self._timeouts.renew(meant.parts, now_s)
+        if isinstance(meant, JointTrajectory):
+            self.commands.await_start(meant)
+        elif isinstance(meant, TrajectoryStop):
+            stopped = self.commands.stop(meant)
+            self._setpoints.set_velocity(stopped, np.zeros(len(stopped)))
+            meant.handle.end(Status.DONE)
+        else:
+            drives = any([isinstance(c, BaseTwist) for c in self.commands.running])
+            self.commands.take(meant)
+            self.commands.running.append(meant)
+            if isinstance(meant, BaseTwist):
+                self._base.begin(meant, data, now_s, period_s, drives)
+            elif isinstance(meant, JointSetpoint):
+                self._apply_setpoint(meant, period_s)
+            elif isinstance(meant, CartesianCommand):
+                if MODES[self.modes[meant.indices[0]]].exerts_at_the_hand:
+                    self._servos.give_effort(meant.indices, True)
+                self.cartesian.begin(meant, data, now_s)
+
+    def _of_present_mode(self, command: C) -> C | None:
+        if isinstance(command, (TrajectoryStop, CartesianCommand)):
+            return command
+        if isinstance(command, JointSetpoint):
+            changed = [i for i, mode in zip(command.indices.tolist(), command.modes)
+                       if self.modes[i] != mode]
+        else:
+            takes = 'takes_twists' if isinstance(command, BaseTwist) else 'follows_trajectories'
+            changed = [i for i in command.indices if not getattr(MODES[self.modes[i]], takes)]
+        return command.without(np.array(changed, dtype=np.int64)) if changed else command
+
+    def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
+        arrival = Arrival(period_s, command.messages, command.sent_s)
+        modes = set(command.modes)
+        for mode in modes:
+            indices, values = command.indices, command.values
+            if len(modes) > 1:
+                chosen = np.array([own == mode for own in command.modes])
+                indices, values = indices[chosen], values[chosen]
+            MODES[mode].command(self, indices, values, arrival)
+
+    def go_to(self, indices: IntArray, position: FloatArray, arrival: Arrival) -> None:
+        """Let setpoints come to a position, or follow a stream of positions [rad or m]."""
+        self._setpoints.go_to(indices, position, *arrival)
+
+    def go_at(self, indices: IntArray, velocity: FloatArray, arrival: Arrival) -> None:
+        """Let setpoints come to a velocity, or follow a stream of them [rad/s or m/s]."""
+        self._setpoints.go_at(indices, velocity, *arrival)
+
+    def exert(self, indices: IntArray, effort: FloatArray) -> None:
+        """Exert an effort, and no longer follow setpoints [N m or N]."""
+        self._effort[indices] = effort
+        self._servos.give_effort(indices, True)
+        self._setpoints.wake()
+        self._efforts_due = True
+
+    def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
+        """
+        Abort a command; joints that it was the last to take come to rest and stop pressing.
+
+        They go where their acceleration limits let them stop from the measured motion.
+
+        :param handle: of the command
+        :param reason: why, for the handle
+        """
+        own = self.commands.withdraw(handle, reason)
+        velocity = data.qvel[self._servos.dofs[own]]
+        stop = data.qpos[self._servos.qpos[own]] + velocity * np.abs(velocity) / (
+            2.0 * self._servos.acceleration_limit[own])
+        self._setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
+
+    def measured(self, indices: IntArray, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
+        """Return measured position and velocity of joints, copies, each of shape (n,)."""
+        return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
+
+    # ------------------------------------------------------------------ in the control loop
+    # Nothing else holds setpoints and commands during a period, and what is held moves.
+
+    def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float, ends_s: FloatArray
+                     ) -> None:
+        """
+        Begin a control period; end position commands that are done and commands that timed out.
+
+        :param now_s: simulation time since the last reset [s]
+        :param period_s: length of the period [s]
+        :param ends_s: when its intervals end, since it begins, if setpoints move [s], shape (k, 1)
+        """
+        self.take_back()
+        self.cartesian.period_s = period_s
+        self._generator.now_s = now_s
+        self._generator.begin_period(ends_s)
+        for command in list(self._ledger.running):
+            if isinstance(command, CartesianCommand):
+                self.cartesian.begin_period(command, data)
+            if (isinstance(command, JointSetpoint)
+                    and all([MODES[mode].ends for mode in set(command.modes)])
+                    and self._generator.at_rest(command.indices)):
+                self._finish(command, data, command.values)
+        for part in self._timeouts.overdue(now_s):
+            if part not in self.busy_parts and (part in self._targets_end
+                                                or part not in self._target_parts()):
+                self._time_out(part)
+
+    def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
+        self.commands.finish(command, goal - data.qpos[self._servos.qpos[command.indices]])
+
+    def _time_out(self, part: str) -> None:
+        indices = self.indices_of(part)
+        self._timeouts.count(part)
+        self.commands.release(indices, Status.ABORTED, 'no fresh command came in time')
+        gives = self._servos.gives_effort(indices)
+        self._effort[indices[gives]] = 0.0
+        self._setpoints.set_velocity(indices[~gives], np.zeros(np.count_nonzero(~gives)))
+
+    def tick(self, data: mujoco.MjData, now_s: float, duration_s: float) -> None:
+        """
+        Write the controls of the next interval; setpoints are linear in it.
+
+        :param now_s: simulation time since the last reset [s]
+        :param duration_s: length of the interval [s]
+        """
+        if not self.moving:
+            if self._written:
+                self._servos.rest(data)
+                self._written = False
+            return
+        setpoints, servos = self._generator, self._servos
+        setpoints.now_s = now_s
+        if self._ledger.waiting:
+            self._trajectories.start_due(
+                self.modes, now_s, duration_s, self.cartesian.period_s)
+        # Setpoints of joints go on by themselves.
+        others = [c for c in self._ledger.running if type(c) is not JointSetpoint]
+        for command in others:
+            if isinstance(command, CartesianCommand):
+                self.cartesian.follow(command, data, now_s, duration_s, self._effort)
+            elif isinstance(command, BaseTwist):
+                self._base.follow(command, data, now_s, duration_s)
+        if not setpoints.settled:
+            setpoints.advance(duration_s)
+        for command in others:
+            if isinstance(command, JointTrajectory):
+                position = self._trajectories.follow(command, now_s + duration_s)
+                if position is not None:
+                    self._end_trajectory(command, data, position)
+        if servos.follows:
+            setpoints.hold_back(servos.measured(duration_s), servos.reach)
+        self._written, self._efforts_due = True, False
+        if not self.plan.write():
+            servos.write(data, duration_s, setpoints.position, setpoints.velocity,
+                         setpoints.acceleration, self._effort)
+
+    @property
+    def plans(self) -> bool:
+        """Whether all intervals that follow in the control period are planned."""
+        return (bool(self.plan) and not self._ledger.waiting
+                and all([type(c) is JointSetpoint for c in self._ledger.running]))
+
+    def _end_trajectory(self, command: JointTrajectory, data: mujoco.MjData,
+                        position: FloatArray) -> None:
+        self._finish(command, data, position)
+        # Setpoints may still have a velocity there, or have been held back on the way.
+        self._setpoints.come_back(command.indices, position)
+        self._timeouts.forget(command.parts - self._commanded_parts())
+
+    def _target_parts(self) -> frozenset[str]:
+        return frozenset().union(*(
+            c.parts for c in self.commands.running if isinstance(c, CartesianCommand)))
+
+    def _commanded_parts(self) -> frozenset[str]:
+        return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))

@@ -1,0 +1,139 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Stop a part that is too fast, exerts too much or is pushed too hard, as arms of today do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import mujoco
+import numpy as np
+
+from manip_sim.control.commands import Command, NoCommand
+from manip_sim.control.joint_controller import JointController
+from manip_sim.control.parts import atomic_parts, Part
+from manip_sim.errors import UnknownNameError
+from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.end_effectors import EndEffectorReader
+
+
+@dataclass(frozen=True)
+class ReflexLimits:
+    """
+    What a part may do before it is stopped; 0 is no limit.
+
+    :ivar velocity: of any joint, as a multiple of its velocity limit
+    :ivar effort: of any joint, as a multiple of its effort limit
+    :ivar force: magnitude of the external force on the tool [N]
+    :ivar torque: magnitude of the external torque on the tool [N m]
+    """
+
+    velocity: float = 0.0
+    effort: float = 0.0
+    force: float = 0.0
+    torque: float = 0.0
+
+    @property
+    def any(self) -> bool:
+        """Whether there is any limit."""
+        return any(getattr(self, field.name) for field in fields(self))
+
+
+class Reflexes:
+    """
+    The limits of each part, and which parts were stopped.
+
+    A part that was stopped refuses commands until :meth:`reset`.
+
+    :param parts: of the robot, by name
+    :param joints: controller of their joints
+    :param end_effectors: readers of the grippers, by arm
+    :param efforts: of the actuators of the model
+    :ivar tripped: why each part was stopped that refuses commands
+    :ivar counts: how often each part was stopped
+    """
+
+    def __init__(self, parts: Mapping[str, Part], joints: JointController,
+                 end_effectors: Mapping[str, EndEffectorReader], efforts: ActuatorEfforts) -> None:
+        self._joints, self._efforts = joints, efforts
+        self._limits = {part.name: ReflexLimits() for part in atomic_parts(parts)
+                        if part.gripper is None and part.actuators}
+        # A hand alone has no arm that a wrench could stop.
+        self._readers = {parts[arm].atomic: reader for arm, reader in end_effectors.items()
+                         if arm in parts}
+        self.tripped: dict[str, str] = {}
+        self.counts = dict.fromkeys(self._limits, 0)
+        self.armed: tuple[str, ...] = ()
+
+    def set(self, part: str, quantity: str, limit: float) -> None:
+        """
+        Change a limit of a part, of each of those that it consists of.
+
+        :param quantity: a field of :class:`ReflexLimits`
+        :raises UnknownNameError: if there is no such quantity
+        """
+        known = [field.name for field in fields(ReflexLimits)]
+        if quantity not in known:
+            raise UnknownNameError('quantity of a reflex', quantity, known)
+        for name in self._joints.parts_of(self._joints.indices_of(part)):
+            self._limits[name] = replace(self._limits[name], **{quantity: limit})
+        self._joints.take_back()
+        self.armed = tuple(name for name, limits in self._limits.items() if limits.any)
+
+    def check(self, data: mujoco.MjData) -> None:
+        """Stop the parts that do too much, at the beginning of a control period."""
+        for part in self.armed:
+            if part not in self.tripped:
+                reason = self._excess(part, data)
+                if reason is not None:
+                    self.tripped = {**self.tripped, part: reason}
+                    self.counts[part] += 1
+                    self._joints.stop(part, f'stopped by a reflex: {reason}', data)
+
+    def refusal(self, command: Command) -> str | None:
+        """
+        Return why a command is rejected at present, or None.
+
+        :param command: for this robot
+        """
+        if not self.tripped or isinstance(command, NoCommand):
+            return None
+        stopped = [part for part in self.tripped if part in command.parts]
+        if not stopped:
+            return None
+        return (f'{stopped[0]} was stopped by a reflex: {self.tripped[stopped[0]]}; '
+                'call reset_reflex')
+
+    def reset(self) -> None:
+        """Let all parts take commands again."""
+        self.tripped = {}
+
+    def _excess(self, part: str, data: mujoco.MjData) -> str | None:
+        """Return what a part does too much, in words, or None."""
+        limits, joints = self._limits[part], self._joints
+        indices = joints.indices_of(part)
+        dofs = joints.dofs(indices)
+        shares = {'velocity': np.abs(data.qvel[dofs]) / joints.velocity_limits(indices),
+                  'effort': np.abs(self._efforts.values[dofs]) / joints.efforts_allowed(indices)}
+        for quantity, share in shares.items():
+            limit = getattr(limits, quantity)
+            if limit and share.max(initial=0.0) > limit:
+                worst = int(share.argmax())
+                return (f"the {quantity} of joint '{joints.names[indices[worst]]}' is "
+                        f'{share[worst]:.3g} times its limit, allowed is {limit:g}')
+        return self._push(part, data)
+
+    def _push(self, part: str, data: mujoco.MjData) -> str | None:
+        """Return by how much the tool of a part is pushed too hard, in words, or None."""
+        reader = self._readers.get((part,))
+        if reader is None:
+            return None
+        limits, wrench = self._limits[part], reader.external_wrench(data)
+        for quantity, vector, unit in (('force', wrench[:3], 'N'), ('torque', wrench[3:], 'N m')):
+            limit, size = getattr(limits, quantity), float(np.sqrt((vector**2).sum()))
+            if limit and size > limit:
+                return (f'the external {quantity} is {size:.3g} {unit}, allowed is {limit:g} '
+                        f'{unit}')
+        return None

@@ -1,0 +1,391 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+MuJoCo's own actuators as servos of joints: gains, limits and what is written into ``data``.
+
+The activation of an actuator holds its setpoint; ``ctrl`` is the rate at which the setpoint
+changes. So setpoints are linear between two calls of :meth:`Servos.write`, and the physics loop
+runs no code of this module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import as_slice, BoolArray, FloatArray, IntArray
+from manip_sim.control.joint_accelerations import acceleration_limits
+from manip_sim.control.profiles import Plan
+from manip_sim.errors import ModelError
+from manip_sim.physics.actuator_properties import (
+    check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
+from manip_sim.physics.physics import Physics
+
+#: Position range that actions span for a joint without a range [rad or m].
+_UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
+#: Largest effort of a joint without an effort limit [N m or N].
+_UNLIMITED_EFFORT = 1e3
+#: Share of the torque beyond the weight that the joint's damping may use.
+_DAMPING_SHARE = 0.9
+#: Upper bound of damping x timestep / inertia: MuJoCo integrates a saturated servo explicitly.
+_EXPLICIT_DAMPING = 1.5
+#: Highest damping ratio that a servo keeps when its gains are lowered to that bound.
+_SOFT_RATIO = 3.0
+
+
+class Servos:
+    """
+    The actuators that drive joints, each as a servo or as a source of effort.
+
+    Effort limits apply to both. Stiffness and damping are those of the model if its actuators are
+    position or velocity servos, and otherwise derived from the joint's inertia.
+
+    :param physics: of the world at the start, prepared by ``add_setpoint_activation``; actuators
+        and joint force limits of its model are changed
+    :param actuators: their names
+    :param joints: the joint that each of them drives
+    :ivar qpos: addresses of the joints in ``qpos``, shape (n,)
+    :ivar dofs: addresses of the joints in ``qvel``, shape (n,)
+    :ivar limited: whether each joint has a range, shape (n,)
+    :ivar ranges: lowest and highest position, velocity and effort by their names, at the joints
+        in SI units, shape (n, 2)
+    :ivar cruising_velocity: of steps and streams: the velocity limit, or what the torque can keep
+        up against the joint's damping [rad/s or m/s], shape (n,)
+    :ivar acceleration_limit: after a jump of the goal [rad/s^2 or m/s^2], shape (n,)
+    :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
+    :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
+    :ivar reach: the same, infinite for sources of effort, whose setpoints are not used
+    :ivar follows: whether any joint follows its setpoint
+    :ivar any_gives_effort: whether any actuator is a source of effort
+    :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
+    """
+
+    #: Where results are written, and what follows from the rest.
+    not_in_digest = ('_effort_force', '_all_accelerations', '_places', '_all_compensated',
+                     '_geared', '_sources', 'reach', 'follows', 'any_gives_effort')
+
+    def __init__(self, physics: Physics, actuators: Sequence[str],
+                 joints: Sequence[str]) -> None:
+        model, data = physics.model, physics.data
+        check_single(actuators, joints)
+        check_kinds(model, actuators)
+        self._physics = physics
+        self._actuators, self._joints = tuple(actuators), tuple(joints)
+        self._find_places()
+        ids, joint_ids = self._ids, np.array([model.joint(j).id for j in joints], dtype=np.int64)
+        self._gear: FloatArray = model.actuator_gear[ids, 0].copy()
+        stiffness, damping = stiffness_and_damping(model, ids, self.dofs)
+        self._stiffness, self._damping = stiffness * self._gear**2, damping * self._gear**2
+        self._soften()
+        self._gains_of_model = self._stiffness.copy(), self._damping.copy()
+        passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
+        self.passive_damping: FloatArray = passive.copy()
+        #: Effort per velocity that lets a joint move as fast as its setpoint.
+        self._drag = self._damping + passive
+        self._friction = DryFriction(model, self.dofs)
+        self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
+        self.ranges = {'position': self._position_range(joint_ids),
+                       'effort': self._limit_effort(joint_ids)}
+        velocity = velocity_limit(model, joint_ids, ids)
+        self.ranges['velocity'] = np.stack([-velocity, velocity], axis=1)
+        torque = np.abs(self.ranges['effort']).max(axis=1)
+        # The torque that the weight leaves has to overcome the joint's own damping.
+        spare = np.maximum(torque - np.abs(data.qfrc_bias[self.dofs]), 0.2 * torque)
+        self.cruising_velocity = np.minimum(
+            velocity, _DAMPING_SHARE * spare / np.maximum(passive, 1e-9))
+        self.acceleration_limit = acceleration_limits(
+            model, data, joint_ids, torque, (self._drag - self._damping) * self.cruising_velocity,
+            self.velocity_limit, self.position_clamp())
+        self.lead = self._lead(np.arange(len(ids)))
+        self._gives_effort = np.zeros(len(ids), dtype=bool)
+        self._sources = 0
+        self._find_reach()
+        physics.on_change(self._find_places)
+        physics.on_change(self._make_room)
+        model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
+        model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
+        model.actuator_ctrllimited[ids] = 0
+        self._compensated = model.body_gravcomp[model.jnt_bodyid[joint_ids]] > 0.0
+        self._all_compensated = bool(self._compensated.all())
+        self._geared = bool((self._gear != 1.0).any())
+        self._set_gains(np.arange(len(ids)))
+
+    def _find_places(self) -> None:
+        model = self._physics.model
+        ids = self._ids = np.array([model.actuator(a).id for a in self._actuators], dtype=np.int64)
+        joint_ids = np.array([model.joint(j).id for j in self._joints], dtype=np.int64)
+        self.qpos: IntArray = model.jnt_qposadr[joint_ids].astype(np.int64)
+        self.dofs: IntArray = model.jnt_dofadr[joint_ids].astype(np.int64)
+        self._activation = model.actuator_actadr[ids].astype(np.int64)
+        #: Where the joints are in ``qpos``, ``qvel``, ``act`` and ``ctrl``.
+        self._places = tuple(
+            as_slice(of) for of in (self.qpos, self.dofs, self._activation, ids))
+
+    def look_at_joints(self) -> None:
+        """Take over damping and dry friction of the joints, which were changed in the model."""
+        model = self._physics.model
+        self.passive_damping[:] = np.asarray(model.dof_damping).reshape(model.nv, -1)[
+            self.dofs, 0]
+        self._drag = self._damping + self.passive_damping
+        self._friction.look(model, self.dofs)
+
+    def _soften(self) -> None:
+        model = self._physics.model
+        share = model.opt.timestep * self._damping * model.dof_invweight0[self.dofs]
+        factor = np.minimum(1.0, _EXPLICIT_DAMPING / np.maximum(share, 1e-12))
+        self._damping = self._damping * factor
+        # A servo that was overdamped would become too soft if it kept its damping ratio.
+        enough = (self._damping / (2.0 * _SOFT_RATIO))**2 * model.dof_invweight0[self.dofs]
+        self._stiffness = np.maximum(self._stiffness * factor**2,
+                                     np.minimum(self._stiffness, enough))
+
+    def _position_range(self, joint_ids: IntArray) -> FloatArray:
+        limits: FloatArray = self._physics.model.jnt_range[joint_ids].copy()
+        limits[~self.limited] = _UNLIMITED
+        return limits
+
+    def _limit_effort(self, joint_ids: IntArray) -> FloatArray:
+        # The limit is set at the joint, where it includes the gravity compensation.
+        model = self._physics.model
+        limits = effort_range(model, joint_ids, self._ids)
+        limited = np.isfinite(limits).all(axis=1)
+        limits = np.where(np.isfinite(limits), limits, (-_UNLIMITED_EFFORT, _UNLIMITED_EFFORT))
+        model.jnt_actfrcrange[joint_ids[limited]] = limits[limited]
+        model.jnt_actfrclimited[joint_ids[limited]] = 1
+        return limits
+
+    def _lead(self, indices: IntArray) -> FloatArray:
+        torque = np.abs(self.ranges['effort'][indices]).max(axis=1)
+        return np.asarray(np.maximum(torque, self._damping[indices] * self.velocity_limit[indices])
+                          / self._stiffness[indices])
+
+    @property
+    def velocity_limit(self) -> FloatArray:
+        """How fast each joint may move [rad/s or m/s], shape (n,)."""
+        return np.asarray(self.ranges['velocity'][:, 1])
+
+    def position_clamp(self) -> FloatArray:
+        """Return the ranges of position setpoints, infinite for unlimited joints, (n, 2)."""
+        clamp = self.ranges['position'].copy()
+        clamp[~self.limited] = (-np.inf, np.inf)
+        return clamp
+
+    def give_effort(self, indices: IntArray, gives: bool) -> None:
+        """Make some actuators sources of effort, or servos again."""
+        changed = indices[self._gives_effort[indices] != gives]
+        if changed.size:
+            self._gives_effort[changed] = gives
+            self._sources = int(np.count_nonzero(self._gives_effort))
+            self._find_reach()
+            self._set_gains(changed)
+
+    def _find_reach(self) -> None:
+        self.follows, self.any_gives_effort = self._sources < len(self._ids), self._sources > 0
+        self.reach = np.where(self._gives_effort, np.inf, self.lead) if self._sources else (
+            self.lead)
+
+    def any_gives_effort_of(self, indices: IntArray) -> bool:
+        """Tell whether any of some actuators is a source of effort."""
+        return self._sources > 0 and (self._sources == len(self._ids) or bool(
+            np.count_nonzero(self._gives_effort[indices])))
+
+    def gives_effort(self, indices: IntArray) -> BoolArray:
+        """Return which of some actuators are sources of effort, shape of ``indices``."""
+        return np.asarray(self._gives_effort[indices])
+
+    def set_gains(self, indices: IntArray, gains: tuple[ArrayLike, ArrayLike] | None) -> bool:
+        """
+        Change stiffness and damping of servos, whose forces change until :meth:`start`.
+
+        Gains that are too high for the timestep and the inertia of a joint are lowered.
+
+        :param gains: [N m/rad or N/m] and [N m s/rad or N s/m], each a number or of the shape of
+            ``indices``; None for those of the model
+        :returns: whether any has changed
+        :raises ModelError: if they have another shape, or are not positive and finite
+        """
+        if gains is None:
+            stiffness, damping = (of_model[indices] for of_model in self._gains_of_model)
+        else:
+            stiffness, damping = _checked(gains, len(indices))
+            step_s = self._physics.model.opt.timestep
+            share = step_s * self._physics.model.dof_invweight0[self.dofs[indices]]
+            most = _EXPLICIT_DAMPING / np.maximum(share, 1e-12)
+            # At the highest stiffness, the highest damping is critical.
+            stiffness = np.minimum(stiffness, most * _EXPLICIT_DAMPING / (4.0 * step_s))
+            damping = np.minimum(damping, most)
+        if (stiffness == self._stiffness[indices]).all() and (
+                damping == self._damping[indices]).all():
+            return False
+        self._stiffness[indices], self._damping[indices] = stiffness, damping
+        self._drag[indices] = damping + self.passive_damping[indices]
+        self.lead[indices] = self._lead(indices)
+        self._find_reach()
+        self._set_gains(indices)
+        return True
+
+    def _set_gains(self, indices: IntArray) -> None:
+        model, ids, effort = self._physics.model, self._ids[indices], self._gives_effort[indices]
+        stiffness = self._stiffness[indices] / self._gear[indices]**2
+        damping = self._damping[indices] / self._gear[indices]**2
+        model.actuator_gainprm[ids, 0] = np.where(effort, 1.0, stiffness)
+        model.actuator_biasprm[ids, 0] = 0.0
+        model.actuator_biasprm[ids, 1] = np.where(effort, 0.0, -stiffness)
+        model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
+
+    def _make_room(self) -> None:
+        self._effort_force, self._all_accelerations = np.zeros((2, self._physics.model.nv))
+
+    def start(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
+              acceleration: FloatArray) -> None:
+        """
+        Let the servos take over a motion at once, with the force that it needs.
+
+        :param position: [rad or m], shape (n,); ``velocity`` and ``acceleration`` too
+        """
+        servos = np.flatnonzero(~self._gives_effort)
+        goal = self._goal(data, position, velocity, acceleration)
+        data.act[self._activation[servos]] = goal[servos]
+        data.ctrl[self._ids[servos]] = 0.0
+
+    def behind(self, acceleration: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return how far joints are behind their setpoints that accelerate for long.
+
+        The damping acts with the velocity at the end of a step, which the setpoint has not yet.
+
+        :param acceleration: [rad/s^2 or m/s^2], shape (n,)
+        :returns: position [rad or m] and velocity [rad/s or m/s], each of shape (n,)
+        """
+        velocity = self._physics.model.opt.timestep / 2.0 * acceleration
+        return np.asarray(self._drag / self._stiffness * velocity), np.asarray(velocity)
+
+    def hold(self, data: mujoco.MjData, position: FloatArray) -> None:
+        """Set the setpoints of all servos at rest [rad or m], shape (n,)."""
+        data.act[self._activation] = position * self._gear
+        data.ctrl[self._ids] = 0.0
+
+    def rest(self, data: mujoco.MjData) -> None:
+        """Keep the setpoints where they are."""
+        data.ctrl[self._ids] = 0.0
+
+    def measured(self, duration_s: float) -> FloatArray:
+        """
+        Return where the joints are; setpoints within :attr:`reach` of it need not be held back.
+
+        Joints faster than their limit go far in an interval, and must not stop at once.
+
+        :param duration_s: length of the interval [s]
+        :returns: [rad or m], shape (n,), may be a view
+        """
+        positions, velocities, _, _ = self._places
+        position, velocity = self._physics.qpos[positions], self._physics.qvel[velocities]
+        limit = self.ranges['velocity'][:, 1]
+        if np.count_nonzero(np.abs(velocity) > limit):
+            position = position + duration_s * (velocity - np.clip(velocity, -limit, limit))
+        return np.asarray(position)
+
+    def write(self, data: mujoco.MjData, duration_s: float, position: FloatArray,
+              velocity: FloatArray, acceleration: FloatArray, effort: FloatArray) -> None:
+        """
+        Let the setpoints move linearly to new ones within an interval.
+
+        A servo's activation is the position plus feedforward force / stiffness; the force covers
+        damping, friction, inertia and, with gravity compensation, Coriolis forces.
+
+        :param duration_s: length of the interval [s]
+        :param position: at its end [rad or m], shape (n,)
+        :param velocity: at its end [rad/s or m/s], shape (n,)
+        :param acceleration: at its end [rad/s^2 or m/s^2], shape (n,)
+        :param effort: of the sources of effort, at once [N m or N], shape (n,)
+        """
+        activations, controls = self._physics.act, self._physics.ctrl
+        _, _, activation, ids = self._places
+        if not self.follows:
+            controls[ids] = 0.0
+            activations[activation] = effort / self._gear
+            return
+        rate = self._goal(data, position, velocity, acceleration)
+        rate -= activations[activation]
+        rate /= duration_s
+        if self._sources:
+            rate[self._gives_effort] = 0.0
+            sources = np.flatnonzero(self._gives_effort)
+            activations[self._activation[sources]] = effort[sources] / self._gear[sources]
+        controls[ids] = rate
+
+    def rates(self, plan: Plan) -> FloatArray:
+        """
+        Return what :meth:`write` would write in the intervals of a plan, shape (k, n).
+
+        Inertia and Coriolis forces are those of the present for all of them.
+        """
+        rates = self._goal(self._physics.data, plan.positions, plan.velocities, plan.accelerations)
+        rates[1:] -= rates[:-1].copy()
+        rates[0] -= self._physics.act[self._places[2]]
+        rates /= plan.durations_s
+        return rates
+
+    @property
+    def controls(self) -> tuple[FloatArray, slice | IntArray]:
+        """All controls of the world, a view, and where those of the joints are in them."""
+        return self._physics.ctrl, self._places[3]
+
+    def write_rate(self, rate: FloatArray) -> None:
+        """
+        Let the setpoints of all joints, which are servos, move at a rate.
+
+        :param rate: a row of :meth:`rates`, shape (n,)
+        """
+        self._physics.ctrl[self._places[3]] = rate
+
+    def _goal(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
+              acceleration: FloatArray) -> FloatArray:
+        """Return the activations of servos with the force that the motion needs."""
+        physics, (_, dofs, _, _) = self._physics, self._places
+        if self._sources:
+            acceleration = np.where(self._gives_effort, 0.0, acceleration)
+        force = self._drag * velocity
+        force += self._inertial(data, acceleration)
+        if self._friction.acts:
+            force += self._friction.at(velocity)
+        # The bias force minus the weight, which the actuators carry already.
+        coriolis = physics.bias[dofs] - physics.gravcomp[dofs]
+        if not self._all_compensated:
+            coriolis *= self._compensated
+        force += coriolis
+        force /= self._stiffness
+        force += position
+        if self._geared:
+            force *= self._gear
+        return np.asarray(force)
+
+    def _inertial(self, data: mujoco.MjData, acceleration: FloatArray) -> FloatArray:
+        """Return the forces for accelerations, shape (..., n)."""
+        model, (_, dofs, _, _) = self._physics.model, self._places
+        if acceleration.ndim == 1:
+            self._all_accelerations[dofs] = acceleration
+            mujoco.mj_mulM(model, data, self._effort_force, self._all_accelerations)
+            return np.asarray(self._effort_force[dofs])
+        forces = np.empty((len(acceleration), model.nv))
+        for force, row in zip(forces, acceleration):
+            self._all_accelerations[dofs] = row
+            mujoco.mj_mulM(model, data, force, self._all_accelerations)
+        return np.asarray(forces[:, dofs])
+
+
+def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:
+    """Return stiffness and damping, each of shape (count,)."""
+    try:
+        stiffness, damping = (np.broadcast_to(np.asarray(of, dtype=float), count) for of in gains)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f'stiffness and damping must be a number or {count} numbers each, '
+                         f'got {gains}') from error
+    for of, what in ((stiffness, 'stiffness'), (damping, 'damping')):
+        if not (np.isfinite(of).all() and (of > 0.0).all()):
+            raise ModelError(f'the {what} of servos must be positive and finite, got {of}')
+    return stiffness, damping

@@ -1,0 +1,153 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What no part of a robot has: mocap bodies, joints of the arena, and other actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import FloatArray
+from manip_sim.control.direct_controls import DirectControls
+from manip_sim.control.modes import EFFORT, POSITION
+from manip_sim.errors import UnknownNameError
+from manip_sim.models.arenas import Arena
+from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
+from manip_sim.models.robots.subsystems import driven_joint
+from manip_sim.physics.physics import Physics
+from manip_sim.physics.poses import Pose
+
+#: The part that the joints of the arena are, in topics and parameters.
+ARENA = 'arena'
+#: The part that actuators of tendons, sites and bodies are, which are of no other part.
+ACTUATORS = 'actuators'
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+class Surroundings:
+    """
+    Mocap bodies, joints of the arena, such as those of doors, and actuators of no part.
+
+    :param physics: of the world
+    :param arena: the arena of the world
+    :param of_parts: actuators of the robots' parts and grippers
+    :ivar of_parts: the same; robots that come or go have to change it before the model is replaced
+    :ivar mocap_names: names of the mocap bodies
+    :ivar joints: scalar joints of the arena
+    :ivar actuators: of the arena, those that drive one of these joints each
+    :ivar other_actuators: those of neither, such as of tendons, and of objects
+    :ivar commands: of :attr:`joints` and of :attr:`other_actuators`, by ``arena`` and
+        ``actuators``
+    """
+
+    def __init__(self, physics: Physics, arena: Arena, of_parts: Collection[str]) -> None:
+        self._physics, model = physics, physics.model
+        self.joints = tuple(name for name in arena.joints
+                            if int(model.joint(name).type[0]) in _SCALAR)
+        joint_of = {name: driven_joint(model, model.actuator(name).id)
+                    for name in arena.actuators}
+        self.actuators = tuple(name for name in arena.actuators if joint_of[name] in self.joints)
+        self.of_parts = set(of_parts)
+        self.commands = {
+            ARENA: DirectControls(physics, ARENA, 'joint of the arena', self.joints,
+                                  {joint_of[name] or '': name for name in self.actuators})}
+        physics.on_change(self._look_at_model)
+
+    def _look_at_model(self) -> None:
+        model = self._physics.model
+        self._mocap = {str(model.body(body).name): int(model.body_mocapid[body])
+                       for body in np.flatnonzero(model.body_mocapid >= 0).tolist()}
+        self.mocap_names = tuple(self._mocap)
+        ids = [model.joint(name).id for name in self.joints]
+        self._qpos, self._dofs = model.jnt_qposadr[ids], model.jnt_dofadr[ids]
+        names = [str(model.actuator(actuator).name) for actuator in range(model.nu)]
+        of_others = {*self.of_parts, *self.actuators}
+        self.other_actuators = tuple(name for name in names if name not in of_others)
+        self._others = np.array(
+            [model.actuator(name).id for name in self.other_actuators], dtype=np.int64)
+        self.commands[ACTUATORS] = DirectControls(
+            self._physics, ACTUATORS, 'actuator that is of no part', self.other_actuators,
+            {name: name for name in self.other_actuators})
+
+    def state(self) -> FloatArray:
+        """
+        Return the state of :attr:`joints` at the present instant.
+
+        :returns: positions [rad or m], velocities and efforts of actuators, shape (3 n,), a copy
+        """
+        data = self._physics.data
+        return np.concatenate([data.qpos[self._qpos], data.qvel[self._dofs],
+                               data.qfrc_actuator[self._dofs]])
+
+    def state_of_actuators(self) -> FloatArray:
+        """
+        Return the state of :attr:`other_actuators` at the present instant.
+
+        :returns: lengths of their transmissions [rad or m], rates of these and forces, shape
+            (3 n,), a copy
+        """
+        data = self._physics.data
+        return np.concatenate([data.actuator_length[self._others],
+                               data.actuator_velocity[self._others],
+                               data.actuator_force[self._others]])
+
+    def hold(self, joint: str, position: float) -> None:
+        """Let the actuator of a joint hold a position, if it is a servo of the arena."""
+        arena = self.commands[ARENA]
+        if joint in arena and arena.control(joint)[0] == POSITION.name:
+            arena.command({joint: position})
+
+    def hold_actuators(self, known: Collection[str] = ()) -> bool:
+        """
+        Let position servos among :attr:`other_actuators` hold the lengths that they have.
+
+        :param known: names of those that go on as before
+        :returns: whether there are others
+        """
+        model, data = self._physics.model, self._physics.data
+        others = self.commands[ACTUATORS]
+        new = [name for name in self.other_actuators if name not in known]
+        for name in new:
+            kind, actuator = others.control(name)
+            gain, activation = model.actuator_gainprm[actuator, 0], model.actuator_actadr[actuator]
+            bias = model.actuator_biasprm[actuator]
+            if not gain or not bias[1] or kind == EFFORT.name:
+                continue
+            setpoint = -(bias[0] + bias[1] * data.actuator_length[actuator]) / gain
+            if activation >= 0:
+                data.act[activation] = setpoint
+            if kind == POSITION.name:
+                others.command(others.checked([name], [setpoint], [], []))
+        return bool(new)
+
+    def pose(self, name: str) -> FloatArray:
+        """
+        Return the pose of a mocap body.
+
+        :returns: position [m] and quaternion x, y, z, w in ``world``, shape (7,)
+        :raises UnknownNameError: if there is no such mocap body
+        """
+        mocap, data = self._find(name), self._physics.data
+        return np.concatenate([data.mocap_pos[mocap], wxyz_to_xyzw(data.mocap_quat[mocap])])
+
+    def set_target(self, name: str, position: ArrayLike, quat_xyzw: ArrayLike) -> None:
+        """
+        Move a mocap body; it is there from the next control period on.
+
+        :param position: in ``world`` [m], shape (3,)
+        :param quat_xyzw: of length 1, shape (4,)
+        :raises UnknownNameError: if there is no such mocap body
+        :raises CommandError: if the numbers are not those of a pose
+        """
+        mocap, pose = self._find(name), Pose.checked(position, quat_xyzw)
+        self._physics.data.mocap_pos[mocap] = pose.position
+        self._physics.data.mocap_quat[mocap] = xyzw_to_wxyz(pose.quat_xyzw)
+
+    def _find(self, name: str) -> int:
+        if name not in self._mocap:
+            raise UnknownNameError('mocap body', name, self._mocap)
+        return self._mocap[name]

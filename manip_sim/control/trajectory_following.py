@@ -1,0 +1,91 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How trajectories start and lead joints: as motions, or as the next points of a stream."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from manip_sim.arrays import FloatArray
+from manip_sim.control.commands import JointTrajectory, Status
+from manip_sim.control.ledger import Ledger
+from manip_sim.control.point_streams import PointStreams
+from manip_sim.control.setpoints import SetpointGenerator
+from manip_sim.errors import CommandError
+
+
+class TrajectoryFollowing:
+    """
+    Trajectories that wait for their start, and those that lead setpoints.
+
+    :param setpoints: of all driven joints
+    :param commands: that have not ended
+    :param count: number of driven joints
+    """
+
+    def __init__(self, setpoints: SetpointGenerator, commands: Ledger, count: int) -> None:
+        self._setpoints, self._commands, self._count = setpoints, commands, count
+        self.forget()
+
+    def forget(self) -> None:
+        """Let the next points be no part of a stream."""
+        self._points = PointStreams(self._count)
+
+    def start_due(self, modes: tuple[str, ...], now_s: float, duration_s: float, period_s: float
+                  ) -> None:
+        """
+        Start the trajectories that are due in the next interval.
+
+        :param modes: of all joints
+        :param now_s: simulation time since the last reset [s]
+        :param duration_s: length of the interval [s]
+        :param period_s: length of a control period [s]
+        """
+        for command in list(self._commands.waiting):
+            start_s = now_s if command.start_s is None else command.start_s
+            if start_s >= now_s + duration_s - 1e-9:
+                continue
+            self._commands.waiting.remove(command)
+            self._commands.take(command)
+            own = command.own_trajectory()
+            setpoint = own.as_setpoint(tuple(modes[i] for i in own.indices))
+            if self._continues_stream(own, start_s, now_s):
+                self._setpoints.go_to(setpoint.indices, setpoint.values, period_s,
+                                      own.messages, own.sent_s)
+                self._commands.running.append(setpoint)
+            elif own.trajectory.end_s <= now_s - start_s:
+                self._setpoints.come_back(setpoint.indices, setpoint.values)
+                self._commands.running.append(setpoint)
+            else:
+                self._begin(own, start_s, now_s)
+
+    def _continues_stream(self, own: JointTrajectory, start_s: float, now_s: float) -> bool:
+        """Tell whether a trajectory is the next point of a stream of them."""
+        if own.trajectory.points_after(now_s - start_s) > 2:
+            return False
+        longest_s = min(self._setpoints.stream_settings(i)[0] for i in own.indices.tolist())
+        return self._points.take(
+            own.indices, now_s, start_s + own.trajectory.end_s - now_s, longest_s)
+
+    def _begin(self, own: JointTrajectory, start_s: float, now_s: float) -> None:
+        try:
+            own.trajectory.begin_at(self._setpoints.position[own.indices],
+                                    self._setpoints.velocity[own.indices], now_s - start_s)
+        except CommandError as error:
+            own.handle.end(Status.ABORTED, str(error))
+        else:
+            self._commands.running.append(replace(own, start_s=start_s))
+
+    def follow(self, command: JointTrajectory, end_s: float) -> FloatArray | None:
+        """
+        Let setpoints be where a trajectory is at the end of an interval.
+
+        :param end_s: simulation time since the last reset then [s]
+        :returns: the last position of the joints, if they are there, shape (n,)
+        """
+        since_s = end_s - (command.start_s or 0.0)
+        position, velocity, acceleration = (
+            values[command.columns] for values in command.trajectory.at(since_s))
+        self._setpoints.follow(command.indices, position, velocity, acceleration)
+        return position if since_s >= command.trajectory.end_s - 1e-9 else None

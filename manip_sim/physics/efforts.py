@@ -1,0 +1,135 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The effort that actuators exerted in the last physics step.
+
+An implicit integrator solves ``(M + dt kv) a = tau``: the damping ``kv`` of a servo acts with the
+velocity at the end of a step, but MuJoCo's ``qfrc_actuator`` has the velocity at its beginning.
+The effort that moved the joint is ``qfrc_actuator - kv (v1 - v0)``.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.physics.physics import Physics
+
+#: Integrators that treat the damping of actuators implicitly.
+_IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
+             int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+
+#: Two masses of 1 kg whose servos are at the limit of the actuator's force, and of the joint's.
+_SATURATED = """
+<mujoco>
+  <option integrator="implicitfast" timestep="0.1" gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="a" type="slide"/><geom size="0.1" mass="1" contype="0"/></body>
+    <body><joint name="b" type="slide" actuatorfrcrange="-1 1"/>
+      <geom size="0.1" mass="1" contype="0"/></body>
+  </worldbody>
+  <actuator>
+    <velocity joint="a" kv="10" forcerange="-1 1"/><velocity joint="b" kv="10"/>
+  </actuator>
+</mujoco>"""
+
+
+@functools.cache
+def _explicit_at_limits() -> tuple[bool, bool]:
+    """
+    Return whether MuJoCo integrates servos explicitly at the force limits of actuator and joint.
+
+    That depends on its release.
+    """
+    model = mujoco.MjModel.from_xml_string(_SATURATED)
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_step(model, data)
+    at_actuator, at_joint = np.isclose(data.qvel, 0.1).tolist()
+    return at_actuator, at_joint
+
+
+class ActuatorEfforts:
+    """
+    The efforts of all actuators at the degrees of freedom, in the step before the present instant.
+
+    Velocity gains of actuators other than ``affine`` biases, as of muscles, are not considered.
+
+    :param physics: of the world, after ``mj_forward``; :attr:`values` have to be read before
+        another model replaces that of the last step
+    """
+
+    #: Of the step that has passed; nothing in the next one depends on it.
+    not_in_digest = ('_last', '_parts', '_values')
+
+    def __init__(self, physics: Physics) -> None:
+        self._physics = physics
+        self._explicit_at_limits = _explicit_at_limits()
+        self._values: FloatArray | None = np.zeros(0)
+        physics.on_change(self._find_views)
+
+    def _find_views(self) -> None:
+        model, data, before = self._physics.model, self._physics.data, self.values
+        # Views, which need not be fetched each time; a mode or a grasp changes the last three.
+        self._views = (data.qfrc_actuator, data.qvel, data.actuator_force, data.actuator_velocity,
+                       model.actuator_biasprm[:, 2], model.actuator_forcerange.reshape(-1),
+                       model.actuator_forcelimited)
+        #: Those of the last step: as at its beginning, but the velocity at its end.
+        self._last = np.concatenate(self._views)
+        nv, nu = model.nv, model.nu
+        of_actuators = self._last[2 * nv:]
+        #: Parts of the same: the last four are damping, the two force limits and if they are used.
+        self._parts = (self._last[:nv], self._last[nv:2 * nv], of_actuators[:nu],
+                       of_actuators[nu:2 * nu], of_actuators[2 * nu:3 * nu],
+                       of_actuators[3 * nu:5 * nu:2], of_actuators[3 * nu + 1:5 * nu:2],
+                       of_actuators[5 * nu:])
+        self.restart()
+        old, new = self._physics.kept_dofs
+        self.values[new] = before[old]
+
+    def restart(self, dofs: IntArray | None = None) -> None:
+        """
+        Return to an instant without a step before it; after ``mj_forward``.
+
+        :param dofs: of these degrees of freedom; None: of all
+        """
+        present = self._physics.data.qfrc_actuator
+        if dofs is None:
+            self._values = present.copy()
+        else:
+            self.values[dofs] = present[dofs]
+
+    def record(self) -> None:
+        """Remember the last step; between ``mj_step`` and the next ``mj_forward``."""
+        np.concatenate(self._views, out=self._last)
+        self._values = None
+
+    @property
+    def values(self) -> FloatArray:
+        """The efforts [N m or N], shape (nv,)."""
+        if self._values is None:
+            self._values = self._acted()
+        return self._values
+
+    def _acted(self) -> FloatArray:
+        model, data = self._physics.model, self._physics.data
+        acted, end, force, velocity, damping, lowest, highest, limited = self._parts
+        if int(model.opt.integrator) not in _IMPLICIT:
+            return np.array(acted)
+        at_actuator, at_joint = self._explicit_at_limits
+        explicit = at_actuator & (limited != 0) & ((force <= lowest) | (force >= highest))
+        affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+        moment, dofs = data.actuator_moment, data.moment_colind
+        actuators = np.repeat(np.arange(len(force)), data.moment_rownnz)
+        change = np.bincount(actuators, moment * end[dofs], len(force)) - velocity
+        missing = np.where(affine & ~explicit, damping * change, 0.0)
+        missing = np.bincount(dofs, moment * missing[actuators], model.nv)
+        if at_joint:
+            joints = np.flatnonzero(model.jnt_actfrclimited)
+            own, (low, high) = model.jnt_dofadr[joints], model.jnt_actfrcrange[joints].T
+            missing[own[(acted[own] <= low) | (acted[own] >= high)]] = 0.0
+        return np.asarray(acted + missing)

@@ -1,0 +1,255 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the world exerts on a tool: the mean over a control period, filtered and tared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import CommandError
+from manip_sim.physics.physics import Physics
+
+#: How many steps are kept before they are summed up.
+_ROWS = 64
+#: What is below that is rounding, as of internal forces that cancel, and is zero [N or N m].
+_ROUNDING = 1e-9
+_ZERO = np.zeros(6)
+_ZERO.flags.writeable = False
+_BETWEEN_BODIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+
+
+class ExternalWrench:
+    """
+    The wrench of the world on a tool, as an integrating force/torque sensor reads it.
+
+    In each step MuJoCo keeps the external forces on each body in ``cfrc_ext``, in world axes,
+    about the centre of mass of the tree. Their sum over the bodies of the tool is the negated
+    reading of the sensor minus gravity and inertia of the tool.
+
+    :param physics: of the world
+    :param site: of the frame of the sensor
+    :ivar site: the same; its id in a new model has to be set before the model is looked at
+    :ivar forces: on the bodies of the tool in the last step, a view
+    :ivar no_forces: the same where there are none, as bytes
+    """
+
+    #: Of the period that has passed; nothing in the next one depends on it.
+    not_in_digest = ('_rows', '_centres', 'no_forces', '_sum', '_mean', '_steps')
+
+    def __init__(self, physics: Physics, site: int) -> None:
+        self._physics = physics
+        self.site = site
+        #: Sum over the steps that are no longer in the rows.
+        self._sum = _ZERO
+        #: Forces on the bodies in each step, and the centre of mass of the tree, as bytes.
+        self._rows: list[bytes] = []
+        self._centres: list[bytes] = []
+        self._steps = 1
+        #: Force and torque about the origin in world axes; None until somebody needs them.
+        self._mean: FloatArray | None = _ZERO
+        self._tare = _ZERO
+        self._cutoff_hz = 0.0
+        self._filtered: FloatArray | None = None
+        physics.on_change(self._find_tool)
+
+    def _find_tool(self) -> None:
+        model, data = self._physics.model, self._physics.data
+        if self._mean is None:
+            self._compute_mean()
+        body = int(model.site_bodyid[self.site])
+        #: The tool: bodies are in depth-first order.
+        self.bodies = slice(body, body + _subtree_size(model, body))
+        self.forces = data.cfrc_ext[self.bodies]
+        self._centre = data.subtree_com[model.body_rootid[body]]
+        self.no_forces = bytes(self.forces.nbytes)
+
+    def begin_period(self) -> None:
+        """Begin a control period in which each step may be recorded."""
+        self._sum = _ZERO
+        if self._rows:
+            self._rows, self._centres = [], []
+
+    def record(self) -> None:
+        """Record the forces of the last step, if they are not zero."""
+        forces = self.forces.tobytes()
+        if forces != self.no_forces:
+            self._rows.append(forces)
+            self._centres.append(self._centre.tobytes())
+            if len(self._rows) == _ROWS:
+                self._sum_up()
+
+    def _sum_up(self) -> None:
+        count = len(self._rows)
+        rows = np.frombuffer(b''.join(self._rows)).reshape(count, -1, 6)
+        centres = np.frombuffer(b''.join(self._centres)).reshape(count, 3)
+        wrenches = np.add.reduce(rows, axis=1)
+        torque, force = np.add.reduce(wrenches).reshape(2, 3)
+        (_, xy, xz), (yx, _, yz), (zx, zy, _) = np.einsum(
+            'ni,nj->ij', centres, wrenches[:, 3:]).tolist()
+        self._sum = self._sum + [*force, *(torque + [yz - zy, zx - xz, xy - yx])]
+        self._rows, self._centres = [], []
+
+    def end_period(self, data: mujoco.MjData, steps: int, period_s: float) -> None:
+        """
+        Take the mean of what was recorded in a control period; steps without record are zero.
+
+        :param data: the ``mujoco.MjData``, after ``mj_forward``
+        :param steps: physics steps of the period
+        :param period_s: its length [s]
+        """
+        self._mean, self._steps = None, steps
+        if self._filtered is not None:
+            lag = self._in_frame(data) - self._filtered
+            weight = self.weight(period_s)
+            self._filtered = self._filtered + (
+                lag if np.abs(lag).max() < _ROUNDING else weight * lag)
+
+    def weight(self, period_s: float) -> float:
+        """
+        Return the weight of a new mean in the filter; 1 if there is none.
+
+        :param period_s: length of a control period [s]
+        """
+        if not self._cutoff_hz:
+            return 1.0
+        return -math.expm1(-2.0 * math.pi * self._cutoff_hz * period_s)
+
+    def _compute_mean(self) -> FloatArray:
+        if self._rows:
+            self._sum_up()
+        mean = self._sum / self._steps
+        self._mean = mean if np.abs(mean).max() > _ROUNDING else _ZERO
+        return self._mean
+
+    def restart(self, data: mujoco.MjData) -> None:
+        """Take the forces of the last ``mj_forward`` for the mean, and forget the past."""
+        self.begin_period()
+        self.record()
+        self._filtered = None
+        self.end_period(data, 1, 0.0)
+        self.set_cutoff(self._cutoff_hz, data)
+
+    def reset(self, data: mujoco.MjData) -> None:
+        """Forget the tare and the past."""
+        self._tare = _ZERO
+        self.restart(data)
+
+    @property
+    def settled(self) -> bool:
+        """Whether a period in which nothing touches the tool would change nothing."""
+        mean = self._compute_mean() if self._mean is None else self._mean
+        return not mean.any() and (self._filtered is None or not self._filtered.any())
+
+    def read(self, data: mujoco.MjData) -> FloatArray:
+        """
+        Return the mean over the last control period, filtered and tared, in ``ft_frame``.
+
+        :param data: the ``mujoco.MjData``
+        :returns: force [N] and torque about the origin of the frame [N m], shape (6,), a copy
+        """
+        return self._untared(data) - self._tare
+
+    def tare(self, data: mujoco.MjData) -> None:
+        """Let what is read now read zero."""
+        self._tare = self._untared(data)
+
+    def set_cutoff(self, cutoff_hz: float, data: mujoco.MjData) -> None:
+        """
+        Filter the means by a low-pass of first order from now on, which starts at the last mean.
+
+        :param cutoff_hz: where it halves the power, of simulated time [Hz]; 0 for no filter
+        :raises CommandError: if it is negative or not finite
+        """
+        if not (math.isfinite(cutoff_hz) and cutoff_hz >= 0.0):
+            raise CommandError('the cutoff of a wrench must be a finite frequency from 0, '
+                               f'got {cutoff_hz:g} Hz')
+        self._cutoff_hz = cutoff_hz
+        if cutoff_hz == 0.0:
+            self._filtered = None
+        elif self._filtered is None:
+            self._filtered = self._in_frame(data)
+
+    def _untared(self, data: mujoco.MjData) -> FloatArray:
+        return self._in_frame(data) if self._filtered is None else self._filtered
+
+    def _in_frame(self, data: mujoco.MjData) -> FloatArray:
+        mean = self._compute_mean() if self._mean is None else self._mean
+        if mean is _ZERO:
+            return np.zeros(6)
+        force, torque = mean[:3], mean[3:]
+        moment, wrench = np.empty(3), np.empty(6)
+        mujoco.mju_cross(moment, data.site_xpos[self.site], force)
+        to_world = data.site_xmat[self.site].reshape(3, 3)
+        # By MuJoCo, with the same bits on every processor.
+        mujoco.mju_mulMatTVec(wrench[:3], to_world, force)
+        mujoco.mju_mulMatTVec(wrench[3:], to_world, torque - moment)
+        return wrench
+
+
+class TouchWatch:
+    """
+    Returns whether the world exerts a force on one of the tools.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param data: its ``mujoco.MjData``
+    :param tools: the wrenches of all tools
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData,
+                 tools: Sequence[ExternalWrench]) -> None:
+        self._data = data
+        of_body = np.zeros(model.nbody, dtype=np.int64)
+        for number, tool in enumerate(tools, start=1):
+            of_body[tool.bodies] = number
+        #: Number of the tool that a geom belongs to, 0 for none; the last one stands for a flex.
+        self._tool = np.append(of_body[model.geom_bodyid], 0)
+        pushes = (data.xfrc_applied[tool.bodies] for tool in tools)
+        self._pushes = [(push, bytes(push.nbytes)) for push in pushes]
+        self._ties = _ties(model, of_body)
+        #: The geoms in contact that were last looked at, and the answer.
+        self._geoms, self._touching = b'', False
+
+    @property
+    def pushed(self) -> bool:
+        """Whether a tool is pushed by an applied force, or tied to something else."""
+        for push, none in self._pushes:
+            if push.tobytes() != none:
+                return True
+        return self._ties.size > 0 and bool(self._data.eq_active[self._ties].any())
+
+    @property
+    def touches(self) -> bool:
+        """Whether a tool touches something else, as of the last ``mj_forward``."""
+        if not self._data.ncon:
+            return False
+        geoms = self._data.contact.geom
+        key = geoms.tobytes()
+        if key != self._geoms:
+            tools = self._tool[geoms]
+            self._geoms, self._touching = key, bool((tools[:, 0] != tools[:, 1]).any())
+        return self._touching
+
+
+def _ties(model: mujoco.MjModel, tool_of_body: np.ndarray) -> np.ndarray:
+    """Return the equalities that connect a tool with something else."""
+    ties = []
+    for number in np.flatnonzero(np.isin(model.eq_type, _BETWEEN_BODIES)).tolist():
+        ends = [model.eq_obj1id[number], model.eq_obj2id[number]]
+        if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
+            ends = [model.site_bodyid[end] for end in ends]
+        if tool_of_body[ends[0]] != tool_of_body[ends[1]]:
+            ties.append(number)
+    return np.array(ties, dtype=np.int64)
+
+
+def _subtree_size(model: mujoco.MjModel, root: int) -> int:
+    last = root
+    while last + 1 < model.nbody and root <= int(model.body_parentid[last + 1]):
+        last += 1
+    return last + 1 - root

@@ -1,0 +1,77 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The model of a running world and its data, which all that simulates asks for here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import IntArray
+from manip_sim.physics.spawning import carry_over, in_common, LiveWorld, start_live, WorldPlan
+#: All that MuJoCo integrates, with what its solvers start from.
+PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
+class Physics:
+    """
+    What MuJoCo simulates; nothing else keeps a model, because another one may replace it.
+
+    Robots come first in every model, those from the start before others, so ids and addresses
+    change only if a robot before is deleted. They, what depends on the number of other elements,
+    such as arrays of shape (nv,), and views of arrays are made anew by what was registered with
+    :meth:`on_change`.
+
+    :param plan: the world at its start
+    :ivar plan: what :attr:`model` was compiled from
+    :ivar model: the ``mujoco.MjModel``
+    :ivar data: its ``mujoco.MjData``
+    :ivar qpos: view of its field, as the others are, so that it need not be fetched each time
+    :ivar qvel: of ``qvel``
+    :ivar act: of ``act``
+    :ivar ctrl: of ``ctrl``
+    :ivar bias: of ``qfrc_bias``
+    :ivar gravcomp: of ``qfrc_gravcomp``
+    :ivar kept_dofs: where the degrees of freedom that stayed in the last change were in ``qvel``
+        before it, and where they are now
+    """
+
+    def __init__(self, plan: WorldPlan) -> None:
+        self._adapt: list[Callable[[], None]] = []
+        self.kept_dofs: tuple[IntArray, IntArray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        self._take(start_live(plan))
+
+    def _take(self, live: LiveWorld) -> None:
+        self.plan: WorldPlan = live.plan
+        self.model: mujoco.MjModel = live.model
+        data = self.data = live.data
+        self.qpos, self.qvel, self.act, self.ctrl = data.qpos, data.qvel, data.act, data.ctrl
+        self.bias, self.gravcomp = data.qfrc_bias, data.qfrc_gravcomp
+        for adapt in self._adapt:
+            adapt()
+
+    def on_change(self, adapt: Callable[[], None]) -> None:
+        """Call a function now, and each time the model and its data were replaced."""
+        self._adapt.append(adapt)
+        adapt()
+
+    @contextmanager
+    def collected(self) -> Iterator[list[Callable[[], None]]]:
+        """Collect what :meth:`on_change` registers meanwhile; the caller has to call it."""
+        before, self._adapt = self._adapt, []
+        try:
+            yield self._adapt
+        finally:
+            self._adapt = before
+
+    def change(self, plan: WorldPlan) -> None:
+        """Replace the model by that of another plan, and carry the state and edits over."""
+        live = LiveWorld(self.plan, self.model, self.data)
+        both = in_common(live, plan)
+        carried = carry_over(live, plan, both)
+        self.kept_dofs = both.rows('nv', live.data.qvel, carried.data.qvel)
+        self._take(carried)

@@ -1,0 +1,242 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The physics steps of control periods, in which MuJoCo computes nothing twice.
+
+At the end of a period ``mj_forward`` computes all of the new instant. The next step goes on from
+there: it is only integrated if nothing has changed since, and if just controls have changed, what
+depends on positions and velocities alone is kept. What control does in between is not known here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.physics.clock import Clock
+from manip_sim.physics.divergence import DivergenceWatch
+from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
+from manip_sim.physics.physics import Physics, PHYSICS
+from manip_sim.physics.velocity_laws import VelocityLaws
+
+_EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
+#: Integrators with which a step after ``mj_forward`` may go on from there, with the same bits.
+_RESUMABLE = (_EULER, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+#: The state that mj_step1 depends on, the half of a step that mj_step2 leaves out.
+_FIRST_HALF = (int(mujoco.mjtState.mjSTATE_QPOS) | int(mujoco.mjtState.mjSTATE_QVEL)
+               | int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+               | int(mujoco.mjtState.mjSTATE_EQ_ACTIVE))
+
+
+class PhysicsSteps:
+    """
+    Runs the steps of control periods, and records the forces on tools.
+
+    :param physics: of the world
+    :param clock: that counts the steps
+    :param efforts: of the actuators, recorded at the end of each period
+    :param tools: whose external wrenches are recorded
+    :param laws: what changes the model with the velocities
+    :ivar divergence: keeps the state at the beginning of the period
+    :ivar computed_from: the whole state that the present forces were computed from
+    :ivar contacts_change: whether contacts came or went in the last period
+    :ivar was_untouched: whether nothing touched a tool in the steps at rest that were run last
+    """
+
+    def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
+                 tools: Sequence[ExternalWrench], laws: Sequence[VelocityLaws] = ()) -> None:
+        self._physics = physics
+        self._clock = clock
+        self._efforts = efforts
+        self.tools, self._laws = tuple(tools), tuple(laws)
+        physics.on_change(self._look_at_model)
+
+    def look_at_joints(self) -> None:
+        """Take over the dry friction of the joints, which was changed in the model."""
+        for laws in self._laws:
+            laws.look_at_joints()
+
+    def look_at_robots(self, tools: Sequence[ExternalWrench], laws: Sequence[VelocityLaws]
+                       ) -> None:
+        """Take over the tools and laws of the robots that there are now."""
+        self.tools, self._laws = tuple(tools), tuple(laws)
+        self._touch = TouchWatch(self._model, self._data, self.tools)
+
+    def _look_at_model(self) -> None:
+        model, data = self._physics.model, self._physics.data
+        self._model, self._data, self._options = model, data, model.opt
+        self.divergence = DivergenceWatch(model, data)
+        self._touch = TouchWatch(model, data, self.tools)
+        self.computed_from: FloatArray = np.empty(mujoco.mj_stateSize(model, PHYSICS))
+        mujoco.mj_getState(model, data, self.computed_from, PHYSICS)
+        self._first_half = _places(model, _FIRST_HALF)
+        self.contacts_change = self.was_untouched = False
+        self._pushed, self._contacts, self._begin = False, 0, 0
+        #: Whether all is computed for a state, and for the present one: the first half of the next
+        #: step, and all but its integration.
+        self._computed = self._resumes = self._integrates = False
+
+    # ------------------------------------------------------------------ what is computed
+
+    def state(self) -> FloatArray:
+        """Return the present state, all that MuJoCo integrates, as one array."""
+        state = np.empty(len(self.computed_from))
+        mujoco.mj_getState(self._model, self._data, state, PHYSICS)
+        return state
+
+    def compute(self) -> None:
+        """Compute all of the present instant."""
+        mujoco.mj_getState(self._model, self._data, self.computed_from, PHYSICS)
+        for laws in self._laws:
+            laws.write(self._model, self._data)
+        mujoco.mj_forward(self._model, self._data)
+        self._computed = True
+
+    def compute_anew(self) -> None:
+        """Let the next step compute all anew, as the model may be changed before it."""
+        self._computed = False
+
+    def compute_from(self, state: FloatArray) -> None:
+        """Compute all of the instant of a state, which becomes the present one."""
+        mujoco.mj_setState(self._model, self._data, state, PHYSICS)
+        self.compute()
+
+    def resumes(self) -> bool:
+        """Return whether the first half of a step has been computed."""
+        self._compare(self.state())
+        return self._resumes
+
+    def _compare(self, state: FloatArray) -> None:
+        """Find out what of a step has been computed for the present state."""
+        self._integrates = self._resumes = False
+        options = self._options
+        if self._computed and int(options.integrator) in _RESUMABLE and not options.enableflags:
+            self._integrates = state.tobytes() == self.computed_from.tobytes()
+            self._resumes = self._integrates or all([
+                state[part].tobytes() == self.computed_from[part].tobytes()
+                for part in self._first_half])
+
+    # ------------------------------------------------------------------ control periods
+
+    def begin(self) -> bool:
+        """Begin a control period, and return whether the first half of a step is computed."""
+        self._begin = self._clock.step_count
+        self._compare(self.divergence.remember())
+        for tool in self.tools:
+            tool.begin_period()
+        return self._resumes
+
+    def undo(self) -> None:
+        """Return to the beginning of the period."""
+        self.divergence.undo()
+        self._computed = self._resumes = self._integrates = self.was_untouched = False
+        self._clock.count(self._begin - self._clock.step_count)
+        for tool in self.tools:
+            tool.begin_period()
+
+    def end_period(self, steps: int, duration_s: float) -> None:
+        """End the measurement of forces on tools in a period of some steps [s]."""
+        for tool in self.tools:
+            tool.end_period(self._data, steps, duration_s)
+
+    def restart(self) -> None:
+        """Compute all of a state that was set, without what came before."""
+        self.compute()
+        self._efforts.restart()
+        for tool in self.tools:
+            tool.restart(self._data)
+
+    @property
+    def stays_untouched(self) -> bool:
+        """Whether nothing touches a tool, nor is likely to in the next period."""
+        if self.contacts_change or self._touch.pushed or self._laws:
+            return False
+        # Contacts do not come or go where nothing has changed since such a period.
+        stays = self.was_untouched and self._integrates and self._data.ncon == self._contacts
+        return stays or not self._touch.touches
+
+    def run_untouched(self, steps: int) -> bool:
+        """
+        Run a whole period at rest, if nothing can have touched a tool in it.
+
+        That is so if nothing did before and the number of contacts never changes. Otherwise the
+        present state is that of the beginning of the period.
+
+        :param steps: number of physics steps
+        :returns: whether the period was run
+        """
+        model, data = self._model, self._data
+        contacts = data.maxuse_con = self._contacts = data.ncon
+        if not self._integrates:
+            mujoco.mj_step2(model, data)
+        elif int(self._options.integrator) == _EULER:
+            mujoco.mj_Euler(model, data)
+        else:
+            mujoco.mj_implicit(model, data)
+        if steps > 1:
+            mujoco.mj_step(model, data, steps - 1)
+        self._clock.count(steps)
+        self.was_untouched = data.maxuse_con == contacts == data.ncon
+        if self.was_untouched:
+            self.finish()
+        else:
+            self.undo()
+        return self.was_untouched
+
+    def run(self, intervals: Iterable[int]) -> None:
+        """
+        Run intervals of a period, and record the forces on the tools in each step.
+
+        :param intervals: the steps of each; it is asked for when the one before has been run
+        """
+        model, data, contacts, count = self._model, self._data, self._contacts, 0
+        laws, pushed, step = self._laws, self._pushed, mujoco.mj_step
+        tools = [(tool.forces, tool.no_forces, tool.record) for tool in self.tools]
+        # What depends on positions and velocities alone may have been computed already.
+        next_step, self._resumes = (mujoco.mj_step2 if self._resumes else step), False
+        for steps in intervals:
+            count += steps
+            for _ in range(steps):
+                for law in laws:
+                    law.write(model, data)
+                next_step(model, data)
+                next_step, present = step, data.ncon
+                if present != contacts:
+                    self.contacts_change, contacts = True, present
+                if present or pushed:
+                    for forces, none, record in tools:
+                        if forces.tobytes() != none:
+                            record()
+        self._contacts = contacts
+        self._clock.count(count)
+
+    def begin_run(self) -> None:
+        """Prepare for :meth:`run`, which is called for the intervals of a period."""
+        self._pushed, self._contacts = self._touch.pushed, self._data.ncon
+        self.contacts_change = self.was_untouched = False
+
+    def finish(self) -> None:
+        """Compute all of the new instant, at the end of a period."""
+        self._efforts.record()
+        # After mj_step the sensors are one step older than the positions.
+        self.compute()
+
+
+def _places(model: mujoco.MjModel, wanted: int) -> list[slice]:
+    """Return the places of parts of the state in the array of all of it."""
+    found: list[slice] = []
+    begin = 0
+    for number in range(PHYSICS.bit_length()):
+        part = PHYSICS & (1 << number)
+        end = begin + (mujoco.mj_stateSize(model, part) if part else 0)
+        if part & wanted and end > begin:
+            if found and found[-1].stop == begin:
+                begin = found.pop().start
+            found.append(slice(begin, end))
+        begin = end
+    return found

@@ -1,0 +1,83 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Poses and twists of frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import FloatArray
+from manip_sim.clamping import finite_numbers
+from manip_sim.errors import CommandError
+
+#: Largest coordinate of a position that is accepted [m].
+MAX_DISTANCE_M = 1e4
+#: Largest component of a velocity that is accepted; faster ones tunnel in a step [m/s, rad/s].
+MAX_VELOCITY = 1e3
+#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
+_NORM_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True)
+class Pose:
+    """
+    The pose of a frame, in ``world`` unless another frame is named.
+
+    :ivar position: [m], shape (3,)
+    :ivar quat_xyzw: of unit length, shape (4,)
+    """
+
+    position: FloatArray
+    quat_xyzw: FloatArray
+
+    @classmethod
+    def checked(cls, position: ArrayLike, quat_xyzw: ArrayLike) -> Pose:
+        """
+        Return a pose of numbers from outside.
+
+        :raises CommandError: if a number is not finite, the position is too far away or the
+            quaternion is not of unit length
+        """
+        place = finite_numbers(position, 3, 'position')
+        quat = finite_numbers(quat_xyzw, 4, 'orientation')
+        if np.abs(place).max() > MAX_DISTANCE_M:
+            raise CommandError(f'position must be within {MAX_DISTANCE_M:g} m of the origin, got '
+                               f'{place.tolist()}')
+        norm = math.hypot(*quat)  # The norm of numpy warns of an overflow.
+        if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
+            raise CommandError('orientation must be a quaternion x, y, z, w of length 1, got '
+                               f'{quat.tolist()} of length {norm:g}')
+        return cls(place, quat / norm)
+
+
+@dataclass(frozen=True)
+class Twist:
+    """
+    The velocity of a frame, in the axes of ``world`` unless another frame is named.
+
+    :ivar linear: of the frame's origin [m/s], shape (3,)
+    :ivar angular: [rad/s], shape (3,)
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+
+    @classmethod
+    def checked(cls, linear: ArrayLike, angular: ArrayLike) -> Twist:
+        """
+        Return a twist of numbers from outside.
+
+        :raises CommandError: if a number is not finite or too great
+        """
+        speeds = {'linear velocity': finite_numbers(linear, 3, 'linear velocity'),
+                  'angular velocity': finite_numbers(angular, 3, 'angular velocity')}
+        for what, values in speeds.items():
+            if np.abs(values).max() > MAX_VELOCITY:
+                raise CommandError(f'{what} must be within {MAX_VELOCITY:g}, got '
+                                   f'{values.tolist()}')
+        return cls(*speeds.values())

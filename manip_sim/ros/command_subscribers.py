@@ -1,0 +1,248 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Subscribe to commands: validate and count them, log what is rejected, hand over the rest."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+import time
+from typing import Any, TYPE_CHECKING
+import weakref
+
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from manip_sim.control.commands import Command, JointTrajectory as TrajectoryCommand, NoCommand
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic
+from manip_sim.interface.world_topics import topics_of
+from manip_sim.quoting import counted
+from manip_sim.ros.command_inbox import CommandInbox
+from manip_sim.ros.log import kind_of
+from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.ros.outputs import message_class
+from manip_sim.ros.reading import read_command, trajectory_fields
+from manip_sim.simulation import SimulatedRobot
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
+#: How many commands of a topic may wait to be taken.
+COMMAND_DEPTH = 10
+Parse = Callable[[Any], Sequence[Command]]
+Parser = Callable[[str, Any], Sequence[Command]]
+#: Messages whose stamp is that of the state that they answer.
+_ANSWERS = (JointState, PoseStamped, TwistStamped)
+
+
+class CommandSubscription:
+    """
+    A reliable subscription, to which a best-effort one is added once such a publisher comes.
+
+    A reliable subscription loses nothing, which lock-step needs, but does not match a best-effort
+    publisher. Messages of reliable publishers, which then come twice, are taken once.
+
+    :param message_type: of the topic
+    :param take: is called with each message in its serialized form
+    :param inbox: takes the messages; None: the executor does
+    """
+
+    def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[bytes], None],
+                 inbox: CommandInbox | None = None) -> None:
+        self._take, self._node, self._inbox = take, node, inbox
+        self._taken: deque[tuple[int, int]] = deque(maxlen=4 * COMMAND_DEPTH)
+        self._best_effort: Any = None
+
+        def subscribe(qos: QoSProfile, **arguments: Any) -> Any:
+            subscription = node.create_subscription(
+                message_type, topic, self._take_once, qos, raw=True,
+                callback_group=None if inbox is None else inbox.group, **arguments)
+            if inbox is not None:
+                inbox.add(subscription)
+            return subscription
+
+        def match_best_effort(_: Any) -> None:
+            if self._best_effort is None:
+                self._best_effort = subscribe(QoSProfile(
+                    depth=COMMAND_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+                    event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
+
+        self._reliable = subscribe(
+            QoSProfile(depth=COMMAND_DEPTH),
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=match_best_effort, use_default_callbacks=False),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+    def close(self) -> None:
+        """Take no messages any more; to be called in the thread that spins the node."""
+        self._take = lambda data: None
+        for subscription in (self._reliable, self._best_effort):
+            if subscription is not None:
+                if self._inbox is not None:
+                    self._inbox.remove(subscription)
+                # rclpy would keep them for as long as the group lives.
+                for entity in (subscription, *subscription.event_handlers):
+                    subscription.callback_group.entities.discard(weakref.ref(entity))
+                self._node.destroy_subscription(subscription)
+
+    def _take_once(self, data: bytes, info: dict[str, Any]) -> None:
+        which = info['source_timestamp'], info['publication_sequence_number']
+        if which not in self._taken:
+            self._taken.append(which)
+            self._take(data)
+
+
+@dataclass
+class CommandStatistics:
+    """
+    Counts of the commands for a part.
+
+    :ivar accepted: messages and goals that were used
+    :ivar rejected: messages and goals that were rejected
+    :ivar clamped: numbers that were brought into their limits
+    :ivar slowed: trajectories that were slowed down to keep to the velocity limits
+    :ivar last_s: monotonic wall time when the last one was accepted [s]
+    """
+
+    accepted: int = 0
+    rejected: int = 0
+    clamped: int = 0
+    slowed: int = 0
+    last_s: float | None = None
+
+
+class CommandSubscribers:
+    """
+    Subscriptions to the command topics of all parts of a robot.
+
+    :param robot: whose parser validates; it is only read
+    :param scope: namespace of its topics
+    :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
+        ``joint_command`` for messages on the combined topic
+    """
+
+    def __init__(self, node: SimNode, robot: SimulatedRobot, scope: Scope) -> None:
+        self._node, self._thread, self._log = node, node.thread, node.rejections
+        self.robot = robot
+        self.scope = scope
+        self._parse = robot.parse
+        self._subscriptions: list[CommandSubscription] = []
+        self._entry_of = {name: part.atomic[0] if len(part.atomic) == 1 else name
+                          for name, part in robot.parts.items()}
+        self.statistics = {entry: CommandStatistics() for entry in self._entry_of.values()}
+        self.statistics['joint_command'] = CommandStatistics()
+        self.subscribe({
+            'action': self._action, 'joint_command': self._joint_command,
+            'trajectory': self._trajectory, 'base_twist': self._twist,
+            'stamped_base_twist': lambda part, message: self._twist(part, message.twist)})
+
+    def subscribe(self, parsers: Mapping[str, Parser]) -> None:
+        """
+        Subscribe to the topics of the robot whose commands some functions can parse.
+
+        :param parsers: convert a message for a part to commands, by their names in the table
+        """
+        twist = self.robot.joints.twist_indices is not None
+        for row in topics_of(self.robot.parts, twist):
+            if row.direction == SUBSCRIBED and row.by in parsers:
+                self._subscribe(row, partial(parsers[row.by], row.of))
+
+    def _subscribe(self, row: Topic, parse: Parse) -> None:
+        topic, message_type = self.scope.topic(row.name), message_class(row)
+        part, robot = row.of or row.name, self.robot.name
+        entry = self._entry_of.get(part, part)
+
+        def take(data: bytes) -> None:
+            try:
+                message = read_command(message_type, data)
+                commands = parse(message)
+                # The stamp of a trajectory is when it starts, not what it answers.
+                answers = (nanoseconds_of(message.header.stamp)
+                           if isinstance(message, _ANSWERS) else 0)
+                refusal = next(filter(None, map(self.robot.reflexes.refusal, commands)), None)
+                if refusal is not None:
+                    # In lock-step it is an answer nevertheless: the robot has to come to rest.
+                    commands = [NoCommand(robot=c.robot, parts=c.parts, indices=c.indices[:0])
+                                for c in commands]
+                self._thread.submit(commands, answers, robot)
+                if refusal is not None:
+                    raise CommandError(refusal)
+            except (CommandError, UnknownNameError) as error:
+                self.statistics[entry].rejected += 1
+                self._log.warn(topic, kind_of(error), f'rejected a message on {topic}: {error}')
+                return
+            commands = [c for c in commands if not isinstance(c, NoCommand)]
+            if commands:
+                self.count(topic, part, commands)
+
+        # Reading a trajectory may take long and would delay other commands and the physics.
+        inbox = None if message_type is JointTrajectory else self._node.inbox
+        self._subscriptions.append(
+            CommandSubscription(self._node, message_type, topic, take, inbox))
+
+    def close(self) -> None:
+        """Take no commands any more; to be called in the thread that spins the node."""
+        for subscription in self._subscriptions:
+            subscription.close()
+
+    def count_rejected(self, part: str) -> None:
+        self.statistics[self._entry_of[part]].rejected += 1
+
+    def count(self, topic: str, part: str, commands: Sequence[Command]) -> None:
+        """
+        Count commands that are used, and log which of them were clamped or slowed down.
+
+        :param topic: topic or action that they came on
+        :param part: that they are for, or ``joint_command``
+        """
+        entry = self._entry_of.get(part, part)
+        now_s, clamped = time.monotonic(), sum(command.clamped for command in commands)
+        entries = {entry: clamped}
+        for command in commands:
+            for part in command.parts:
+                entries[self._entry_of[part]] = command.clamped
+        for name, count in entries.items():
+            self.statistics[name].accepted += 1
+            self.statistics[name].clamped += count
+            self.statistics[name].last_s = now_s
+        if clamped:
+            example = next((c.clamped_example for c in commands if c.clamped_example), '')
+            self._log.warn(topic, 'clamped', f'clamped {counted(clamped, "number")} of a message '
+                           f'on {topic}{": " + example if example else " to its limits"}')
+        for command in commands:
+            if isinstance(command, TrajectoryCommand) and command.slowed > 1.0:
+                self.statistics[entry].slowed += 1
+                self._log.warn(topic, 'slowed', f'slowed a trajectory on {topic} down by the '
+                               f'factor {command.slowed:.3g}, to {command.trajectory.end_s:.3g} '
+                               's, to keep to the velocity limits')
+
+    def _action(self, part: str, message: Float64MultiArray) -> Sequence[Command]:
+        return [self._parse.action(part, message.data)]
+
+    def _joint_command(self, part: str, message: JointState) -> Sequence[Command]:
+        return self._parse.joint_command(message.name, message.position, message.velocity,
+                                         message.effort, part or None)
+
+    def _trajectory(self, part: str, message: JointTrajectory) -> Sequence[Command]:
+        times_s, positions, velocities, accelerations = trajectory_fields(part, message)
+        return [self._parse.trajectory(
+            part, message.joint_names, times_s, positions, velocities, accelerations,
+            start_ns=nanoseconds_of(message.header.stamp),
+            now_ns=self._thread.progress.time_ns)]
+
+    def _twist(self, _: str, message: Twist) -> Sequence[Command]:
+        linear, angular = message.linear, message.angular
+        if linear.z or angular.x or angular.y:
+            raise CommandError('base: moves along x and y and turns about z only, leave linear.z, '
+                               'angular.x and angular.y at zero')
+        return [self._parse.twist(linear.x, linear.y, angular.z)]

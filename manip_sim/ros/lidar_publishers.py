@@ -1,0 +1,127 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publish what lidars measure, and the exact values beside it, while somebody subscribes."""
+
+from __future__ import annotations
+
+from array import array
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from manip_sim.arrays import FloatArray
+from manip_sim.interface.parameters import periods_per_message
+from manip_sim.interface.world_topics import topics_of_lidars, truths
+from manip_sim.models.lidar_models import LidarModel
+from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.outputs import create_output, Output
+from manip_sim.sensing.lidars import Lidar
+from manip_sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from manip_sim.ros.sim_node import SimNode
+
+#: x, y, z, the number of the ring and two bytes to fill up [bytes].
+_POINT = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('ring', '<u2'), ('', '<u2')])
+_FIELDS = [PointField(name=name, offset=offset, datatype=kind, count=1)
+           for name, offset, kind in (
+               ('x', 0, PointField.FLOAT32), ('y', 4, PointField.FLOAT32),
+               ('z', 8, PointField.FLOAT32), ('ring', 12, PointField.UINT16))]
+
+
+def laser_scan(head: Header, lidar: Lidar, ranges: FloatArray, period_s: float) -> LaserScan:
+    """
+    Return the scan of a planar lidar; all rays are of one instant.
+
+    :param ranges: shape (samples,)
+    :param period_s: time between two scans [s]
+    """
+    rays = lidar.rays
+    return LaserScan(
+        header=head, angle_min=rays.angle_min, angle_increment=rays.angle_increment,
+        angle_max=rays.angle_min + (rays.samples - 1) * rays.angle_increment,
+        scan_time=period_s, range_min=rays.range_min, range_max=rays.range_max,
+        ranges=array('f', ranges.astype(np.float32).tobytes()))
+
+
+def point_cloud(head: Header, lidar: Lidar, ranges: FloatArray) -> PointCloud2:
+    """
+    Return the points of a lidar with several rings, NaN where there is none; a row is a ring.
+
+    :param ranges: shape (rings * samples,)
+    """
+    rings, samples, _ = lidar.directions.shape
+    found = np.where(np.isfinite(ranges), ranges, np.nan).reshape(rings, samples)
+    points = np.zeros((rings, samples), _POINT)
+    for axis, name in enumerate('xyz'):
+        points[name] = found * lidar.directions[..., axis]
+    points['ring'] = np.arange(rings)[:, np.newaxis]
+    message = PointCloud2(
+        header=head, height=rings, width=samples, fields=_FIELDS, point_step=_POINT.itemsize,
+        row_step=_POINT.itemsize * samples, is_bigendian=sys.byteorder == 'big', is_dense=False)
+    message.data = array('B', points.tobytes())
+    return message
+
+
+class LidarPublisher:
+    """
+    The topics of one lidar.
+
+    :ivar every: number of control periods for each scan
+    :ivar topic: name of the topic
+    """
+
+    def __init__(self, node: SimNode, found: LidarModel) -> None:
+        self._node, self._thread = node, node.thread
+        self._name = found.name
+        self._frame_id = node.frame_prefix + found.name
+        self.every = periods_per_message(1.0 / node.thread.period_s, found.rate_hz)
+        self._rows = topics_of_lidars({found.name: found.rays.rings > 1})
+        self.topic = self._rows[0].name
+        self._measured = create_output(node, self._rows[0])
+        self._exact: Output | None = None
+        node.thread.observe(self._publish, self.every, self._has_subscribers)
+
+    def publish_truth(self) -> None:
+        if self._exact is None:
+            (row,) = truths(self._rows)
+            self._node.table.append(row)
+            self._exact = create_output(self._node, row)
+
+    def _has_subscribers(self) -> bool:
+        return self._measured.has_subscribers or (
+            self._exact is not None and self._exact.has_subscribers)
+
+    def _publish(self, simulation: Simulation) -> None:
+        if not self._thread.is_due(self.every):
+            return
+        lidars = simulation.lidars
+        if self._measured.wanted:
+            self._send(self._measured, simulation, lidars.measured(self._name))
+        if self._exact is not None and self._exact.wanted:
+            self._send(self._exact, simulation, lidars.exact(self._name))
+
+    def _send(self, output: Output, simulation: Simulation, ranges: FloatArray) -> None:
+        head = Header(stamp=stamp_of(simulation.time_ns), frame_id=self._frame_id)
+        lidar = simulation.lidars[self._name]
+        output.publish(
+            laser_scan(head, lidar, ranges, self.every * self._thread.period_s)
+            if lidar.rays.rings == 1 else point_cloud(head, lidar, ranges))
+
+
+def offer_lidars(node: SimNode, lidars: list[LidarModel]) -> None:
+    """Create the topics of the lidars of a world."""
+    scopes = {id(robot.sensing): scope for scope, robot in node.robots.items()}
+    for found in lidars:
+        publisher = LidarPublisher(node, found)
+        if found.noise:
+            publisher.publish_truth()
+        node.publish_truth_by(scopes[id(node.simulation.lidars.sensing(found.name))],
+                              publisher.publish_truth)
+        rate = 1.0 / (node.thread.period_s * publisher.every)
+        node.notes.append(f'lidar {found.name}: {found.rays.rings} x {found.rays.samples} rays, '
+                          f'{rate:.4g} Hz, on {publisher.topic}')

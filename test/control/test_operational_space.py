@@ -1,0 +1,274 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Hands in effort mode against closed forms, and what actions of robosuite's OSC_POSE mean."""
+
+from hands import distance, hand_of, turned
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
+from manip_sim.control.cartesian.operational_space import WantedMotions
+from manip_sim.control.cartesian.robot_frames import rotation_of_vector, rotation_vector
+
+
+def wanted_motion(jacobian, error, twist, settings, velocity_limit):
+    """Return the motion of joints that are far from the ends of their ranges."""
+    endless = np.full(jacobian.shape[1], np.inf)
+    return WantedMotions(jacobian, error, [twist], [settings], velocity_limit, -endless, endless,
+                         np.zeros(len(endless)), [False])
+
+
+def base_axes(op):
+    """Return the axes of the arm's mount in the world."""
+    name = f'robot0_{op.arm}_center'
+    return op.simulation.data.site(name).xmat.reshape(3, 3).copy()
+
+
+def settle(op):
+    """Hold the hand where it is until all rests."""
+    op.go_to(op.pose)
+    op.run(1.0)
+
+
+@pytest.mark.parametrize(('stiffness', 'ratio'), [(150.0, 1.0), (400.0, 1.0), (150.0, 2.0)])
+def test_the_hand_moves_as_spring_and_damper_say(stiffness, ratio):
+    op = hand_of('Panda', mode='effort', timestep_s=0.001)
+    op.robot.joints.cartesian.set('right', 'stiffness', stiffness)
+    op.robot.joints.cartesian.set('right', 'damping_ratio', ratio)
+    settle(op)
+    start, rotation = op.pose
+    step = np.array([0.0, 0.02, -0.01])
+    op.go_to((start + step, rotation))
+    shares = []
+    for _ in range(40):
+        op.run(0.01)
+        shares.append((op.pose[0] - start) @ step / (step @ step))
+    time, rate = 0.01 * np.arange(1, 41), np.sqrt(stiffness)
+    if ratio == 1.0:
+        expected = 1.0 - (1.0 + rate * time) * np.exp(-rate * time)
+    else:
+        root = np.sqrt(ratio**2 - 1.0)
+        fast, slow = rate * (ratio + root), rate * (ratio - root)
+        expected = 1.0 - (fast * np.exp(-slow * time) - slow * np.exp(-fast * time)) / (
+            fast - slow)
+    np.testing.assert_allclose(shares, expected, atol=0.03)
+    assert distance(op.pose, (start, rotation))[1] < 2e-3
+
+
+@pytest.mark.parametrize('stiffness', [100.0, 300.0])
+def test_a_force_moves_the_hand_by_what_stiffness_and_inertia_say(stiffness):
+    op = hand_of('IIWA', mode='effort')
+    op.robot.joints.cartesian.set('right', 'stiffness', stiffness)
+    settle(op)
+    model, data, start = op.simulation.model, op.simulation.data, op.pose
+    force = np.array([0.0, 20.0, 0.0])
+    body = int(model.site_bodyid[op.site])
+
+    def push():
+        data.xfrc_applied[body, :3] = force
+        data.xfrc_applied[body, 3:] = np.cross(
+            data.site_xpos[op.site] - data.xipos[body], force)
+    op.run(3.0, push)
+    jacobian, inertia = np.zeros((6, model.nv)), np.zeros((model.nv, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], op.site)
+    for dof in range(model.nv):
+        mujoco.mj_mulM(model, data, inertia[dof], np.eye(model.nv)[dof])
+    dofs = op.part.dof_addresses
+    arm = jacobian[:, dofs]
+    mobility = arm @ np.linalg.solve(inertia[np.ix_(dofs, dofs)], arm.T)
+    expected = mobility[:, 1] * 20.0 / stiffness
+    moved = op.pose[0] - start[0]
+    np.testing.assert_allclose(moved, expected[:3], atol=0.03 * np.abs(expected[:3]).max())
+    assert 0.001 < moved[1] < 0.2
+
+
+def test_the_weight_is_carried_also_without_gravity_compensation():
+    op = hand_of('Panda', mode='effort', gravity_compensation=False)
+    goal = op.reachable(0.2)
+    op.run_until_done([op.go_to(goal)])
+    op.run(0.5)
+    assert max(distance(op.pose, goal)) < 1e-3
+
+
+def test_a_redundant_arm_is_drawn_to_its_posture_and_comes_to_rest():
+    op = hand_of('Kinova3', mode='effort')
+    start = op.robot.state().position[:7]
+    op.go_to(op.pose)
+    # A push at the elbow, which lets the hand where it is.
+    elbow = op.simulation.model.joint(op.part.joints[3]).bodyid[0]
+    op.simulation.data.xfrc_applied[elbow, 1] = 30.0
+    op.run(1.0)
+    pushed = op.robot.state().position[:7]
+    assert np.abs(pushed - start).max() > 0.05
+    op.simulation.data.xfrc_applied[:] = 0.0
+    op.run(3.0)
+    np.testing.assert_allclose(op.robot.state().position[:7], start, atol=0.01)
+    assert np.abs(op.simulation.data.qvel[op.part.dof_addresses]).max() < 0.01
+
+
+@pytest.mark.parametrize('stepping', [(0.002, 0.01), (0.01, 0.05)])
+def test_the_stiffest_setting_is_stable(stepping):
+    timestep_s, period_s = stepping
+    op = hand_of('UR5e', mode='effort', timestep_s=timestep_s, period_s=period_s)
+    op.robot.joints.cartesian.set('right', 'stiffness', 1000.0)
+    goal = op.reachable(0.2)
+    op.run_until_done([op.go_to(goal)])
+    op.run(0.5)
+    assert max(distance(op.pose, goal)) < 1e-3
+    assert op.simulation.diverged is None
+
+
+@pytest.mark.parametrize('name', ['Panda', 'Baxter', 'GR1'])
+@pytest.mark.parametrize('mode', ['position', 'effort'])
+def test_an_action_of_one_moves_the_goal_by_five_centimetres_in_one_period(name, mode):
+    op = hand_of(name, mode=mode, period_s=0.05)
+    start, axes = op.pose, base_axes(op)
+    op.act(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    op.run(0.05)
+    way, turn = distance(op.goal, (start[0] + axes @ [0.05, 0.0, 0.0], start[1]))
+    # GR1's waist gives way a little, and the goal goes with it.
+    assert way < 1e-3 and turn < 1e-3
+    op.run(1.5)
+    assert distance(op.pose, op.goal)[0] < 1e-3
+
+
+def test_an_action_turns_about_the_axes_of_the_base():
+    op = hand_of('Baxter', 'left', period_s=0.05)
+    start, axes = op.pose, base_axes(op)
+    op.act(0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    op.run(1.5)
+    expected = axes @ turned([0.0, 1.0, 0.0], 0.5) @ axes.T @ start[1]
+    way, turn = distance(op.pose, (start[0], expected))
+    assert way < 1e-3 and turn < 1e-3
+
+
+def test_the_next_action_begins_where_the_hand_is_and_not_at_the_last_goal():
+    op = hand_of('Panda', mode='effort', period_s=0.05)
+    start = op.pose[0]
+    op.act(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    op.run(0.05)
+    here = op.pose[0]
+    assert 0.0 < here[1] - start[1] < 0.03
+    op.act(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    np.testing.assert_allclose(op.goal[0], here + [0.0, 0.05, 0.0], atol=1e-12)
+    # Zero is a stop.
+    op.act(*[0.0] * 6)
+    np.testing.assert_allclose(op.goal[0], here, atol=1e-12)
+
+
+def test_a_goal_of_an_action_goes_with_the_base():
+    op = hand_of('PandaOmron', period_s=0.05)
+    op.robot.set_control_mode('base', 'velocity')
+    op.act(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    op.run(1.0)
+    before = op.goal[0]
+    op.run(1.0, lambda: op.robot.apply(op.robot.parse.twist(0.2, 0.0, 0.0), period_s=0.05))
+    np.testing.assert_allclose(op.goal[0] - before, [0.2, 0.0, 0.0], atol=0.02)
+    assert distance(op.pose, op.goal)[0] < 5e-3
+
+
+@pytest.mark.parametrize('axis', range(3))
+@pytest.mark.parametrize('way', [-0.05, 0.05])
+def test_a_motion_far_from_the_ends_of_all_ranges_is_limited_by_none(axis, way):
+    op = hand_of('Panda', mode='effort')
+    position, rotation = op.pose
+    goal = position.copy()
+    goal[axis] += way
+    op.run_until_done([op.go_to((goal, rotation))])
+    assert op.report.counts == {'unreachable': 0, 'joint_limit': 0, 'singular': 0, 'slowed': 0,
+                                'aside': 0}
+
+
+@pytest.mark.parametrize('end', [0, 1])
+@pytest.mark.parametrize('outwards', [True, False])
+def test_a_joint_at_an_end_of_its_range_limits_motions_beyond_it_alone(end, outwards):
+    op = hand_of('UR5e', mode='effort')
+    model, data = op.simulation.model, op.simulation.data
+    joint = op.part.joints[0]
+    sign = (-1.0, 1.0)[end]
+    data.joint(joint).qpos[0] = model.joint(joint).range[end] - 5e-4 * sign
+    mujoco.mj_forward(model, data)
+    position, rotation = op.pose
+    # A turn about the axis of the first joint moves that joint alone.
+    turn = turned([0.0, 0.0, 1.0], sign * (0.02 if outwards else -0.02))
+    base = data.joint(joint).xanchor
+    op.go_to((base + turn @ (position - base), turn @ rotation))
+    op.run(op.period_s)
+    assert (op.report.counts['joint_limit'] > 0) == outwards
+
+
+@pytest.mark.parametrize(('error', 'expected'), [
+    ([0.01, 0.0, 0.02, 0.0, -0.03, 0.0], None),
+    ([3.0, 0.0, 4.0, 0.0, 0.0, 0.01], [0.3, 0.0, 0.4, 0.0, 0.0, None]),
+    ([0.0, 0.01, 0.0, 6.0, 0.0, -8.0], [0.0, None, 0.0, 0.36, 0.0, -0.48])])
+def test_way_and_turn_to_a_goal_are_each_limited_to_the_velocity_of_the_settings(error, expected):
+    settings = CartesianSettings(linear_velocity=0.5, angular_velocity=0.6)
+    error = np.array(error)
+    balance = settings.stiffness / settings.damping * error
+    expected = balance if expected is None else np.array(
+        [b if e is None else e for b, e in zip(balance, expected)])
+    motion = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
+    np.testing.assert_allclose(motion.joints, expected, atol=1e-12)
+    assert not motion.slowed(0) and not motion.found.row().singular
+
+
+@pytest.mark.parametrize(('smallest', 'share', 'singular'), [
+    (0.02, 1.0, True), (0.028, 0.55, True), (0.028, -0.55, True), (0.028, 0.45, False),
+    (0.032, 0.55, False), (0.02, 0.0, False), (0.9, 1.0, False), (0.9, 0.0, False)])
+def test_it_is_singular_if_most_of_the_motion_is_what_the_arm_cannot_do(smallest, share, singular):
+    jacobian = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest])
+    twist = 0.8 * np.array([np.sqrt(1.0 - share**2), 0.0, 0.0, 0.0, 0.0, share])
+    motion = wanted_motion(jacobian, np.zeros(6), twist, CartesianSettings(), np.full(6, 100.0))
+    assert motion.found.row().singular == singular
+
+
+def test_a_hand_that_shall_not_move_is_not_kept_from_it_by_a_singularity():
+    motion = wanted_motion(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), np.zeros(6), np.zeros(6),
+                           CartesianSettings(), np.full(6, 10.0))
+    assert not motion.found.row().singular
+
+
+def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():
+    settings, error = CartesianSettings(), np.array([0.1, 0.05, 0.0, 0.0, 0.0, 0.0])
+    free = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
+    limits = np.full(6, 10.0)
+    limits[0] = free.joints[0] / 4.0
+    slow = wanted_motion(np.eye(6), error, np.zeros(6), settings, limits)
+    np.testing.assert_allclose(slow.joints, free.joints / 4.0, atol=1e-12)
+    assert slow.slowed(0) and not free.slowed(0)
+
+
+def test_motions_of_several_arms_are_those_of_each_to_the_bit():
+    draw, count, size = np.random.default_rng(5), 40, 7
+    jacobians = draw.normal(size=(count, 6, size))
+    jacobians[:, 0] *= draw.uniform(0.001, 1.0, (count, 1))
+    errors, velocity, away = (draw.normal(size=(count, n)) * draw.uniform(0.0, 1.0, (count, 1))
+                              for n in (6, size, size))
+    limits, low, high = draw.uniform([[0.2], [-1.0], [0.05]], [[2.0], [-0.05], [1.0]],
+                                     (count, 3, size)).transpose(1, 0, 2)
+    twists = [draw.normal(size=6) if row % 3 else None for row in range(count)]
+    rested, settings = [row % 2 == 0 for row in range(count)], [CartesianSettings()] * count
+    together = WantedMotions(jacobians, errors, twists, settings, limits, low, high, away, rested)
+    accelerations, bounded = together.accelerations(velocity), 0
+    for row in range(count):
+        alone = WantedMotions(jacobians[row], errors[row], [twists[row]], [settings[row]],
+                              limits[row], low[row], high[row], away[row], [rested[row]])
+        assert accelerations[row].tobytes() == alone.accelerations(velocity[row]).tobytes()
+        assert together.joints[row].tobytes() == alone.joints.tobytes()
+        assert together.slowed(row) == alone.slowed(0)
+        one, other = together.found.row(row), alone.found.row()
+        assert (one.singular, one.rests) == (other.singular, other.rests)
+        assert (one.held == other.held).all() and (one.step == other.step).all()
+        assert together.found.rests[row] == one.rests
+        bounded += bool(one.held.any())
+    assert 5 < bounded < count - 5
+
+
+@pytest.mark.parametrize('axis', [[1.0, 0.0, 0.0], [0.0, -0.6, 0.8], [-2 / 3, 2 / 3, 1 / 3]])
+@pytest.mark.parametrize('angle', [0.0, 1e-9, 0.5, 2.0, 3.14])
+def test_a_rotation_vector_has_the_axis_and_the_angle_of_the_rotation(axis, angle):
+    vector = angle * np.array(axis)
+    np.testing.assert_allclose(rotation_of_vector(vector), turned(axis, angle), atol=1e-12)
+    np.testing.assert_allclose(rotation_vector(turned(axis, angle)), vector, atol=1e-12)

@@ -1,0 +1,258 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is taken for the velocity of a stream of goals, message by message."""
+
+import math
+import random
+import numpy as np
+import pytest
+
+from manip_sim.control.message_clock import MessageClock
+from manip_sim.control.setpoints import SetpointGenerator
+from manip_sim.control.streams import StreamEstimator
+
+PERIOD_S, LIMIT = 0.01, np.array([10.0])
+JOINT = np.array([0])
+
+
+class Estimator(StreamEstimator):
+    """An estimator of one coordinate."""
+
+    def __init__(self):
+        super().__init__(1)
+        ((self.clock, _),) = self.clocks.of(JOINT, 0.0)
+
+    def take_one(self, goal, now_s, messages=1, stamp_s=0.0):
+        self.take(self.clock, np.array([goal]), now_s, PERIOD_S, LIMIT, messages, stamp_s)
+
+
+def taken(*goals, interval_s=PERIOD_S):
+    """Return an estimator that has seen goals at even intervals."""
+    estimator = Estimator()
+    for number, goal in enumerate(goals):
+        estimator.take_one(goal, number * interval_s)
+    return estimator
+
+
+def test_a_first_goal_tells_no_velocity_wherever_it_is():
+    assert taken(5.0).velocity == 0.0
+
+
+def test_the_second_goal_of_a_stream_may_be_as_far_as_the_joint_can_accelerate():
+    # In an interval of 0.01 s, 2 * 10 * 0.01 rad/s is as much as it may change.
+    assert taken(0.0, 0.0019).velocity == pytest.approx(0.19)
+    assert taken(0.0, 0.0021).velocity == 0.0
+
+
+def test_a_stream_of_constant_velocity_has_that_velocity():
+    goals = [0.0015 * n for n in range(12)]
+    assert taken(*goals).velocity == pytest.approx(0.15)
+    assert taken(*goals).clock.jitter_s == pytest.approx(0.0, abs=1e-15)
+    assert taken(*goals).interval_s == pytest.approx(PERIOD_S)
+
+
+def test_a_message_that_was_lost_does_not_change_the_velocity():
+    estimator = Estimator()
+    for number in (*range(12), *range(14, 20)):
+        estimator.take_one(0.0015 * number, number * PERIOD_S)
+        assert estimator.velocity == pytest.approx(0.15 if number else 0.0)
+    assert estimator.clock.interval_s == pytest.approx(PERIOD_S)
+
+
+def test_a_message_that_was_late_does_not_change_the_velocity():
+    estimator = Estimator()
+    for number in range(40):
+        if number == 25:
+            # It comes with the next one.
+            continue
+        estimator.take_one(0.0015 * number, number * PERIOD_S + (0.003 if number == 26 else 0.0),
+                           messages=2 if number == 26 else 1)
+        assert estimator.velocity == pytest.approx(0.15 if number else 0.0, rel=0.05)
+
+
+@pytest.mark.parametrize('speed', [0.05, 1.0, 30.0])
+def test_stamps_by_a_clock_of_any_speed_tell_the_velocity_in_simulation_time(speed):
+    random, estimator = np.random.default_rng(4), Estimator()
+    velocities = []
+    for number in range(600):
+        sent_s = number * PERIOD_S
+        arrived_s = sent_s + random.uniform(0.0, 0.9 * PERIOD_S)
+        estimator.take_one(0.15 * sent_s, arrived_s, stamp_s=1e5 + speed * sent_s)
+        velocities.append(float(estimator.velocity[0]))
+    assert velocities[500:] == pytest.approx([0.15] * 100, rel=0.03)
+
+
+def test_stamps_tell_the_velocity_of_a_sender_that_is_not_even():
+    estimator, sent_s = Estimator(), 0.0
+    random = np.random.default_rng(5)
+    for number in range(100):
+        sent_s += random.uniform(0.5, 1.5) * PERIOD_S
+        estimator.take_one(0.15 * sent_s, sent_s + 1e-3, stamp_s=1e5 + sent_s)
+        if number > 1:
+            assert estimator.velocity == pytest.approx(0.15, rel=1e-6)
+
+
+def followed(sent_s, arrived_s, step_s=0.002, amplitude=0.2, omega=np.pi, steps=1):
+    """
+    Return ratio, ripple and hardest acceleration of setpoints that follow a sine, to its.
+
+    Messages are taken each so many steps.
+    """
+    generator, taken, rows = SetpointGenerator(
+        np.array([[-3.0, 3.0]]), np.array([2.2]), np.array([15.0])), 0, []
+    for step in range(round(arrived_s[-1] / step_s)):
+        generator.now_s = step * step_s
+        while step % steps == 0 and arrived_s[taken] <= generator.now_s + 1e-9:
+            goal = amplitude * min(sent_s[taken], 1.0) * np.sin(omega * sent_s[taken])
+            generator.go_to(JOINT, np.array([goal]), step_s * steps)
+            taken += 1
+        generator.advance(step_s)
+        rows.append((generator.now_s, generator.position[0], generator.velocity[0],
+                     generator.acceleration[0]))
+    time_s, position, velocity, acceleration = np.array(rows[round(3.0 / step_s):]).T
+    waves = np.stack([np.sin(omega * time_s), np.cos(omega * time_s), np.ones(len(time_s))], 1)
+    fit = np.linalg.lstsq(waves, np.stack([position, velocity], 1), rcond=None)[0]
+    ripple = np.sqrt(np.mean((velocity - waves @ fit[:, 1])**2)) / (amplitude * omega)
+    return (np.hypot(*fit[:2, 0]) / amplitude, ripple,
+            np.abs(acceleration).max() / (amplitude * omega**2))
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize(('rate', 'ripple_bound'), [(10, 0.06), (50, 0.02), (100, 0.02)])
+def test_goals_of_the_moment_of_a_timer_that_jitters_are_followed(rate, ripple_bound, seed):
+    random, number = np.random.default_rng(seed), np.arange(9 * rate)
+    sent_s = np.sort(np.abs(number + random.normal(0.0, 0.2, len(number)))) / rate
+    sent_s = np.ceil(sent_s / 0.002 - 1e-6) * 0.002
+    ratio, ripple, hardest = followed(sent_s, sent_s)
+    assert ratio == pytest.approx(1.0, abs=0.03)
+    assert ripple < ripple_bound
+    assert hardest < 2.5
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize(('rate', 'timer', 'way_s', 'hardest_bound'), [
+    (50, 0.1, 0.002, 2.0), (100, 0.1, 0.001, 2.0), (100, 0.2, 0.002, 4.0)])
+def test_goals_that_jitter_in_time_and_on_their_way_are_averaged(
+        rate, timer, way_s, hardest_bound, seed):
+    random, number = np.random.default_rng(seed), np.arange(9 * rate)
+    sent_s = np.sort(np.abs(number + random.normal(0.0, timer, len(number)))) / rate
+    arrived_s = np.maximum.accumulate(sent_s + np.abs(random.normal(0.0, way_s, len(sent_s))))
+    ratio, ripple, hardest = followed(sent_s, arrived_s)
+    assert ratio == pytest.approx(1.0, abs=0.03)
+    assert ripple < 0.05
+    assert hardest < hardest_bound
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize(('rate', 'timer', 'way_s'), [
+    (100, 0.1, 0.002), (100, 0.2, 0.0), (250, 0.2, 0.001)])
+def test_goals_that_jitter_are_averaged_though_control_periods_hide_when_they_came(
+        rate, timer, way_s, seed):
+    random, number = np.random.default_rng(seed), np.arange(6 * rate)
+    sent_s = np.sort(number + 0.37 + random.normal(0.0, timer, len(number))) / rate
+    arrived_s = sent_s + np.abs(random.normal(0.0, way_s, len(sent_s)))
+    # One that comes with the next is the first that shows it.
+    arrived_s[rate] += 0.9 / rate
+    arrived_s = np.maximum.accumulate(arrived_s)
+    ratio, ripple, hardest = followed(np.abs(sent_s), arrived_s, steps=round(500 / rate))
+    assert ratio == pytest.approx(1.0, abs=0.04)
+    assert ripple < 0.05
+    assert hardest < 3.5
+
+
+def test_a_stream_is_on_schedule_again_once_its_goals_are_smooth():
+    random, estimator = np.random.default_rng(0), Estimator()
+    on_time = []
+    for number in range(900):
+        jitters = 200 <= number < 400
+        if number != 250:
+            # That one comes with the next.
+            sent_s = (number + jitters * random.normal(0.0, 0.1)) * PERIOD_S
+            estimator.take_one(0.2 * math.sin(math.pi * sent_s), number * PERIOD_S,
+                               messages=2 if number == 251 else 1)
+            on_time.append(estimator.clock.on_time)
+    assert all(on_time[20:249])
+    assert not any(on_time[250:399])
+    assert all(on_time[-100:])
+
+
+@pytest.mark.parametrize('rate', [10, 50, 100])
+def test_goals_of_an_even_timer_that_jitter_on_their_way_are_followed(rate):
+    random, sent_s = np.random.default_rng(0), np.arange(9 * rate) / rate
+    late_s = np.abs(random.normal(0.0, 0.2 if rate > 10 else 0.1, len(sent_s))) / rate
+    ratio, ripple, hardest = followed(sent_s, np.maximum.accumulate(sent_s + late_s))
+    assert ratio == pytest.approx(1.0, abs=0.02)
+    assert ripple < 0.02
+    assert hardest < 1.5
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_few_messages_of_a_timer_that_jitters_are_taken_for_lost(seed):
+    random, estimator, count = np.random.default_rng(seed), Estimator(), 800
+    sent_s = np.sort(np.arange(1, count + 1) + random.normal(0.0, 0.2, count)) * PERIOD_S
+    for time_s in np.ceil(sent_s / 0.002) * 0.002:
+        estimator.take_one(0.2 * np.sin(np.pi * time_s), time_s)
+    assert 0 <= estimator.lost[0] <= 0.005 * count
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_messages_that_were_lost_are_counted(seed):
+    random, estimator = np.random.default_rng(seed), Estimator()
+    kept = random.random(800) > 0.03
+    kept[:20] = kept[-1] = True
+    for number in np.flatnonzero(kept):
+        estimator.take_one(0.2 * np.sin(np.pi * number * PERIOD_S), number * PERIOD_S)
+    assert estimator.lost[0] == np.count_nonzero(~kept)
+
+
+@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('mode', ['go_to', 'go_at'])
+def test_joints_follow_alike_whichever_of_them_share_a_message(mode, seed):
+    # Some joints start later, pause, and come twice; the oracle has each of them alone.
+    random, count = np.random.default_rng(seed), 5
+    limits = np.array([[-3.0, 3.0]]), np.array([2.2]), np.array([15.0])
+    together = SetpointGenerator(*(np.repeat(limit, count, axis=0) for limit in limits))
+    alone = [SetpointGenerator(*limits) for _ in range(count)]
+    together.set_stream(np.array([1, 3]), longest_s=0.5, hold_s=0.03)
+    for joint in (1, 3):
+        alone[joint].set_stream(JOINT, longest_s=0.5, hold_s=0.03)
+    begin, pause = random.integers(0, 30, (2, count))
+    for period in range(90):
+        awake = (period >= begin) & ((period < 30 + pause) | (period >= 45 + pause // 4))
+        goals = 0.1 * np.sin(0.1 * period * (1 + np.arange(count)))
+        joints = random.permutation(np.flatnonzero(awake))
+        for message in np.split(joints, np.sort(random.integers(0, count, 2))):
+            getattr(together, mode)(message, goals[message], PERIOD_S)
+        if random.random() < 0.2 and joints.size:
+            getattr(together, mode)(joints[:1], goals[joints[:1]], PERIOD_S)
+            getattr(alone[joints[0]], mode)(JOINT, goals[joints[:1]], PERIOD_S)
+        for joint, generator in enumerate(alone):
+            if awake[joint]:
+                getattr(generator, mode)(JOINT, goals[[joint]], PERIOD_S)
+        for generator in (together, *alone):
+            for _ in range(2):
+                generator.advance(PERIOD_S / 2)
+        np.testing.assert_allclose(
+            together.position, np.concatenate([one.position for one in alone]), atol=1e-12)
+
+
+@pytest.mark.parametrize('by_goal', [(math.nan, 1.0), (math.inf, math.inf), (1.0, math.inf)])
+def test_goals_that_overflow_leave_the_number_of_messages_to_their_times(by_goal):
+    counted = MessageClock._count(5.0, 0.1, 1, 0.01, lambda *_: by_goal)
+    assert counted == MessageClock._count(5.0, 0.1, 1, 0.01, None) == 5
+
+
+@pytest.mark.parametrize('seed', range(40))
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_any_finite_goals_times_and_stamps_are_taken(seed):
+    rng, estimator, now_s, stamp_s = random.Random(seed), StreamEstimator(2), 0.0, 0.0
+    ((clock, _),) = estimator.clocks.of(np.array([0, 1]), 0.0)
+    numbers = (0.0, 1.0, -1.0, 5e-324, 1e150, -1e200, 1e308, -1e308, 0.1)
+    for _ in range(60):
+        now_s += PERIOD_S * rng.choice((1, 1, 1, 2, 3, 5, 9, 30))
+        # What a message can hold: a nanosecond to 68 years.
+        stamp_s = rng.choice((0.0, now_s, stamp_s + 0.01, stamp_s + 1e-9, 1e-9, 2147483647.0))
+        estimator.take(clock, np.array([rng.choice(numbers), rng.choice(numbers)]), now_s,
+                       PERIOD_S, np.array([10.0, 10.0]), rng.choice((1, 1, 1, 2, 50)), stamp_s)
+    assert (np.abs(estimator.lost) < 2**40).all()

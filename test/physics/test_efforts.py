@@ -1,0 +1,174 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Published efforts are those that moved the joints: a user identifies the inertia from them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from sampling import Driven, whole_robot
+
+from manip_sim.models.objects import create_object
+from manip_sim.models.robots import robot_names
+from manip_sim.models.world import World
+from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.simulation import Simulation
+
+#: How long joints swing in each mode [s], and how often they are commanded [Hz].
+SWING_S, COMMAND_HZ = 0.4, 100
+#: Share of the acceleration limit that they swing with.
+SHARE = 0.3
+
+
+class Identification:
+    """
+    Least squares of the inertia of each joint, from what is published at each step.
+
+    Bias forces and what the other joints take are those of the model at the beginning of a step,
+    damping that of its end, as in the integrator.
+    """
+
+    def __init__(self, joints):
+        self.joints, self.robot = joints, joints.simulation.robot
+        self._before = mujoco.MjData(joints.simulation.model)
+        self._order = [self.robot.joint_names.index(name) for name in joints.names]
+        self._sums = np.zeros((2, len(joints.names)))
+
+    def begin_step(self):
+        data = self.joints.simulation.data
+        self._before.qpos[:], self._before.qvel[:] = data.qpos, data.qvel
+
+    def end_step(self):
+        simulation, before, dofs = self.joints.simulation, self._before, self.joints.dofs
+        model = simulation.model
+        _, velocity, effort = self.robot.measured().reshape(3, -1)[:, self._order]
+        change = velocity - before.qvel[dofs]
+        before.qacc[:] = (simulation.data.qvel - before.qvel) / simulation.timestep_s
+        mujoco.mj_inverse(model, before)
+        needed = before.qfrc_inverse[dofs] + self.joints.damping * change
+        inertia = np.zeros((model.nv, model.nv))
+        for row, unit in zip(inertia, np.eye(model.nv)):
+            mujoco.mj_mulM(model, before, row, unit)
+        own = np.diag(inertia)[dofs] * before.qacc[dofs]
+        self._sums += (effort - needed + own) * own, own * own
+
+    @property
+    def ratio(self):
+        """The identified inertia over that of the model, by joint."""
+        return self._sums[0] / self._sums[1]
+
+
+def start_of_swing(joints):
+    """Move the joints from their start into their ranges; return where they are."""
+    room = np.minimum(0.2, (joints.high - joints.low) / 4.0)
+    data = joints.simulation.data
+    data.qpos[joints.qpos] = np.clip(joints.position, joints.low + room, joints.high - room)
+    mujoco.mj_forward(joints.simulation.model, data)
+    for robot in joints.simulation.robots.values():
+        robot.reset()
+    return joints.position
+
+
+@pytest.mark.parametrize('timestep_s', [0.001, 0.005])
+@pytest.mark.parametrize('name', robot_names())
+def test_inertia_identified_from_published_effort_is_that_of_the_model(name, timestep_s):
+    simulation = whole_robot(name, timestep_s=timestep_s)
+    joints, robot = Driven(simulation), simulation.robot
+    limit = robot.joints.acceleration_limits(np.arange(len(joints.names)))
+    frequency = 2.0 * np.pi * np.linspace(3.0, 5.0, len(joints.names))
+    steps = round(1.0 / (COMMAND_HZ * timestep_s))
+    inertia = np.array([simulation.model.dof_M0[dof] for dof in joints.dofs])
+    for mode in 'position', 'velocity', 'effort':
+        simulation.reset()
+        start = start_of_swing(joints)
+        for part in robot.parts:
+            if part not in robot.grippers:
+                robot.set_control_mode(part, mode)
+        identification = Identification(joints)
+        for period in range(round(SWING_S * COMMAND_HZ)):
+            angle = frequency * period / COMMAND_HZ
+            joints.command(mode, {
+                'position': start + SHARE * limit / frequency**2 * (1.0 - np.cos(angle)),
+                'velocity': SHARE * limit / frequency * np.sin(angle),
+                'effort': SHARE * limit * inertia * np.cos(angle)}[mode])
+            for step in range(steps):
+                identification.begin_step()
+                simulation.advance(1)
+                if step % 3 == 0:
+                    identification.end_step()
+        np.testing.assert_allclose(identification.ratio, 1.0, atol=0.02, err_msg=mode)
+
+
+def moved(simulation):
+    """Return a Panda that accelerates in position mode, in the middle of a motion."""
+    joints = Driven(simulation, 'arm')
+    joints.command('position', joints.position + 0.3)
+    simulation.advance(30)
+    return joints
+
+
+def test_effort_is_that_of_the_last_step_whatever_comes_after_it(panda_sim):
+    joints = moved(panda_sim)
+    effort = panda_sim.robot.state().effort
+    panda_sim.robot.set_control_mode('arm', 'effort')
+    joints.command('effort', np.zeros(7))
+    np.testing.assert_array_equal(panda_sim.robot.state().effort, effort)
+
+
+def test_everything_that_tells_an_effort_tells_the_same(panda_sim):
+    moved(panda_sim)
+    robot = panda_sim.robot
+    arm = robot.indices_of['arm']
+    effort = robot.state().effort[arm]
+    assert np.abs(effort - panda_sim.data.qfrc_actuator[arm]).max() > 0.1
+    np.testing.assert_array_equal(robot.controller_state('arm').effort, effort)
+    np.testing.assert_array_equal(robot.measured('arm')[14:], effort)
+
+
+def test_effort_outlasts_a_change_of_the_objects(panda_sim):
+    moved(panda_sim)
+    effort = panda_sim.robot.state().effort
+    ball = create_object({'name': 'ball', 'shape': 'sphere', 'size': [0.05], 'mass': 1.0,
+                          'position': [2.0, 0.0, 0.1]})
+    panda_sim.change_objects(plan_with(panda_sim.plan, ball))
+    np.testing.assert_array_equal(panda_sim.robot.state().effort, effort)
+    panda_sim.change_objects(plan_without(panda_sim.plan, 'ball'))
+    np.testing.assert_array_equal(panda_sim.robot.state().effort, effort)
+
+
+def test_effort_after_a_reset_is_that_at_rest(panda_sim):
+    resting = panda_sim.robot.state().effort
+    moved(panda_sim)
+    panda_sim.reset()
+    np.testing.assert_array_equal(panda_sim.robot.state().effort, resting)
+
+
+@pytest.mark.parametrize('limit', ['actuator', 'joint'])
+@pytest.mark.parametrize('integrator', ['EULER', 'IMPLICITFAST'])
+def test_effort_of_a_saturated_servo_is_what_the_equations_of_motion_need(
+        one_joint_arm, limit, integrator):
+    arm = one_joint_arm('<position name="servo" joint="joint1" kp="100" kv="20"/>')
+    simulation = Simulation(World([arm], gravity_compensation=False, timestep_s=0.005))
+    model, data = simulation.model, simulation.data
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f'mjINT_{integrator}')
+    model.opt.gravity[:] = 0.0
+    dof = int(model.joint('robot0_joint1').dofadr[0])
+    if limit == 'joint':
+        model.jnt_actfrcrange[0], model.jnt_actfrclimited[0] = (-2.0, 2.0), 1
+    else:
+        model.actuator_forcerange[0], model.actuator_forcelimited[0] = (-2.0, 2.0), 1
+    simulation.robot.apply(*simulation.robot.parse.joint_command(
+        ['robot0_joint1'], position=[1.0]))
+    saturated = 0
+    for _ in range(60):
+        velocity = data.qvel.copy()
+        inertia = np.zeros(model.nv)
+        mujoco.mj_mulM(model, data, inertia, np.eye(model.nv)[dof])
+        simulation.advance(1)
+        needed = inertia[dof] * (data.qvel[dof] - velocity[dof]) / 0.005
+        needed += float(np.ravel(model.dof_damping)[dof]) * data.qvel[dof]
+        effort = simulation.robot.state().effort[0]
+        assert effort == pytest.approx(needed, abs=1e-9)
+        saturated += abs(data.actuator_force[0]) >= 2.0
+    assert saturated > 3
