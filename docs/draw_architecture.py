@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from html import escape
 from pathlib import Path
 
@@ -91,6 +92,7 @@ class Drawing:
                 + '\n'.join(self._parts) + '\n</svg>\n')
 
 
+@cache
 def imported(room: str) -> set[str]:
     """Return the rooms that modules of a room import."""
     found = set()
@@ -101,8 +103,19 @@ def imported(room: str) -> set[str]:
     return {name for floor in FLOORS for name in floor} & found - {room}
 
 
+def direct(room: str) -> set[str]:
+    """Return the rooms that a room imports, without those that these import in turn."""
+    found = imported(room)
+    return found - {deeper for other in found for deeper in _reached(other)}
+
+
+def _reached(room: str) -> set[str]:
+    found = imported(room)
+    return found.union(*map(_reached, found))
+
+
 def rooms() -> Drawing:
-    """Draw the rooms; an arrow leads to each floor that a room imports from."""
+    """Draw the rooms; an arrow leads to each room below that a room imports :func:`direct`."""
     drawing, places = Drawing(), {}
     for number, floor in enumerate(FLOORS):
         width = (900 - 15 * (len(floor) - 1)) / len(floor)
@@ -112,7 +125,7 @@ def rooms() -> Drawing:
     order = [room for floor in FLOORS for room in floor]
     for room in order:
         x, y, width = places[room]
-        below = sorted(imported(room), key=order.index)
+        below = sorted(direct(room), key=order.index)
         for number, other in enumerate(below):
             left, top, wide = places[other]
             if top <= y:

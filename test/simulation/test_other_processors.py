@@ -42,9 +42,10 @@ print(digest.hexdigest())
 def test_poses_twists_and_actions_do_not_depend_on_the_kernels_of_the_blas():
     found = []
     flags = Path('/proc/cpuinfo').read_text().split()
+    path = os.pathsep.join(map(str, Path(__file__).parents[:2]))
     for kernel in KERNELS[:2] + KERNELS[2:] * ('avx2' in flags):
         environment = os.environ | {'OPENBLAS_CORETYPE': kernel, 'OPENBLAS_NUM_THREADS': '1',
-                                    'PYTHONPATH': os.pathsep.join(map(str, Path(__file__).parents[:2]))}
+                                    'PYTHONPATH': path}
         found.append(subprocess.run([sys.executable, '-c', SCRIPT], env=environment, check=True,
                                     capture_output=True, text=True).stdout.split())
     products, digests = zip(*found)
