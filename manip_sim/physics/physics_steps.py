@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import mujoco
+from mujoco.rollout import Rollout
 import numpy as np
 
 from manip_sim.arrays import FloatArray
@@ -24,6 +25,9 @@ from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
 from manip_sim.physics.physics import Physics, PHYSICS
 from manip_sim.physics.velocity_laws import VelocityLaws
 
+#: Runs steps in the calling thread, with other controls in each, in one call.
+_ROLLOUT = Rollout(nthread=0)
+_INPUTS, _STATE = int(mujoco.mjtState.mjSTATE_USER), int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 #: Integrators with which a step after ``mj_forward`` may go on from there, with the same bits.
 _RESUMABLE = (_EULER, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
@@ -75,6 +79,11 @@ class PhysicsSteps:
         self.computed_from: FloatArray = np.empty(mujoco.mj_stateSize(model, PHYSICS))
         mujoco.mj_getState(model, data, self.computed_from, PHYSICS)
         self._first_half = _places(model, _FIRST_HALF)
+        # Views and room, which need not be fetched in each period.
+        self._warnings, self._warmstart = data.warning.number, data.qacc_warmstart
+        self._state = np.empty((1, mujoco.mj_stateSize(model, _STATE)))
+        self._input_size = mujoco.mj_stateSize(model, _INPUTS)
+        self._no_warnings = bytes(self._warnings.nbytes)
         self.contacts_change = self.was_untouched = False
         self._pushed, self._contacts, self._begin = False, 0, 0
         #: Whether all is computed for a state, and for the present one: the first half of the next
@@ -160,33 +169,56 @@ class PhysicsSteps:
         stays = self.was_untouched and self._integrates and self._data.ncon == self._contacts
         return stays or not self._touch.touches
 
-    def run_untouched(self, steps: int) -> bool:
+    def run_untouched(self, steps: int, controls: FloatArray | None = None) -> bool:
         """
-        Run a whole period at rest, if nothing can have touched a tool in it.
+        Run a whole period, if nothing can have touched a tool in it.
 
         That is so if nothing did before and the number of contacts never changes. Otherwise the
         present state is that of the beginning of the period.
 
         :param steps: number of physics steps
+        :param controls: of all actuators in each step, shape (steps, nu); None for those that
+            there are, at rest
         :returns: whether the period was run
         """
         model, data = self._model, self._data
         contacts = data.maxuse_con = self._contacts = data.ncon
-        if not self._integrates:
+        warned = False
+        if controls is not None:
+            data.ctrl[:] = controls[0]
+            (mujoco.mj_step2 if self._resumes else mujoco.mj_step)(model, data)
+            warned = steps > 1 and self._roll_out(controls[1:])
+        elif not self._integrates:
             mujoco.mj_step2(model, data)
         elif int(self._options.integrator) == _EULER:
             mujoco.mj_Euler(model, data)
         else:
             mujoco.mj_implicit(model, data)
-        if steps > 1:
+        if steps > 1 and controls is None:
             mujoco.mj_step(model, data, steps - 1)
         self._clock.count(steps)
-        self.was_untouched = data.maxuse_con == contacts == data.ncon
+        self.was_untouched = not warned and data.maxuse_con == contacts == data.ncon
         if self.was_untouched:
             self.finish()
         else:
             self.undo()
         return self.was_untouched
+
+    def _roll_out(self, controls: FloatArray) -> bool:
+        """Run a step with each row of controls; return whether MuJoCo warns, and has ended."""
+        model, data = self._model, self._data
+        inputs = np.empty((1, len(controls), self._input_size))
+        rows = inputs[0]
+        mujoco.mj_getState(model, data, rows[0], _INPUTS)
+        rows[1:] = rows[0]
+        rows[:, :controls.shape[1]] = controls  # The first of all inputs.
+        mujoco.mj_getState(model, data, self._state[0], _STATE)
+        counts = self._warnings.copy()
+        _ROLLOUT.rollout([model], [data], self._state, inputs, control_spec=_INPUTS,
+                         skip_checks=True, nstep=len(controls), initial_warmstart=self._warmstart)
+        warned: bool = self._warnings.tobytes() != self._no_warnings
+        self._warnings[:] = counts  # A rollout counts from zero.
+        return warned
 
     def run(self, intervals: Iterable[int]) -> None:
         """

@@ -145,10 +145,19 @@ class ControlPeriods:
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         self._steps.begin()
-        self._steps.begin_run()
-        self._run([plan], self._cut(steps))
-        self._steps.finish()
+        if not (self._steps.stays_untouched and not self._free_roots.is_needed
+                and self._steps.run_untouched(steps, self._controls(plan, steps))):
+            self._steps.begin_run()
+            self._run([plan], self._cut(steps))
+            self._steps.finish()
         self._end(steps)
+
+    def _controls(self, plan: PlannedRates, steps: int) -> FloatArray:
+        """Return the controls of all actuators in each step of a planned period, (steps, nu)."""
+        controls = np.empty((steps, len(plan.controls)))
+        controls[:] = plan.controls
+        controls[:, plan.where] = np.repeat(plan.rates, self._cut(steps), axis=0)
+        return controls
 
     def _end(self, steps: int) -> None:
         """End a period; hold the last good state if the physics has diverged in it."""

@@ -1,0 +1,140 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Periods that several worlds run in one call each are those of simulations to the last bit."""
+
+import contextlib
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.errors import DivergenceError
+from manip_sim.models import compose
+from manip_sim.models.arenas import create_arena
+from manip_sim.models.robots import robot_names
+from manip_sim.physics.physics_steps import PhysicsSteps
+from manip_sim.simulation import Simulation
+from manip_sim.worlds import Worlds
+
+COUNT, PERIODS, STEPS = 3, 70, 10
+EVERYTHING = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Return a list that grows by whether a planned period was run in one call."""
+    done, run_untouched = [], PhysicsSteps.run_untouched
+
+    def counted(steps, count, controls=None):
+        run = run_untouched(steps, count, controls)
+        if controls is not None:
+            done.append(run)
+        return run
+    monkeypatch.setattr(PhysicsSteps, 'run_untouched', counted)
+    return done
+
+
+def whole_state(simulation):
+    """Return all that the next step depends on, and what was computed and measured of it."""
+    data = simulation.data
+    state = np.empty(mujoco.mj_stateSize(simulation.model, EVERYTHING))
+    mujoco.mj_getState(simulation.model, data, state, EVERYTHING)
+    return [*state, *data.qacc, *data.sensordata, *data.qfrc_actuator, *data.warning.number,
+            simulation.step_count, *simulation.robot.state().effort]
+
+
+def wrench(simulation):
+    """Return the external wrenches on the tools, shape (6 n,)."""
+    return np.concatenate([reader.external_wrench(simulation.data)
+                           for reader in simulation.robot.end_effectors.values()])
+
+
+class Followers:
+    """Worlds, and a simulation of the first one, whose arms follow the same stream."""
+
+    def __init__(self, name, integrator='IMPLICITFAST'):
+        def world():
+            return compose(name, arena=create_arena('table', cube=True))
+        self.worlds, self.alone = Worlds(world(), COUNT, 2), Simulation(world())
+        for simulation in (self.alone, *self.worlds.simulations):
+            simulation.model.opt.integrator = getattr(
+                mujoco.mjtIntegrator, f'mjINT_{integrator}')
+            if 'base' in simulation.robot.parts:
+                simulation.robot.set_control_mode('base', 'position')
+        robot = self.alone.robot
+        self._names = list(robot.joints.names)
+        self._start = np.array([self.alone.data.joint(name).qpos[0] for name in self._names])
+        self.wrenches = []
+
+    def run(self, disturb=lambda simulation, period: None):
+        """Advance all, and see that the first world is the simulation after each period."""
+        with self.worlds:
+            for period in range(PERIODS):
+                goals = self._start + 0.002 * np.sin(0.1 * period + np.arange(len(self._names)))
+                self.worlds.robot.command.joint_command(
+                    self._names, position=np.tile(goals, (COUNT, 1)), period_s=0.02)
+                self.alone.robot.apply(*self.alone.robot.parse.joint_command(
+                    self._names, goals), period_s=0.02)
+                for simulation in (self.alone, *self.worlds.simulations):
+                    disturb(simulation, period)
+                self.worlds.advance(STEPS)
+                with contextlib.suppress(DivergenceError):
+                    self.alone.advance(STEPS)
+                first = self.worlds.simulations[0]
+                assert first.diverged == self.alone.diverged
+                assert whole_state(first) == whole_state(self.alone)
+                self.wrenches.append(wrench(first))
+                assert self.wrenches[-1].tolist() == wrench(self.alone).tolist()
+
+
+@pytest.mark.parametrize('name', robot_names())
+@pytest.mark.parametrize('integrator', ['EULER', 'IMPLICITFAST', 'RK4'])
+def test_planned_periods_in_one_call_are_those_of_a_simulation(name, integrator, at_once):
+    Followers(name, integrator).run()
+    assert True in at_once
+
+
+def test_what_else_acts_and_was_counted_is_kept(at_once):
+    def disturb(simulation, period):
+        # The cube is pushed for a while and lifted now and then; a warning is counted.
+        simulation.data.xfrc_applied[simulation.model.body('cube').id, 0] = 0.2 * (period > 50)
+        if period % 10 == 5:
+            simulation.data.joint('cube_joint').qpos[2] += 0.02
+        simulation.data.warning.number[int(mujoco.mjtWarning.mjWARN_INERTIA)] += period % 7 == 0
+    Followers('Panda').run(disturb)
+    assert True in at_once and False in at_once
+
+
+def test_a_warning_in_a_planned_period_does_not_end_it(at_once):
+    def warn(_, data):
+        if round(data.time / 0.002) % 50 == 5:
+            data.warning.number[int(mujoco.mjtWarning.mjWARN_INERTIA)] += 1
+    followers = Followers('Panda')
+    mujoco.set_mjcb_control(warn)
+    try:
+        followers.run()
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert True in at_once and False in at_once
+
+
+def test_a_tool_that_is_hit_in_a_planned_period_reads_the_same_forces(at_once):
+    def throw(simulation, period):
+        if period in (50, 60):
+            place = simulation.data.site(simulation.robot.end_effectors['right'].grip_site).xpos
+            simulation.data.joint('cube_joint').qpos[:3] = place - [0.0, 0.0, 0.15]
+            simulation.data.joint('cube_joint').qvel[:] = 0.0, 0.0, 2.0, 0.0, 0.0, 0.0
+    followers = Followers('Panda')
+    followers.run(throw)
+    assert True in at_once and False in at_once
+    assert np.abs(followers.wrenches).max() > 1.0
+
+
+def test_a_divergence_in_a_planned_period_is_reported_as_that_of_a_simulation(at_once):
+    def disturb(simulation, period):
+        if period == 60:
+            simulation.data.qvel[-1] = 9.9e9
+    followers = Followers('Panda')
+    followers.run(disturb)
+    assert followers.alone.diverged and any(at_once)
