@@ -16,6 +16,7 @@ from std_msgs.msg import Float64MultiArray
 from manip_sim.control.cartesian.reports import CartesianReport
 from manip_sim.control.commands import Command
 from manip_sim.ros.command_subscribers import CommandSubscribers
+from manip_sim.ros.messages import numbers_of
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
@@ -51,14 +52,12 @@ class CartesianSubscribers:
             'cartesian', self._robot.name, *self._settings[name], value)
 
     def _pose(self, arm: str, message: PoseStamped) -> Sequence[Command]:
-        position, turn = message.pose.position, message.pose.orientation
-        return [self._parse.pose(arm, [position.x, position.y, position.z],
-                                 [turn.x, turn.y, turn.z, turn.w], self._frame_of(message))]
+        return [self._parse.pose(arm, numbers_of(message.pose.position),
+                                 numbers_of(message.pose.orientation), self._frame_of(message))]
 
     def _twist(self, arm: str, message: TwistStamped) -> Sequence[Command]:
-        linear, angular = message.twist.linear, message.twist.angular
-        return [self._parse.twist(arm, [linear.x, linear.y, linear.z],
-                                  [angular.x, angular.y, angular.z], self._frame_of(message))]
+        return [self._parse.twist(arm, numbers_of(message.twist.linear),
+                                  numbers_of(message.twist.angular), self._frame_of(message))]
 
     def _frame_of(self, message: PoseStamped | TwistStamped) -> str:
         frame_id: str = message.header.frame_id

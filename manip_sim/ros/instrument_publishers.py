@@ -12,6 +12,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from sensor_msgs.msg import Imu, MagneticField, Range
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
@@ -20,10 +21,10 @@ from manip_sim.arrays import FloatArray
 from manip_sim.interface.served_instruments import (
     SensorSettings, served_instruments, ServedInstrument)
 from manip_sim.interface.topics import Scope
-from manip_sim.ros.messages import wrench_stamped
+from manip_sim.ros.messages import stamped
 from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.sensing.instruments import (
-    ACCELEROMETER, GYRO, IMU, Instrument, MAGNETIC_FIELD, ORIENTATION, RANGE, VALUES, WRENCH)
+    IMU, Instrument, MAGNETIC_FIELD, RANGE, VALUES, WRENCH)
 from manip_sim.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -118,13 +119,7 @@ def _alike(one: ServedInstrument, other: ServedInstrument) -> bool:
 
 def _imu(frame_id: str, found: Instrument) -> Callable[[Time, FloatArray], Imu]:
     def make(stamp: Time, numbers: FloatArray) -> Imu:
-        message = Imu()
-        message.header.stamp, message.header.frame_id = stamp, frame_id
-        turn, rate, acceleration = (message.orientation, message.angular_velocity,
-                                    message.linear_acceleration)
-        turn.x, turn.y, turn.z, turn.w = numbers[ORIENTATION].tolist()
-        rate.x, rate.y, rate.z = numbers[GYRO].tolist()
-        acceleration.x, acceleration.y, acceleration.z = numbers[ACCELEROMETER].tolist()
+        message: Imu = stamped(Imu, frame_id, stamp, numbers)
         for kind, field in (('framequat', message.orientation_covariance),
                             ('gyro', message.angular_velocity_covariance),
                             ('accelerometer', message.linear_acceleration_covariance)):
@@ -139,16 +134,6 @@ def _range(frame_id: str, _: Instrument) -> Callable[[Time, FloatArray], Range]:
         message.header.stamp, message.header.frame_id = stamp, frame_id
         # MuJoCo gives -1 where there is nothing, REP 117 wants +Inf.
         message.range = float(numbers[0]) if numbers[0] >= 0.0 else math.inf
-        return message
-    return make
-
-
-def _magnetic_field(frame_id: str, _: Instrument) -> Callable[[Time, FloatArray], MagneticField]:
-    def make(stamp: Time, numbers: FloatArray) -> MagneticField:
-        message = MagneticField()
-        message.header.stamp, message.header.frame_id = stamp, frame_id
-        field = message.magnetic_field
-        field.x, field.y, field.z = numbers.tolist()
         return message
     return make
 
@@ -170,5 +155,6 @@ def _values(_: str, found: Instrument) -> Callable[[Time, FloatArray], Float64Mu
 
 
 _MAKERS: dict[str, Callable[[str, Instrument], Callable[[Time, FloatArray], Any]]] = {
-    IMU: _imu, RANGE: _range, MAGNETIC_FIELD: _magnetic_field, VALUES: _values,
-    WRENCH: lambda frame_id, _: partial(wrench_stamped, frame_id)}
+    IMU: _imu, RANGE: _range, VALUES: _values,
+    MAGNETIC_FIELD: lambda frame_id, _: partial(stamped, MagneticField, frame_id),
+    WRENCH: lambda frame_id, _: partial(stamped, WrenchStamped, frame_id)}

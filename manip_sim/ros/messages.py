@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
@@ -48,43 +50,44 @@ def joint_state(names: Sequence[str], stamp: Time, numbers: FloatArray) -> Joint
     return message
 
 
-def wrench_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> WrenchStamped:
+def filled(message: Any, numbers: FloatArray) -> Any:
     """
-    Return a wrench in a frame.
+    Set the doubles of a message and of the messages in it, in the order of the definitions.
 
-    :param numbers: force [N] and torque [N m], shape (6,)
+    Arrays, such as covariances, stay as they are.
+
+    :param numbers: positions [m] before quaternions x, y, z, w; linear before angular velocities
+        [m/s, rad/s]; forces before torques [N, N m]; as many as there are doubles
+    :returns: the message
     """
-    message = WrenchStamped()
-    message.header.stamp = stamp
-    message.header.frame_id = frame_id
-    force, torque = message.wrench.force, message.wrench.torque
-    force.x, force.y, force.z, torque.x, torque.y, torque.z = numbers.tolist()
+    _fill(message, iter(numbers.tolist()))
     return message
 
 
-def pose_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> PoseStamped:
-    """
-    Return a pose in a frame.
-
-    :param numbers: position [m], and quaternion x, y, z, w, shape (7,)
-    """
-    message = PoseStamped()
-    message.header.stamp = stamp
-    message.header.frame_id = frame_id
-    place, turn = message.pose.position, message.pose.orientation
-    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers.tolist()
-    return message
+def _fill(message: Any, numbers: Iterator[float]) -> None:
+    for name, kind in message.get_fields_and_field_types().items():
+        if kind == 'double':
+            setattr(message, name, next(numbers))
+        elif hasattr(getattr(message, name), 'get_fields_and_field_types'):
+            _fill(getattr(message, name), numbers)
 
 
-def twist_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> TwistStamped:
-    """
-    Return a twist in the axes of a frame.
+def numbers_of(message: Any) -> list[float]:
+    """Return the numbers of a vector, a point or a quaternion x, y, z, w."""
+    return [getattr(message, name) for name in message.get_fields_and_field_types()]
 
-    :param numbers: linear velocity [m/s] and angular velocity [rad/s], shape (6,)
+
+def stamped(message_type: Any, frame_id: str, stamp: Time, numbers: FloatArray) -> Any:
     """
-    message = TwistStamped()
-    message.header.stamp = stamp
-    message.header.frame_id = frame_id
-    linear, angular = message.twist.linear, message.twist.angular
-    linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = numbers.tolist()
-    return message
+    Return a message with a header.
+
+    :param numbers: as :func:`filled` takes them
+    """
+    message = message_type()
+    message.header.stamp, message.header.frame_id = stamp, frame_id
+    return filled(message, numbers)
+
+
+#: Make a wrench, shape (6,), a pose, shape (7,), and a twist, shape (6,), in a frame.
+wrench_stamped, pose_stamped, twist_stamped = (
+    partial(stamped, kind) for kind in (WrenchStamped, PoseStamped, TwistStamped))

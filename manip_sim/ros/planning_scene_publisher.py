@@ -15,7 +15,7 @@ from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME, Scope
-from manip_sim.ros.messages import stamp_of, WORLD
+from manip_sim.ros.messages import filled, stamp_of, WORLD
 from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -129,21 +129,21 @@ def _object(name: str, frame: str, stamp: Any, operation: bytes) -> Any:
 
 def _moved(name: str, pose: FloatArray, stamp: Any) -> Any:
     message = _object(name, WORLD, stamp, moveit_msgs.CollisionObject.MOVE)
-    message.pose = _pose(pose)
+    message.pose = filled(Pose(), pose)
     return message
 
 
 def _added(obstacle: Obstacle, frame: str, pose: FloatArray, stamp: Any) -> Any:
     message = _object(obstacle.name, frame, stamp, moveit_msgs.CollisionObject.ADD)
-    message.pose = _pose(pose)
+    message.pose = filled(Pose(), pose)
     for solid in obstacle.solids:
         if solid.kind == MESH:
             message.meshes.append(_mesh(solid))
-            message.mesh_poses.append(_pose(solid.pose))
+            message.mesh_poses.append(filled(Pose(), solid.pose))
         else:
             message.primitives.append(SolidPrimitive(
                 type=_KINDS[solid.kind], dimensions=solid.dimensions))
-            message.primitive_poses.append(_pose(solid.pose))
+            message.primitive_poses.append(filled(Pose(), solid.pose))
     return message
 
 
@@ -161,10 +161,3 @@ def _mesh(solid: Solid) -> Mesh:
         vertices=[Point(x=x, y=y, z=z) for x, y, z in corners.tolist()],
         triangles=[MeshTriangle(vertex_indices=three)
                    for three in numbers.reshape(-1, 3).astype(np.uint32)])
-
-
-def _pose(numbers: FloatArray) -> Pose:
-    pose = Pose()
-    place, turn = pose.position, pose.orientation
-    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers.tolist()
-    return pose

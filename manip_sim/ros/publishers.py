@@ -154,30 +154,19 @@ def _controllers(robot: SimulatedRobot, part: str, _: str, __: Read) -> Reading:
             lambda _: controller_numbers(robot.controller_state(part)), ROWS * len(names))
 
 
-def _wrench(robot: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
-    return (partial(messages.wrench_stamped, prefix + robot.end_effectors[arm].ft_frame),
-            lambda _: read(f'{arm}/wrench'), 6)
-
-
-def _external_wrench(robot: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
-    return (partial(messages.wrench_stamped, prefix + robot.end_effectors[arm].ft_frame),
-            lambda _: read(f'{arm}/external_wrench'), 6)
-
-
-def _pose(_: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
-    return (partial(messages.pose_stamped, prefix + messages.WORLD),
-            lambda _: read(f'{arm}/pose'), 7)
-
-
-def _twist(_: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
-    return (partial(messages.twist_stamped, prefix + messages.WORLD),
-            lambda _: read(f'{arm}/twist'), 6)
+def _of_arm(name: str, make: Make, count: int, robot: SimulatedRobot, arm: str, prefix: str,
+            read: Read) -> Reading:
+    frame = messages.WORLD if name in ('pose', 'twist') else robot.end_effectors[arm].ft_frame
+    return partial(make, prefix + frame), lambda _: read(f'{arm}/{name}'), count
 
 
 #: By the name in a row of the table: returns what reads a part of a robot.
 READERS: dict[str, Reader] = {
-    'joints': _joints, 'controllers': _controllers, 'wrench': _wrench,
-    'external_wrench': _external_wrench, 'pose': _pose, 'twist': _twist}
+    'joints': _joints, 'controllers': _controllers, **{
+        name: partial(_of_arm, name, make, count) for name, make, count in (
+            ('wrench', messages.wrench_stamped, 6),
+            ('external_wrench', messages.wrench_stamped, 6),
+            ('pose', messages.pose_stamped, 7), ('twist', messages.twist_stamped, 6))}}
 #: Message types that depend on what is installed.
 _OTHER_TYPES = {'controllers': MESSAGE_TYPE}
 

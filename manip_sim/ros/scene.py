@@ -19,6 +19,7 @@ from manip_sim.interface.topics import Scope
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.quoting import quoted
 from manip_sim.ros.markers import MarkerPublisher
+from manip_sim.ros.messages import stamped
 from manip_sim.ros.optional_packages import missing_note
 from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
 from manip_sim.ros.publishers import Read, Reading, StatePublishers
@@ -63,15 +64,8 @@ def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArra
     :param numbers: position [m], quaternion x, y, z, w, and linear [m/s] and angular velocity
         [rad/s] in the axes of the frame that moves, shape (13,)
     """
-    message = Odometry(child_frame_id=child_frame_id)
-    message.header.stamp = stamp
-    message.header.frame_id = frame_id
-    pose, twist = message.pose.pose, message.twist.twist
-    pose.position.x, pose.position.y, pose.position.z = numbers[:3].tolist()
-    turn = pose.orientation
-    turn.x, turn.y, turn.z, turn.w = numbers[3:7].tolist()
-    twist.linear.x, twist.linear.y, twist.linear.z = numbers[7:10].tolist()
-    twist.angular.x, twist.angular.y, twist.angular.z = numbers[10:].tolist()
+    message: Odometry = stamped(Odometry, frame_id, stamp, numbers)
+    message.child_frame_id = child_frame_id
     return message
 
 

@@ -28,7 +28,7 @@ from manip_sim.physics.poses import Pose
 from manip_sim.physics.spawning import plan_with, plan_without, WorldPlan
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
-from manip_sim.ros.messages import WORLD
+from manip_sim.ros.messages import numbers_of, WORLD
 from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
 from manip_sim.ros.standard_answers import Rejection, result_filled, ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
@@ -229,9 +229,8 @@ def _pose(message: Any) -> Pose:
         raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
                         f"frame_id {quoted(message.header.frame_id)} is not supported: leave it "
                         f"empty or write '{WORLD}'")
-    position, turn = message.pose.position, message.pose.orientation
     try:
-        return Pose.checked([position.x, position.y, position.z],
-                            [turn.x, turn.y, turn.z, turn.w])
+        return Pose.checked(numbers_of(message.pose.position),
+                            numbers_of(message.pose.orientation))
     except CommandError as error:
         raise Rejection(SpawnCode.INVALID_POSE, str(error)) from error

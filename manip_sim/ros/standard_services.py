@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TYPE_CHECKING
 
-from geometry_msgs.msg import Point, Quaternion, Vector3
+import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
@@ -17,7 +17,7 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.physics.poses import Pose, Twist
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import Rounds
-from manip_sim.ros.messages import stamp_of, WORLD
+from manip_sim.ros.messages import filled, numbers_of, stamp_of, WORLD
 from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.posix_ere import PosixExpression
 from manip_sim.ros.spawned_robots import SpawnedRobots
@@ -194,12 +194,11 @@ class EntityServices:
             lambda: (simulation.time_ns, self._simulation.entities.read(simulation.data, name)))
         message = response.state
         message.header.stamp, message.header.frame_id = stamp_of(time_ns), WORLD
-        message.pose.position = _filled(Point(), state.pose.position)
-        message.pose.orientation = _filled(Quaternion(), state.pose.quat_xyzw)
-        message.twist.linear = _filled(Vector3(), state.twist.linear)
-        message.twist.angular = _filled(Vector3(), state.twist.angular)
-        message.acceleration.linear = _filled(Vector3(), state.linear_acceleration)
-        message.acceleration.angular = _filled(Vector3(), state.angular_acceleration)
+        for part, numbers in (
+                (message.pose, (state.pose.position, state.pose.quat_xyzw)),
+                (message.twist, (state.twist.linear, state.twist.angular)),
+                (message.acceleration, (state.linear_acceleration, state.angular_acceleration))):
+            filled(part, np.concatenate(numbers))
 
     def _set_entity_state(self, request: Any, response: Any) -> None:
         name = request.entity
@@ -221,16 +220,6 @@ class EntityServices:
         self._thread.call(place)
 
 
-def _filled(message: Any, values: Any) -> Any:
-    for field, value in zip(message.get_fields_and_field_types(), values.tolist()):
-        setattr(message, field, value)
-    return message
-
-
-def _numbers(message: Any) -> list[float]:
-    return [getattr(message, field) for field in message.get_fields_and_field_types()]
-
-
 def _listed(*vectors: Any) -> list[list[float]]:
     return [vector.tolist() for vector in vectors]
 
@@ -245,11 +234,11 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
                         'set_twist are false, and an acceleration cannot be set')
     if set_pose:
         try:
-            pose = Pose.checked(_numbers(state.pose.position), _numbers(state.pose.orientation))
+            pose = Pose.checked(*map(numbers_of, (state.pose.position, state.pose.orientation)))
         except CommandError as error:
             raise Rejection(SetEntityCode.INVALID_POSE, str(error)) from error
     if set_twist:
-        twist = Twist.checked(_numbers(state.twist.linear), _numbers(state.twist.angular))
+        twist = Twist.checked(numbers_of(state.twist.linear), numbers_of(state.twist.angular))
     return pose, twist
 
 

@@ -154,9 +154,8 @@ class SurroundingsTopics(Publications):
 
     def _target(self, name: str, message: PoseStamped) -> None:
         self._check_frame(message.header.frame_id)
-        position, orientation = message.pose.position, message.pose.orientation
-        pose = Pose.checked([position.x, position.y, position.z], [
-            orientation.x, orientation.y, orientation.z, orientation.w])
+        pose = Pose.checked(*map(messages.numbers_of, (
+            message.pose.position, message.pose.orientation)))
         self._changes.at_next_period(f'objects/{name}', 'target', name,
                                      pose.position.tolist(), pose.quat_xyzw.tolist())
 
@@ -172,7 +171,7 @@ class SurroundingsTopics(Publications):
             raise CommandError('pull: expected an ARROW to ADD, with two points and no pose, or '
                                f'to DELETE, got action {message.action}, type {message.type} and '
                                f'{counted(len(message.points), "point")}')
-        point, target = ([end.x, end.y, end.z] for end in message.points)
+        point, target = map(messages.numbers_of, message.points)
         pulls.check(message.ns, point, target)
         self._changes.at_next_period(
             key, 'pull', message.ns, point, target, message.id)

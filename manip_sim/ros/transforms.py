@@ -14,7 +14,7 @@ from geometry_msgs.msg import TransformStamped
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.messages import filled, stamp_of
 from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.outputs import create_output, Output
 from manip_sim.ros.serialized import SerializedMessage
@@ -100,12 +100,10 @@ def transforms(frames: Sequence[TreeFrame], prefix: str, stamp: Time, numbers: F
     :param numbers: position [m] and quaternion x, y, z, w of each, shape (7 n,) or (n, 7)
     """
     message, found = TFMessage(), []
-    for frame, row in zip(frames, numbers.reshape(-1, 7).tolist()):
+    for frame, row in zip(frames, numbers.reshape(-1, 7)):
         transform = TransformStamped(child_frame_id=prefix + frame.name)
         transform.header.frame_id = prefix + frame.parent
         transform.header.stamp = stamp
-        place, turn = transform.transform.translation, transform.transform.rotation
-        place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = row
-        found.append(transform)
+        found.append(filled(transform, row))
     message.transforms = found
     return message
