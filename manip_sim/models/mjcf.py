@@ -24,6 +24,14 @@ from manip_sim.models.robosuite_attributes import REPLACEMENTS
 from manip_sim.models.spec_edits import attach, name_main_default
 
 
+def _prefixed(field: str, doc: str) -> Any:
+    """Return a property: recorded names with the prefix of their part, a copy."""
+    def names(part: MujocoXMLModel) -> list[str]:
+        raw: list[str] = getattr(part, field)
+        return part.correct_naming(raw)
+    return property(names, doc=doc)
+
+
 class MujocoXMLModel:
     """
     One part: an MJCF file, its prefix and lists of its elements.
@@ -302,20 +310,15 @@ class MujocoXMLModel:
         raise TypeError('names must be a str, a list, a tuple or a dict of them, '
                         f'not {type(names).__name__}')
 
-    @property
-    def bodies(self) -> list[str]:
-        """All bodies but the world."""
-        return self.correct_naming(self._bodies)
-
-    @property
-    def joints(self) -> list[str]:
-        """All joints but free joints; a ball joint counts once."""
-        return self.correct_naming(self._joints)
-
-    @property
-    def actuators(self) -> list[str]:
-        """All actuators."""
-        return self.correct_naming(self._actuators)
+    bodies: list[str] = _prefixed('_bodies', 'All bodies but the world.')
+    joints: list[str] = _prefixed(
+        '_joints', 'All joints but free joints; a ball joint counts once.')
+    actuators: list[str] = _prefixed('_actuators', 'All actuators.')
+    sites: list[str] = _prefixed('_sites', 'All sites.')
+    sensors: list[str] = _prefixed('_sensors', 'All sensors.')
+    contact_geoms: list[str] = _prefixed(
+        '_contact_geoms', 'The geoms that can collide, by contype and conaffinity.')
+    visual_geoms: list[str] = _prefixed('_visual_geoms', 'The geoms that cannot collide.')
 
     @property
     def keyframes(self) -> dict[str, dict[str, float]]:
@@ -338,29 +341,9 @@ class MujocoXMLModel:
                 for name, raw in zip(self.correct_naming(self._actuators), self._actuators)}
 
     @property
-    def sites(self) -> list[str]:
-        """All sites."""
-        return self.correct_naming(self._sites)
-
-    @property
-    def sensors(self) -> list[str]:
-        """All sensors."""
-        return self.correct_naming(self._sensors)
-
-    @property
     def cameras(self) -> list[str]:
         """All cameras."""
         return self.correct_naming(self._cameras)
-
-    @property
-    def contact_geoms(self) -> list[str]:
-        """The geoms that can collide, by contype and conaffinity."""
-        return self.correct_naming(self._contact_geoms)
-
-    @property
-    def visual_geoms(self) -> list[str]:
-        """The geoms that cannot collide."""
-        return self.correct_naming(self._visual_geoms)
 
     @property
     def important_sites(self) -> dict[str, str]:

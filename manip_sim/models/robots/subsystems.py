@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from functools import lru_cache
 import re
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,6 +27,13 @@ KEYWORDS = {'torso': 'torso', 'mobile': 'base', 'head': 'head', 'leg': 'legs'}
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
 
 
+def _sorted(kind: str, subsystem: str, doc: str) -> Any:
+    """Return a property: the joints or actuators of a subsystem, a copy."""
+    def names(robot: Subsystems) -> list[str]:
+        return list(getattr(robot, f'_{kind}_of')[subsystem])
+    return property(names, doc=doc)
+
+
 class Subsystems(MujocoXMLModel):
     """The joints and actuators of a robot and its base by subsystem; every list is a copy."""
 
@@ -34,65 +42,23 @@ class Subsystems(MujocoXMLModel):
     _joints_of: dict[str, list[str]]
     _actuators_of: dict[str, list[str]]
 
-    @property
-    def arm_joints(self) -> list[str]:
-        """Joints of the arms, in the order of the file."""
-        return list(self._joints_of['arm'])
-
-    @property
-    def base_joints(self) -> list[str]:
-        """Joints that move the whole robot."""
-        return list(self._joints_of['base'])
-
-    @property
-    def torso_joints(self) -> list[str]:
-        """Joints of the torso."""
-        return list(self._joints_of['torso'])
-
-    @property
-    def head_joints(self) -> list[str]:
-        """Joints of the head."""
-        return list(self._joints_of['head'])
-
-    @property
-    def legs_joints(self) -> list[str]:
-        """Joints of the legs."""
-        return list(self._joints_of['legs'])
-
-    @property
-    def other_joints(self) -> list[str]:
-        """Joints of the robot's file that belong to no other subsystem."""
-        return list(self._joints_of['other'])
-
-    @property
-    def arm_actuators(self) -> list[str]:
-        """Actuators of the arms, in the order of the file."""
-        return list(self._actuators_of['arm'])
-
-    @property
-    def base_actuators(self) -> list[str]:
-        """Actuators that move the whole robot."""
-        return list(self._actuators_of['base'])
-
-    @property
-    def torso_actuators(self) -> list[str]:
-        """Actuators of the torso."""
-        return list(self._actuators_of['torso'])
-
-    @property
-    def head_actuators(self) -> list[str]:
-        """Actuators of the head."""
-        return list(self._actuators_of['head'])
-
-    @property
-    def legs_actuators(self) -> list[str]:
-        """Actuators of the legs."""
-        return list(self._actuators_of['legs'])
-
-    @property
-    def other_actuators(self) -> list[str]:
-        """Actuators of the joints of no other subsystem."""
-        return list(self._actuators_of['other'])
+    arm_joints: list[str] = _sorted(
+        'joints', 'arm', 'Joints of the arms, in the order of the file.')
+    base_joints: list[str] = _sorted('joints', 'base', 'Joints that move the whole robot.')
+    torso_joints: list[str] = _sorted('joints', 'torso', 'Joints of the torso.')
+    head_joints: list[str] = _sorted('joints', 'head', 'Joints of the head.')
+    legs_joints: list[str] = _sorted('joints', 'legs', 'Joints of the legs.')
+    other_joints: list[str] = _sorted(
+        'joints', 'other', "Joints of the robot's file that belong to no other subsystem.")
+    arm_actuators: list[str] = _sorted(
+        'actuators', 'arm', 'Actuators of the arms, in the order of the file.')
+    base_actuators: list[str] = _sorted(
+        'actuators', 'base', 'Actuators that move the whole robot.')
+    torso_actuators: list[str] = _sorted('actuators', 'torso', 'Actuators of the torso.')
+    head_actuators: list[str] = _sorted('actuators', 'head', 'Actuators of the head.')
+    legs_actuators: list[str] = _sorted('actuators', 'legs', 'Actuators of the legs.')
+    other_actuators: list[str] = _sorted(
+        'actuators', 'other', 'Actuators of the joints of no other subsystem.')
 
     def joints_of(self, subsystem: str) -> list[str]:
         """
