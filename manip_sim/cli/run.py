@@ -18,7 +18,8 @@ from typing import Any
 
 from manip_sim.cli.tables import table, terminal_width
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
-from manip_sim.experiments import Experiment, parse_seeds, parse_shard, RunFolder
+from manip_sim.experiments import (
+    Experiment, parse_seeds, parse_shard, RunFolder, Worker)
 from manip_sim.experiments.on_ray import run_on_ray
 from manip_sim.experiments.policies import ROS
 from manip_sim.experiments.processes import processors, run_in_processes
@@ -137,7 +138,7 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
     # What cannot be used is said here, before anything is written.
     folder_before = Path.cwd()
     try:
-        period_s = experiment.create_worker().period_s
+        period_s = Worker(experiment).period_s
     finally:
         os.chdir(folder_before)  # A policy may have left it.
     folder = RunFolder(out, experiment.description(), seeds, period_s)

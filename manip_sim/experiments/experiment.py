@@ -66,23 +66,14 @@ class Experiment:
             'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                          'numpy': np.__version__, 'python': platform.python_version()}}
 
-    def create_worker(self, ends_with_policy: bool = False) -> Worker:
-        """
-        Return what runs episodes in this process.
-
-        :param ends_with_policy: let SIGALRM end this process if an answer of the policy, other
-            than a ROS node, takes too long
-        :raises ManipSimError: if the task or the policy cannot be used, with what fits
-        """
-        return Worker(self, ends_with_policy)
-
 
 class Worker:
     """
     Runs the episodes of an experiment, one after the other, in one process.
 
     :param experiment: what is run
-    :param ends_with_policy: as for :meth:`Experiment.create_worker`
+    :param ends_with_policy: let SIGALRM end this process if an answer of the policy, other than a
+        ROS node, takes too long
     :raises ManipSimError: if the task or the policy cannot be used, with what fits
     """
 

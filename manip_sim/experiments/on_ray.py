@@ -97,4 +97,4 @@ def _run(experiment: Experiment, seeds: list[int]) -> list[Row] | str:
 def _worker(pickled: bytes) -> Worker:
     """Return the worker of this process, which Ray uses for one task after the other."""
     experiment: Experiment = pickle.loads(pickled)
-    return experiment.create_worker()
+    return Worker(experiment)

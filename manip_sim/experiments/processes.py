@@ -15,7 +15,7 @@ import signal
 from typing import Any
 
 from manip_sim.errors import ManipSimError
-from manip_sim.experiments.experiment import Experiment
+from manip_sim.experiments.experiment import Experiment, Worker
 from manip_sim.experiments.summary import Row
 from manip_sim.startup import use_one_blas_thread
 
@@ -37,7 +37,7 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
     :raises ManipSimError: if a process cannot begin
     """
     waiting, died = deque(seeds), Counter[int]()
-    workers = [_Worker(experiment) for _ in range(min(count, len(seeds)))]
+    workers = [_WorkerProcess(experiment) for _ in range(min(count, len(seeds)))]
     try:
         while waiting or any(worker.seed is not None for worker in workers):
             for worker in workers:
@@ -66,7 +66,7 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
             worker.end()
 
 
-def _ready(workers: Sequence[_Worker]) -> list[_Worker]:
+def _ready(workers: Sequence[_WorkerProcess]) -> list[_WorkerProcess]:
     """Return workers that have answered or died; a copy of one, by a fork, may keep its pipe."""
     while True:
         ready = wait([worker.pipe for worker in workers], _LOOK_S)
@@ -75,7 +75,7 @@ def _ready(workers: Sequence[_Worker]) -> list[_Worker]:
             return found
 
 
-class _Worker:
+class _WorkerProcess:
     """
     A process that runs one episode after the other.
 
@@ -141,7 +141,7 @@ def _serve(pipe: Connection, experiment: Experiment) -> None:
     use_one_blas_thread()
     process = os.getpid()
     try:
-        worker = experiment.create_worker(ends_with_policy=True)
+        worker = Worker(experiment, ends_with_policy=True)
         while True:
             row = worker.run(pipe.recv())
             if os.getpid() != process:  # A policy has forked; one of the two may answer.

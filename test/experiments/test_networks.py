@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.experiments import Experiment
+from manip_sim.experiments import Experiment, Worker
 from manip_sim.tasks import Setting
 
 IN_PYTHON = f'{Path(__file__).with_name("policies_under_test.py")}:Towards'
 
 
 def rows_of(policy):
-    worker = Experiment(Setting('reach'), str(policy)).create_worker()
+    worker = Worker(Experiment(Setting('reach'), str(policy)))
     return [worker.run(seed) for seed in range(3)]
 
 

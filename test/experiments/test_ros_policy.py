@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
-from manip_sim.experiments import Experiment  # noqa: E402
+from manip_sim.experiments import Experiment, Worker  # noqa: E402
 from manip_sim.experiments.ros_policy import RosPolicy  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 from manip_sim.tasks import create_task, Episode, Setting  # noqa: E402
@@ -58,7 +58,7 @@ def run(out, policy, *more, seeds='0:3'):
 
 def rows_of(policy, limit_s=10.0, seeds=range(3)):
     """Return the rows of a policy, run in this process."""
-    worker = Experiment(Setting('reach'), policy, None, limit_s).create_worker()
+    worker = Worker(Experiment(Setting('reach'), policy, None, limit_s))
     return [worker.run(seed) for seed in seeds]
 
 
@@ -110,7 +110,7 @@ def test_what_cannot_be_used_is_said_before_anything_is_written(tmp_path, capsys
         assert 'a ROS node acts in one episode at a time' in capsys.readouterr().err
     for name in ('ros:', 'ros:policy', 'ros:/1', 'ros:/a//b'):
         with pytest.raises(ModelError, match='must be such as ros:/policy') as raised:
-            Experiment(Setting('reach'), name).create_worker()
+            Worker(Experiment(Setting('reach'), name))
         assert '\n' not in str(raised.value)
     assert not (tmp_path / 'x').exists()
 

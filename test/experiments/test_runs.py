@@ -20,7 +20,7 @@ pytest.importorskip('tqdm', reason='tqdm is not installed')
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ModelError  # noqa: E402
 from manip_sim.experiments import (  # noqa: E402
-    Experiment, parse_seeds, parse_shard, wilson_interval)
+    Experiment, parse_seeds, parse_shard, wilson_interval, Worker)
 from manip_sim.experiments.policies import flat, load_policy  # noqa: E402
 from manip_sim.experiments.run_folder import spans  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
@@ -51,7 +51,7 @@ def whole(tmp_path_factory):
 
 
 def test_a_run_has_the_rows_of_episodes_that_are_run_by_hand(whole):
-    worker = Experiment(Setting('reach'), f'{POLICIES}:Towards').create_worker()
+    worker = Worker(Experiment(Setting('reach'), f'{POLICIES}:Towards'))
     episode, policy = worker._episode, load_policy(f'{POLICIES}:Towards', worker._episode)
     for row in rows(whole):
         total = 0.0
@@ -177,7 +177,7 @@ def test_a_policy_that_hangs_is_ended(tmp_path, policy):
 def test_the_timer_of_a_process_that_runs_a_policy_itself_is_left_alone():
     before = signal.setitimer(signal.ITIMER_REAL, 3600.0)
     try:
-        Experiment(Setting('reach'), f'{POLICIES}:Towards').create_worker().run(0)
+        Worker(Experiment(Setting('reach'), f'{POLICIES}:Towards')).run(0)
         assert signal.getitimer(signal.ITIMER_REAL)[0] > 0.0
     finally:
         signal.setitimer(signal.ITIMER_REAL, *before)
@@ -247,8 +247,8 @@ def test_recorded_images_are_those_of_the_states_beside_them(renderer, policy, t
     from manip_sim.records.recorded import Record
     name = policy if policy == 'expert' else f'{POLICIES}:{policy}'
     setting = Setting('reach', cameras=('agentview',), image_size=(64, 48))
-    row = Experiment(setting, name, tmp_path).create_worker().run(3)
-    assert row == Experiment(Setting('reach'), name).create_worker().run(3)
+    row = Worker(Experiment(setting, name, tmp_path)).run(3)
+    assert row == Worker(Experiment(Setting('reach'), name)).run(3)
     (recorded,) = Record(tmp_path / '3.mcap').episodes()
     assert row.digest == recorded.result['digest']
     found, episode = list(Frames(recorded).images('agentview')), setting.create_episode()
@@ -317,8 +317,8 @@ def test_noise_of_a_run_is_that_of_an_environment_with_the_profile(whole, tmp_pa
     assert found['noise']['noise.joint_position'] == 0.01
     assert found['noise']['noise.wrench_force'] == 1.2 and 'latency.state' not in found['noise']
     late = {key.removesuffix('_s'): value for key, value in found['latency'].items()}
-    worker = Experiment(Setting('reach', latency=late, noise=found['noise']),
-                        f'{POLICIES}:Towards').create_worker()
+    worker = Worker(Experiment(
+        Setting('reach', latency=late, noise=found['noise']), f'{POLICIES}:Towards'))
     assert [worker.run(seed).digest for seed in range(3)] == [row['digest'] for row in rows(out)]
     assert {row['digest'] for row in rows(out)}.isdisjoint(row['digest'] for row in rows(whole))
 
