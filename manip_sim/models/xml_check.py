@@ -139,6 +139,7 @@ class XmlModel:
                              'declare any')
 
         parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+        parser.CharacterDataHandler, parser.buffer_text = builder.data, True
         parser.EntityDeclHandler = reject_entities
         parser.Parse(data, True)
         return builder.close()

@@ -21,7 +21,7 @@ from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.held_models import hold_tree, HeldModel, ROBOT_LIMITS
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files, OneText
-from manip_sim.models.xml_check import check_xml, XmlModel
+from manip_sim.models.xml_check import XmlModel
 from manip_sim.models.xml_limits import Budget
 from manip_sim.quoting import counted, one_line, quoted, quoted_names
 
@@ -108,8 +108,7 @@ def _hold(robot: ElementTree.Element, file: Path, files: Files) -> HeldModel:
 def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files: Files | None
           ) -> tuple[ElementTree.Element, list[str]]:
     """Return the elements, ready for MuJoCo, and what was left out, in sentences."""
-    robot = _parse(file, _text(file, xacro_args) if files is None
-                   else _requested(file, xacro_args, files))
+    robot = _elements(file, xacro_args, files)
     notes = [*find_meshes(robot, file, expects_meshes, files), *_drop_empty_shapes(robot),
              *make_physical(robot)]
     for element in list(robot.iter()):  # Other readers take the first, too; MuJoCo refuses two.
@@ -132,55 +131,31 @@ def _let_visual_meshes_be_flat(spec: mujoco.MjSpec) -> None:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
-def _requested(file: Path, xacro_args: Mapping[str, str], files: Files) -> str:
+def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
+              ) -> ElementTree.Element:
     """
-    Return the text of a URDF that a request names.
+    Return the root element of a URDF file, or of what a xacro file makes.
 
-    :raises ModelError: if it is xacro, which runs code, or cannot be read
+    :raises ModelError: if it is no URDF, cannot be read, or is xacro by request, which runs code
     """
-    if file.suffix.lower() == XACRO or xacro_args:
-        raise ModelError(
-            f'{one_line(str(file), 200)}: xacro evaluates Python and reads other files, so it is '
-            f"not expanded by request: spawn the URDF that 'xacro {one_line(file.name, 60)} > "
-            "robot.urdf' writes below spawn_roots, or add the file to a folder of model_path")
-    XmlModel(file, Budget(ROBOT_LIMITS), files=files)
-    return _decoded(file, files.read(file, 'URDF', ROBOT_LIMITS.bytes))
-
-
-def _text(file: Path, xacro_args: Mapping[str, str]) -> str:
-    if file.suffix.lower() == XACRO:
+    is_xacro, budget = file.suffix.lower() == XACRO, Budget()
+    if files is not None:
+        if is_xacro or xacro_args:
+            raise ModelError(
+                f'{one_line(str(file), 200)}: xacro evaluates Python and reads other files, so it '
+                "is not expanded by request: spawn the URDF that 'xacro "
+                f"{one_line(file.name, 60)} > robot.urdf' writes below spawn_roots, or add the "
+                'file to a folder of model_path')
+        budget = Budget(ROBOT_LIMITS)
+    elif is_xacro:
         text = OneText(expanded(file, xacro_args), str(file))
-        XmlModel(text.file, Budget(), files=text)
-        return text.content.decode()
-    if xacro_args:
+        file, files = text.file, text
+    elif xacro_args:
         raise ModelError(f"'xacro_args' are for a {XACRO} file, not for {file}")
-    check_xml(file)
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise ModelError(f'cannot read {file}: {error.strerror}') from error
-    return _decoded(file, content)
-
-
-def _decoded(file: Path, content: bytes) -> str:
-    try:
-        return content.decode('utf-8')
-    except UnicodeDecodeError as error:
-        raise ModelError(f'{file} is not XML that can be read: '
-                         f'{one_line(str(error))}') from error
-
-
-def _parse(file: Path, text: str) -> ElementTree.Element:
-    if '<!ENTITY' in text:
-        raise ModelError(f'{file} declares entities, which is not allowed in a URDF')
-    try:
-        robot = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ModelError(f'{file} is not XML that can be read: '
-                         f'{one_line(str(error))}') from error
-    if robot.tag != 'robot':
-        raise ModelError(f"{file} is not URDF: its root is {quoted(robot.tag)}, not 'robot'")
-    return robot
+    model = XmlModel(file, budget, files=files)
+    if not model.is_urdf:
+        raise ModelError(f"{file} is not URDF: its root is {quoted(model.root)}, not 'robot'")
+    return model.tree
 
 
 def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
