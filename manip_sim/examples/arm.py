@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import time
+from typing import Any
 
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import WrenchStamped
@@ -34,6 +35,10 @@ _NEAR, _LATE_S = 0.01, 3.0
 _STILL, _STILL_SHARE, _STILL_S, _STILL_STATES = 5e-4, 0.01, 0.3, 20
 #: How long to wait for fingers to start moving, in both simulation and wall time [s].
 _UNMOVED_S = 2.0
+#: The topics that are followed, by name below the robot's.
+_ALL, _ARM, _FINGERS, _WRENCH = (
+    'joint_states', 'arm/joint_states', 'right/gripper/joint_states', 'right/wrench')
+_FOLLOWED = {_ALL: JointState, _ARM: JointState, _FINGERS: JointState, _WRENCH: WrenchStamped}
 #: Number of random postures to start from if the present one leads to no solution.
 _STARTS = 40
 
@@ -123,40 +128,21 @@ class Arm:
     def __init__(self, task: Demonstration, name: str = '') -> None:
         self.name = name
         self._task = task
-        self._all: JointState | None = None
-        self._arm: JointState | None = None
-        self._fingers: JointState | None = None
-        self._wrench: WrenchStamped | None = None
-        space = f'{name}/' if name else ''
-        task.create_subscription(JointState, f'{space}joint_states', self._take_all, 1)
-        task.create_subscription(JointState, f'{space}arm/joint_states', self._take_arm, 1)
-        task.create_subscription(
-            JointState, f'{space}right/gripper/joint_states', self._take_fingers, 1)
-        task.create_subscription(WrenchStamped, f'{space}right/wrench', self._take_wrench, 1)
+        self._space = f'{name}/' if name else ''
+        for topic, message_type in _FOLLOWED.items():
+            task.follow(message_type, self._space + topic)
         self._trajectory = task.create_publisher(
-            JointTrajectory, f'{space}arm/joint_trajectory', 1)
+            JointTrajectory, f'{self._space}arm/joint_trajectory', 1)
         self._gripper = task.create_publisher(
-            Float64MultiArray, f'{space}right/gripper/command', 1)
+            Float64MultiArray, f'{self._space}right/gripper/command', 1)
 
-    def _take_all(self, message: JointState) -> None:
-        self._all = message
-
-    def _take_arm(self, message: JointState) -> None:
-        self._arm = message
-        self._task.notice(f'{self.name}/arm', message.header.stamp)
-
-    def _take_fingers(self, message: JointState) -> None:
-        self._fingers = message
-        self._task.notice(f'{self.name}/gripper', message.header.stamp)
-
-    def _take_wrench(self, message: WrenchStamped) -> None:
-        self._wrench = message
-        self._task.notice(f'{self.name}/wrench', message.header.stamp)
+    def _latest(self, topic: str) -> Any:
+        return self._task.latest[self._space + topic]
 
     @property
     def is_seen(self) -> bool:
         """Whether a message has come on every topic."""
-        return None not in (self._all, self._arm, self._fingers, self._wrench)
+        return all(self._space + topic in self._task.latest for topic in _FOLLOWED)
 
     def connect(self, model: mujoco.MjModel) -> None:
         """
@@ -167,25 +153,23 @@ class Arm:
         self._task.wait_until(lambda: min(self._trajectory.get_subscription_count(),
                                           self._gripper.get_subscription_count()) > 0,
                               'the node does not subscribe to commands')
-        assert self._all is not None and self._arm is not None
+        others = self._latest(_ALL)
         # The sites of a gripper have the same prefix, whatever the robot's names begin with.
         site = self.sensor_frame.removesuffix('ft_frame') + 'grip_site'
         self._kinematics = InverseKinematics(
-            model, self._arm.name, site, dict(zip(self._all.name, self._all.position)))
+            model, self._latest(_ARM).name, site, dict(zip(others.name, others.position)))
 
     # ------------------------------------------------------------------ what is seen
 
     @property
     def joints(self) -> FloatArray:
         """Positions of the arm's joints [rad], shape (n,), a copy."""
-        assert self._arm is not None
-        return np.array(self._arm.position)
+        return np.array(self._latest(_ARM).position)
 
     @property
     def fingers(self) -> FloatArray:
         """Positions of the gripper's joints [rad or m], shape (n,), a copy."""
-        assert self._fingers is not None
-        return np.array(self._fingers.position)
+        return np.array(self._latest(_FINGERS).position)
 
     @property
     def grip(self) -> tuple[FloatArray, FloatArray]:
@@ -195,15 +179,13 @@ class Arm:
     @property
     def force(self) -> FloatArray:
         """Force that the wrist exerts on the gripper [N], in :attr:`sensor_frame`, a copy."""
-        assert self._wrench is not None
-        force = self._wrench.wrench.force
+        force = self._latest(_WRENCH).wrench.force
         return np.array([force.x, force.y, force.z])
 
     @property
     def sensor_frame(self) -> str:
         """The name of the frame of the force/torque sensor."""
-        assert self._wrench is not None
-        return str(self._wrench.header.frame_id)
+        return str(self._latest(_WRENCH).header.frame_id)
 
     # ------------------------------------------------------------------ motion
 
@@ -241,14 +223,14 @@ class Arm:
         :param goal: joint positions [rad], shape (n,)
         :raises TaskFailed: if they do not get there
         """
-        assert self._arm is not None
         way = float(np.abs(goal - self.joints).max())
         duration_s = max(_SHORTEST_S, way / _SPEED)
         at_rest = [0.0] * len(goal)
         point = JointTrajectoryPoint(
             positions=goal.tolist(), velocities=at_rest, accelerations=at_rest,
             time_from_start=Duration(sec=int(duration_s), nanosec=int(duration_s % 1.0 * 1e9)))
-        self._trajectory.publish(JointTrajectory(joint_names=self._arm.name, points=[point]))
+        self._trajectory.publish(JointTrajectory(joint_names=self._latest(_ARM).name,
+                                                 points=[point]))
         end_s = self._task.now_s + duration_s
         while self._task.now_s < end_s or np.abs(self.joints - goal).max() > _NEAR:
             if self._task.now_s > end_s + _LATE_S:

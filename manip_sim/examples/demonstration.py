@@ -6,10 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 import sys
 import time
+from typing import Any
 
-from builtin_interfaces.msg import Time
 import mujoco
 import rclpy
 from rclpy.node import Node
@@ -36,6 +37,7 @@ class Demonstration(Node):
     :param name: of the node
     :param start: a command that starts the simulation that the task needs, for error messages
     :ivar is_asked_to_end: is asked while the task waits
+    :ivar latest: the newest message of each topic that is followed
     """
 
     def __init__(self, name: str, start: str) -> None:
@@ -43,7 +45,7 @@ class Demonstration(Node):
         self._start = start
         self.is_asked_to_end: Callable[[], bool] = lambda: False
         self._mjcf: str | None = None
-        self._times_s: dict[str, float] = {}
+        self.latest: dict[str, Any] = {}
         latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(String, 'manip_sim/mjcf', self._take_mjcf, latched)
 
@@ -58,14 +60,9 @@ class Demonstration(Node):
         """
         raise NotImplementedError
 
-    def notice(self, topic: str, stamp: Time) -> None:
-        """
-        Note how far a topic has come.
-
-        :param topic: on which states arrive
-        :param stamp: of the newest state
-        """
-        self._times_s[topic] = stamp.sec + stamp.nanosec * 1e-9
+    def follow(self, message_type: Any, topic: str) -> None:
+        """Keep the newest message of a topic, on which states with a stamp arrive."""
+        self.create_subscription(message_type, topic, partial(self.latest.__setitem__, topic), 1)
 
     @property
     def now_s(self) -> float:
@@ -75,7 +72,8 @@ class Demonstration(Node):
         On a busy machine the states of an instant may come on one topic long after those on
         another.
         """
-        return min(self._times_s.values(), default=0.0)
+        stamps = [message.header.stamp for message in self.latest.values()]
+        return min((stamp.sec + stamp.nanosec * 1e-9 for stamp in stamps), default=0.0)
 
     def connect(self, ready: Callable[[], bool]) -> mujoco.MjModel:
         """

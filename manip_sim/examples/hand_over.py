@@ -22,6 +22,8 @@ from manip_sim.examples.arm import Arm
 from manip_sim.examples.demonstration import Demonstration, run, TaskFailed
 from manip_sim.resources import share_directory
 
+#: The topic of the cube's pose.
+CUBE = 'objects/cube/pose'
 #: Where ``left`` and then ``middle`` give the cube to the next arm, in ``world`` [m].
 LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
 #: Where the cube should stand in the end, in ``world`` [m], and the tolerance [m].
@@ -44,23 +46,16 @@ class HandOverDemonstration(Demonstration):
         super().__init__('hand_over', f'sim_node --ros-args --params-file {file}')
         self._left, self._middle, self._right = (Arm(self, name)
                                                  for name in ('left', 'middle', 'right'))
-        self._pose: PoseStamped | None = None
-        self.create_subscription(PoseStamped, 'objects/cube/pose', self._take_pose, 1)
-
-    def _take_pose(self, message: PoseStamped) -> None:
-        self._pose = message
-        self.notice('cube', message.header.stamp)
+        self.follow(PoseStamped, CUBE)
 
     @property
     def _cube(self) -> FloatArray:
-        assert self._pose is not None
-        position = self._pose.pose.position
+        position = self.latest[CUBE].pose.position
         return np.array([position.x, position.y, position.z])
 
     def _sides(self) -> list[FloatArray]:
         """Return the horizontal directions from the cube's centre to its sides, in ``world``."""
-        assert self._pose is not None
-        turned, rotation = self._pose.pose.orientation, np.empty(9)
+        turned, rotation = self.latest[CUBE].pose.orientation, np.empty(9)
         mujoco.mju_quat2Mat(rotation, np.array([turned.w, turned.x, turned.y, turned.z]))
         axes = rotation.reshape(3, 3).T
         return [sign * axis for axis in axes if abs(axis[2]) < 0.1 for sign in (1.0, -1.0)]
@@ -74,7 +69,7 @@ class HandOverDemonstration(Demonstration):
         """
         left, middle, right = arms = self._left, self._middle, self._right
         model = self.connect(
-            lambda: self._pose is not None and all(arm.is_seen for arm in arms))
+            lambda: CUBE in self.latest and all(arm.is_seen for arm in arms))
         for arm in arms:
             arm.connect(model)
             arm.open()

@@ -124,13 +124,13 @@ def test_an_arm_that_does_not_move_is_told(node, process, client):
 
 def test_a_cube_that_does_not_stand_at_the_goal_is_told():
     from manip_sim.examples.demonstration import TaskFailed
-    from manip_sim.examples.hand_over import HandOverDemonstration
+    from manip_sim.examples.hand_over import CUBE, HandOverDemonstration
     rclpy.init(domain_id=DOMAIN)
     task = HandOverDemonstration()
     try:
         pose = PoseStamped()
         pose.pose.position.z = 0.825
-        task._take_pose(pose)
+        task.latest[CUBE] = pose
         task.wait = lambda _: None
         with pytest.raises(TaskFailed, match=r'the cube is at .*, 0\.502 m from the goal'):
             task._check_goal()

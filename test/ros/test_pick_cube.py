@@ -118,7 +118,7 @@ def arm_with_fingers():
                 topics[1].publish(state)
         task.wait_until(lambda: all(t.get_subscription_count() for t in topics), 'alone')
         timer = task.create_timer(0.005, publish)
-        task.wait_until(lambda: None not in (arm._arm, arm._fingers), 'nothing heard')
+        task.wait_until(lambda: len(task.latest) == 2, 'nothing heard')
         return arm, timer
     yield make
     task.destroy_node()
