@@ -5,24 +5,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 import contextlib
+from functools import partial
 import queue
 import threading
 from typing import Any, TYPE_CHECKING
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.task import Future
 
 from manip_sim.errors import SimulationEnded
 from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.ros.command_subscribers import CommandSubscribers
-from manip_sim.ros.log import kind_of, RejectionLog
-from manip_sim.ros.optional_packages import ActionTypes, load_action_types, missing_note
-from manip_sim.runtime import SimulationThread
+from manip_sim.ros.log import kind_of
+from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.goals import Ending, Goal, GoalError
@@ -30,6 +29,7 @@ from manip_sim.simulation.goals import Ending, Goal, GoalError
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
 
+ACTION_TYPES = import_optional('control_msgs.action')
 #: How long a client may take to ask for a result, wall time [s]; the default of rcl_action.
 _RESULT_TIMEOUT_S = 10
 
@@ -48,13 +48,13 @@ class GoalServer:
     :ivar robot: that the goals are for
     """
 
-    def __init__(self, node: Node, messages: ActionMessages, commands: CommandSubscribers,
-                 tracker: GoalTracker, log: RejectionLog, begun: Callable[[], None]) -> None:
+    def __init__(self, node: SimNode, messages: ActionMessages, commands: CommandSubscribers,
+                 tracker: GoalTracker, begun: Callable[[], None]) -> None:
         self._messages = messages
         self._commands = commands
         self.robot = commands.robot
         self._tracker = tracker
-        self._log = log
+        self._log = node.rejections
         self._begun = begun
         self._name = commands.scope.topic(f'{messages.part}/{messages.name}')
         #: The last request that was accepted, with its goal, which is begun right afterwards.
@@ -157,27 +157,28 @@ class ActionServers:
     """
     The action servers of all robots.
 
-    :param offered: conversions of the messages of each action, and what counts its goals
+    :param offer: returns the conversions of the messages of each action of a robot
     :ivar tracker: watches the goals
     """
 
-    def __init__(self, node: Node, offered: Iterable[tuple[ActionMessages, CommandSubscribers]],
-                 thread: SimulationThread, log: RejectionLog) -> None:
-        self._node, self._log = node, log
+    def __init__(self, node: SimNode,
+                 offer: Callable[[SimulatedRobot], Iterable[ActionMessages]]) -> None:
+        self._node, self._offer = node, offer
         self._ended: queue.SimpleQueue[Goal] = queue.SimpleQueue()
         self._guard = node.create_guard_condition(self._report_ends)
-        self.tracker = GoalTracker(thread, self._has_ended)
+        self.tracker = GoalTracker(node.thread, self._has_ended)
         # The timer runs while there are goals.
         self._timer = node.create_timer(_FEEDBACK_S, self._send_feedback,
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._servers: list[GoalServer] = []
-        self.add(offered)
+        for commands in node.commands:
+            self.add(commands)
 
-    def add(self, offered: Iterable[tuple[ActionMessages, CommandSubscribers]]) -> None:
-        """Add servers of a robot, as at construction."""
+    def add(self, commands: CommandSubscribers) -> None:
+        """Add the servers of a robot, whose commands count its goals."""
         self._servers += [
-            GoalServer(self._node, messages, commands, self.tracker, self._log, self._timer.reset)
-            for messages, commands in offered]
+            GoalServer(self._node, messages, commands, self.tracker, self._timer.reset)
+            for messages in self._offer(commands.robot)]
 
     def close(self, robot: SimulatedRobot, reason: str) -> None:
         """Abort the goals of a robot, for a reason that its clients learn, and accept no more."""
@@ -233,47 +234,28 @@ class ActionServers:
         answered.wait(_END_S)
 
 
-def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], int]
+def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int]
                 ) -> Iterator[ActionMessages]:
     """
     Yield the conversions of the messages of each action of a robot.
 
+    :param types: such as ``control_msgs.action``, with or without ``ParallelGripperCommand``
     :param now_ns: returns the simulation time [ns]
     """
     for name, part in robot.parts.items():
         if part.gripper is None:
             if part.actuators:
-                yield TrajectoryMessages(types.follow_joint_trajectory, robot, name, now_ns)
+                yield TrajectoryMessages(types.FollowJointTrajectory, robot, name, now_ns)
         elif robot.grippers[name].joints.names:
-            yield GripperMessages(types.gripper_command, robot, name, now_ns)
-            if types.parallel_gripper_command is not None:
-                yield ParallelGripperMessages(types.parallel_gripper_command, robot, name, now_ns)
+            yield GripperMessages(types.GripperCommand, robot, name, now_ns)
+            if hasattr(types, 'ParallelGripperCommand'):
+                yield ParallelGripperMessages(types.ParallelGripperCommand, robot, name, now_ns)
 
 
-def offer_actions(node: SimNode, commands: Sequence[CommandSubscribers], thread: SimulationThread,
-                  log: RejectionLog) -> ActionServers | None:
-    """
-    Offer the actions if the package control_msgs is installed, else note that they are missing.
-
-    :param node: the node, with its ``notes``
-    :param commands: of each robot
-    """
-    types = load_action_types()
-    if types is None:
+def offer_actions(node: SimNode) -> ActionServers | None:
+    """Offer the actions if the package control_msgs is installed, else note that it is missing."""
+    if ACTION_TYPES is None:
         node.notes.append(missing_note('control_msgs', 'actions'))
         return None
-
-    return ActionServers(node, [offered for of_robot in commands
-                                for offered in offers_of(of_robot, thread)], thread, log)
-
-
-def offers_of(commands: CommandSubscribers, thread: SimulationThread
-              ) -> list[tuple[ActionMessages, CommandSubscribers]]:
-    """
-    Return the actions of a robot as :class:`ActionServers` takes them; none without control_msgs.
-
-    :param commands: of the robot
-    """
-    types = load_action_types()
-    return [] if types is None else [(messages, commands) for messages in messages_of(
-        types, commands.robot, lambda: thread.progress.time_ns)]
+    return ActionServers(node, partial(
+        messages_of, ACTION_TYPES, now_ns=lambda: node.thread.progress.time_ns))

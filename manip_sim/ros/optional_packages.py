@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import importlib
 from typing import Any
 
@@ -36,25 +35,3 @@ def missing_note(package: str, without: str) -> str:
     """
     return (f'no {without}: {package} is not installed; it is not available from pip: '
             f'apt install ros-jazzy-{package.replace("_", "-")}, or build it')
-
-
-@dataclass(frozen=True)
-class ActionTypes:
-    """
-    Types with ``Goal``, ``Feedback`` and ``Result``, such as those of ``control_msgs.action``.
-
-    :ivar parallel_gripper_command: None in older versions of the package, which do not have it
-    """
-
-    follow_joint_trajectory: Any
-    gripper_command: Any
-    parallel_gripper_command: Any = None
-
-
-def load_action_types() -> ActionTypes | None:
-    """Return the types of the package, or None if it is not installed."""
-    action = import_optional('control_msgs.action')
-    if action is None:
-        return None
-    return ActionTypes(action.FollowJointTrajectory, action.GripperCommand,
-                       getattr(action, 'ParallelGripperCommand', None))

@@ -50,7 +50,6 @@ from manip_sim.ros.scene import check_frame_prefix, SceneTopics
 from manip_sim.ros.sensor_publishers import offer_sensors
 from manip_sim.ros.served_robot import ServedRobot
 from manip_sim.ros.services import SimulationServices
-from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.ros.surroundings_topics import SurroundingsTopics
 from manip_sim.runtime import SimulationThread
@@ -143,10 +142,9 @@ class SimNode(Node):
         self.cameras = offer_cameras(self, cameras)
         self._followers.append(self.cameras.follow)
         offer_lidars(self, world.lidars)
-        self.actions = offer_actions(self, self.commands, self.thread, self.rejections)
+        self.actions = offer_actions(self)
         SimulationServices(self)
-        offer_simulation_interfaces(self, self.simulation, self.thread, self.world_changed,
-                                    spawn_files(value('spawn_roots')), SpawnedRobots(self))
+        offer_simulation_interfaces(self, spawn_files(value('spawn_roots')))
         Diagnostics(self)
         self._publish_truth()
         self._journal = JournalPublisher(self, self._task)

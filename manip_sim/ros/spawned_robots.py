@@ -26,7 +26,6 @@ from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
 from manip_sim.physics.poses import Pose
 from manip_sim.quoting import quoted, shown
-from manip_sim.ros.actions import offers_of
 from manip_sim.ros.background import in_background, Rounds
 from manip_sim.ros.introduction import inferred
 from manip_sim.ros.standard_answers import Rejection, ResultCode, SpawnCode
@@ -192,7 +191,7 @@ class SpawnedRobots:
         node.scene.add(scope, robot, robot.robot_model.naming_prefix)
         node.publish_truth_by(scope, partial(node.instruments.publish_truth, scope))
         if node.actions is not None:
-            node.actions.add(offers_of(served.commands, self._thread))
+            node.actions.add(served.commands)
         node.descriptions.add(scope, robot)
         for note in inferred(self._simulation.world, robot.robot_model):
             node.get_logger().info(note)

@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.node import Node
 
 from manip_sim.errors import CommandError
 from manip_sim.models.regular_files import FilesBelow
@@ -25,8 +23,6 @@ from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_answers import (
     answering, BoundsType, Category, Feature, Rejection, result_filled, ResultCode, ScopeCode,
     SetEntityCode, SetStateCode, StateCode)
-from manip_sim.runtime import SimulationThread
-from manip_sim.simulation import Simulation
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
@@ -39,24 +35,19 @@ _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation
           'of a reset restarts simulation time, scope STATE lets it go on.')
 
 
-def offer_simulation_interfaces(node: SimNode, simulation: Simulation, thread: SimulationThread,
-                                objects_changed: Callable[[Simulation], None], files: FilesBelow,
-                                robots: SpawnedRobots) -> None:
+def offer_simulation_interfaces(node: SimNode, files: FilesBelow) -> None:
     """
     Offer the services of the standard under ``~/``; note if their package is missing.
 
-    :param node: the node, with its ``notes``
-    :param simulation: what is controlled
-    :param objects_changed: is called after objects have come or gone
     :param files: those that a request may name
-    :param robots: lets robots come and go
     """
     if not AVAILABLE:
         node.notes.append(missing_note('simulation_interfaces', 'standard simulation services'))
         return
-    SimulationInterfaces(node, simulation, thread, SERVICE_TYPES)
-    EntityServices(node, simulation, thread, SERVICE_TYPES)
-    SpawningServices(node, simulation, thread, objects_changed, files, SERVICE_TYPES, robots)
+    SimulationInterfaces(node, SERVICE_TYPES)
+    EntityServices(node, SERVICE_TYPES)
+    SpawningServices(node, node.simulation, node.thread, node.world_changed, files, SERVICE_TYPES,
+                     SpawnedRobots(node))
 
 
 class SimulationInterfaces:
@@ -66,15 +57,11 @@ class SimulationInterfaces:
     A step is one control period. Scope ``ALL`` of a reset, and the state ``STOPPED``, restart
     simulation time; scope ``STATE`` lets it go on, as ``~/reset`` does.
 
-    :param simulation: what is controlled
     :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 
-    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread, types: Any
-                 ) -> None:
-        self._node = node
-        self._simulation = simulation
-        self._thread = thread
+    def __init__(self, node: SimNode, types: Any) -> None:
+        self._node, self._simulation, self._thread = node, node.simulation, node.thread
         self._stopped = False
         node.create_service(types.GetSimulatorFeatures, '~/get_simulator_features',
                             self._features)
@@ -157,14 +144,11 @@ class EntityServices:
     """
     The services that list robots and objects, return their poses and move free ones.
 
-    :param simulation: what has the entities
     :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 
-    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread, types: Any
-                 ) -> None:
-        self._simulation = simulation
-        self._thread = thread
+    def __init__(self, node: SimNode, types: Any) -> None:
+        self._simulation, self._thread = node.simulation, node.thread
         # A group of their own: a request for many steps, in another group, does not hold them up.
         group = MutuallyExclusiveCallbackGroup()
         for service_type, name, fill in (

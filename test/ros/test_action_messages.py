@@ -17,7 +17,6 @@ from manip_sim.models import compose
 from manip_sim.ros.action_messages import (
     GripperMessages, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.ros.actions import messages_of
-from manip_sim.ros.optional_packages import ActionTypes
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.goals import GoalCode, GoalError
 
@@ -27,7 +26,7 @@ FOLLOW = Plain(Feedback=lambda: Plain(header=Header()), Result=Plain)
 GRIP = Plain(Feedback=Plain, Result=Plain)
 PARALLEL = Plain(Feedback=lambda: Plain(state=JointState()),
                  Result=lambda: Plain(state=JointState()))
-TYPES = ActionTypes(FOLLOW, GRIP, PARALLEL)
+TYPES = Plain(FollowJointTrajectory=FOLLOW, GripperCommand=GRIP, ParallelGripperCommand=PARALLEL)
 
 
 @pytest.fixture
@@ -213,5 +212,6 @@ def test_a_robot_has_the_actions_of_the_table(robot, gripper):
 
 
 def test_older_versions_of_the_package_have_no_parallel_gripper_command(simulation):
-    found = messages_of(ActionTypes(FOLLOW, GRIP), simulation.robot, lambda: 0)
+    types = Plain(FollowJointTrajectory=FOLLOW, GripperCommand=GRIP)
+    found = messages_of(types, simulation.robot, lambda: 0)
     assert [m.name for m in found] == ['follow_joint_trajectory'] * 2 + ['gripper_cmd']

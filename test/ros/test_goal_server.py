@@ -47,10 +47,9 @@ class Swing(ActionMessages):
         return Fibonacci.Result(sequence=[goal.outcome.code])
 
 
-def offer(node, commands, thread, log):
-    return ActionServers(
-        node, [(Swing(Fibonacci, c.robot, 'arm', lambda: thread.progress.time_ns), c)
-               for c in commands], thread, log)
+def offer(node):
+    return ActionServers(node, lambda robot: [
+        Swing(Fibonacci, robot, 'arm', lambda: node.thread.progress.time_ns)])
 
 
 class Swinger:

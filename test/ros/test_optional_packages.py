@@ -22,7 +22,7 @@ def test_a_package_that_is_not_installed_is_none_and_one_that_is_broken_an_error
 
 def test_each_package_that_is_missing_is_noted_with_the_way_to_get_it(
         serve, client, monkeypatch):
-    monkeypatch.setattr(actions, 'load_action_types', lambda: None)
+    monkeypatch.setattr(actions, 'ACTION_TYPES', None)
     monkeypatch.setattr(standard_services, 'AVAILABLE', False)
     monkeypatch.setattr(transforms, 'TFMessage', None)
     monkeypatch.setattr(scene, 'PLANS', False)

@@ -28,7 +28,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
 from manip_sim.interface.world_topics import topics_of
-from manip_sim.ros import sim_node, spawned_robots
+from manip_sim.ros import sim_node
 from manip_sim.ros.action_messages import ActionMessages
 from manip_sim.ros.actions import ActionServers
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
@@ -315,12 +315,9 @@ def test_a_goal_of_a_robot_ends_with_it_and_its_client_hears_why(spawning, clien
             assert goal.outcome.reason == "robot 'left' was deleted"
             return action.Fibonacci.Result(sequence=[7])
 
-    def offers(commands, thread):
-        return [(Swing(action.Fibonacci, commands.robot, 'arm',
-                       lambda: thread.progress.time_ns), commands)]
-    monkeypatch.setattr(sim_node, 'offer_actions', lambda node, commands, thread, log: (
-        ActionServers(node, [], thread, log)))
-    monkeypatch.setattr(spawned_robots, 'offers_of', offers)
+    monkeypatch.setattr(sim_node, 'offer_actions', lambda node: ActionServers(
+        node, lambda robot: [Swing(action.Fibonacci, robot, 'arm',
+                                   lambda: node.thread.progress.time_ns)]))
     node = spawning(stepping='realtime')
     before = entities_of(node)
     for _ in range(2):

@@ -65,8 +65,8 @@ class Standard:
         self.simulation = Simulation(self.world)
         self.thread = SimulationThread(self.simulation, steps=5, stepping='free', paused=True)
         self.services, self.groups, self.followed = {}, {}, []
-        SimulationInterfaces(self, self.simulation, self.thread, TYPES)
-        EntityServices(self, self.simulation, self.thread, TYPES)
+        SimulationInterfaces(self, TYPES)
+        EntityServices(self, TYPES)
         SpawningServices(self, self.simulation, self.thread, self.followed.append,
                          FilesBelow([folder], 'spawn_roots'), TYPES, Plain(names=[]))
         self.thread.start()
