@@ -18,7 +18,7 @@ from manip_sim.viewer.page.body_meshes import body_meshes, planes
 from manip_sim.viewer.page.plain_text import plain
 
 _NOTHING = np.zeros((0, 3))
-_POINT = (255, 140, 0)
+_CONTACTS, _POINT = 'contacts', (255, 140, 0)
 _COLORS = {'contact_forces': (255, 200, 20), 'force': (230, 40, 40), 'torque': (70, 120, 255),
            'pull': (60, 200, 80)}
 _SHAFT_M, _HEAD_M, _HEAD_LENGTH_M = 0.004, 0.01, 0.02
@@ -31,8 +31,7 @@ class Overlays:
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
-        self._arrows: dict[str, tuple[FloatArray, Any]] = {}
-        self._points: tuple[FloatArray, Any] | None = None
+        self._shown: dict[str, tuple[FloatArray, Any]] = {}
 
     def show(self, points: FloatArray, arrows: Mapping[str, FloatArray]) -> None:
         """
@@ -41,46 +40,39 @@ class Overlays:
         :param points: where bodies touch, in ``world`` [m], shape (n, 3)
         :param arrows: by what they show, from and to in ``world`` [m], shape (n, 2, 3)
         """
-        self._show_points(points)
-        for what, color in _COLORS.items():
-            self._show_arrows(what, color, arrows.get(what, np.zeros((0, 2, 3))))
+        self._show(_CONTACTS, points)
+        for what in _COLORS:
+            self._show(what, arrows.get(what, _NOTHING))
 
     def clear(self) -> None:
         self.show(_NOTHING, {})
 
-    def _show_points(self, points: FloatArray) -> None:
-        if self._points is not None:
-            before, handle = self._points
-            if before.shape == points.shape and np.allclose(before, points, rtol=0.0,
-                                                            atol=_SAME_ARROW_M):
-                return
-            if len(points):
-                handle.points = points.astype(np.float32)
-                self._points = points, handle
-                return
-            handle.remove()
-            self._points = None
-        elif len(points):
-            self._points = points, self._scene.add_point_cloud(
-                '/overlays/contacts', points.astype(np.float32), _POINT, point_size=0.012,
-                point_shape='circle', precision='float32')
-
-    def _show_arrows(self, what: str, color: tuple[int, int, int], arrows: FloatArray) -> None:
-        before, handle = self._arrows.pop(what, (np.zeros((0, 2, 3)), None))
-        if handle is not None and (before.shape != arrows.shape or not len(arrows)):
+    def _show(self, what: str, numbers: FloatArray) -> None:
+        before, handle = self._shown.pop(what, (_NOTHING, None))
+        alike = before.shape == numbers.shape
+        # The number of points of a cloud may change, that of arrows may not.
+        if handle is not None and (not len(numbers) or what != _CONTACTS and not alike):
             handle.remove()
             handle = None
-        if not len(arrows):
+        if not len(numbers):
             return
         if handle is None:
-            handle = self._scene.add_arrows(
-                f'/overlays/{what}', arrows, color, shaft_radius=_SHAFT_M, head_radius=_HEAD_M,
-                head_length=_HEAD_LENGTH_M)
-        elif not np.allclose(before, arrows, atol=_SAME_ARROW_M, rtol=0.0):
-            handle.points = arrows.astype(np.float32)
+            handle = self._add(what, numbers)
+        elif alike and np.allclose(before, numbers, rtol=0.0, atol=_SAME_ARROW_M):
+            numbers = before
         else:
-            arrows = before
-        self._arrows[what] = arrows, handle
+            handle.points = numbers.astype(np.float32)
+        self._shown[what] = numbers, handle
+
+    def _add(self, what: str, numbers: FloatArray) -> Any:
+        name = f'/overlays/{what}'
+        if what == _CONTACTS:
+            return self._scene.add_point_cloud(
+                name, numbers.astype(np.float32), _POINT, point_size=0.012,
+                point_shape='circle', precision='float32')
+        return self._scene.add_arrows(
+            name, numbers, _COLORS[what], shaft_radius=_SHAFT_M, head_radius=_HEAD_M,
+            head_length=_HEAD_LENGTH_M)
 
 
 ROOT = '/world'
