@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 import io
 import json
@@ -103,35 +103,29 @@ class ImageOutputs:
     """
 
     def __init__(self, outputs: Mapping[str, Output], found: Intrinsics) -> None:
-        self._color = outputs['color/image_raw']
-        self._jpeg = outputs['color/image_raw/compressed']
-        self._depth = outputs.get('depth/image_raw')
-        self._points = outputs.get('depth/points')
-        self._labels = outputs['labels/image_raw']
-        self._clouds = PointCloudMaker(found)
+        makers: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
+            'color/image_raw': (image, ('rgb',)), 'color/image_raw/compressed': (jpeg, ('rgb',)),
+            'depth/image_raw': (image, ('depth',)),
+            'depth/points': (PointCloudMaker(found).make, ('depth', 'rgb')),
+            'labels/image_raw': (image, ('labels',))}
+        #: What makes their messages, and of which fields of a picture; the first must be there.
+        self._topics = [(outputs[name], *maker) for name, maker in makers.items()
+                        if name in outputs]
 
     def wanted(self) -> tuple[bool, bool, bool]:
         """Return whether colours, depth and labels have subscribers."""
-        points = self._points is not None and self._points.wanted
-        return (self._color.wanted or self._jpeg.wanted or points,
-                points or self._depth is not None and self._depth.wanted, self._labels.wanted)
+        wanted = {field for output, _, fields in self._topics if output.wanted for field in fields}
+        return 'rgb' in wanted, 'depth' in wanted, 'labels' in wanted
 
     def publish(self, head: Header, picture: Picture, noise: ImageNoise | None) -> None:
         rgb, depth = picture.rgb, picture.depth
         if noise is not None:
             rgb = None if rgb is None else noise.on_colours(rgb)
             depth = None if depth is None else noise.on_depth(depth)
-        if rgb is not None:
-            if self._color.wanted:
-                self._color.publish(image(head, rgb))
-            if self._jpeg.wanted:
-                self._jpeg.publish(jpeg(head, rgb))
-        if depth is not None and self._depth is not None and self._depth.wanted:
-            self._depth.publish(image(head, depth))
-        if depth is not None and self._points is not None and self._points.wanted:
-            self._points.publish(self._clouds.make(head, depth, rgb))
-        if picture.labels is not None and self._labels.wanted:
-            self._labels.publish(image(head, picture.labels))
+        found = {'rgb': rgb, 'depth': depth, 'labels': picture.labels}
+        for output, make, fields in self._topics:
+            if found[fields[0]] is not None and output.wanted:
+                output.publish(make(head, *(found[field] for field in fields)))
 
 
 class CameraPublishers:
