@@ -53,20 +53,26 @@ class GuardedExecutor(SingleThreadedExecutor):
         return self._ending
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait for one callback and run it, as :meth:`run_one`."""
+        self.run_one(timeout_sec)
+
+    def run_one(self, timeout_s: float | None) -> bool:
         """
         Wait for one callback and run it.
 
-        :param timeout_sec: how long to wait [s]; None: until there is one
+        :param timeout_s: how long to wait [s]; None: until there is one
+        :returns: whether there was one
         """
         try:
-            task, entity, _ = self.wait_for_ready_callbacks(timeout_sec, None, self._is_ending)
+            task, entity, _ = self.wait_for_ready_callbacks(timeout_s, None, self._is_ending)
         except (ConditionReachedException, ShutdownException, TimeoutException):
-            return
+            return False
         task()
         error = task.exception()
         if error is not None:
             _release(entity)
             self._log.failure('callbacks', _name_of(entity), error)
+        return True
 
     def _take_subscription(self, sub: Any) -> Any:
         with contextlib.suppress(InvalidHandle), sub.handle:

@@ -9,10 +9,10 @@ from collections.abc import Callable
 import time
 from typing import Any
 
-from rclpy.executors import ShutdownException, SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 
 from manip_sim.errors import ManipSimError
+from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.reading import read_message
 
@@ -59,23 +59,11 @@ class Readers:
         self.log.warn(topic, kind_of(error), f'{topic}: {error}')
 
 
-class PolledExecutor(SingleThreadedExecutor):
+class PolledExecutor(GuardedExecutor):
     """An executor that runs callbacks when it is polled, not when messages come."""
-
-    def __init__(self, log: RejectionLog, **arguments: Any) -> None:
-        super().__init__(**arguments)
-        self._log = log
 
     def run_ready(self) -> None:
         """Run callbacks until none is ready or time is up, without waiting for more."""
         end_s = time.monotonic() + _ROUND_S
-        try:
-            while time.monotonic() < end_s:
-                task, entity, _ = self.wait_for_ready_callbacks(timeout_sec=0.0)
-                task()
-                error = task.exception()
-                if error is not None:
-                    name = getattr(entity, 'topic_name', getattr(entity, 'srv_name', 'a task'))
-                    self._log.failure('callbacks', str(name), error)
-        except (TimeoutException, ShutdownException):
+        while time.monotonic() < end_s and self.run_one(0.0):
             pass
