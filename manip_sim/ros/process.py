@@ -67,12 +67,9 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
         while not asked_to_end.wait(_WATCH_S):
             if node.thread.error is not None:
                 raise node.thread.error
-            if not spinner.is_alive():
-                return _fail('the executor ended unexpectedly')
-            if not node.takes_commands:
-                return _fail('the thread that takes commands ended unexpectedly')
-            if not node.publishes:
-                return _fail('the thread that publishes ended unexpectedly')
+            ended = node.ended_thread if spinner.is_alive() else 'the executor'
+            if ended:
+                return _fail(f'{ended} ended unexpectedly')
         return 0
     finally:
         if spinner.is_alive():

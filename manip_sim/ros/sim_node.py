@@ -336,14 +336,12 @@ class SimNode(Node):
             self._command_thread.take()
 
     @property
-    def takes_commands(self) -> bool:
-        """Whether the thread that takes commands runs; True if there is none."""
-        return self._command_thread is None or self._command_thread.is_alive
-
-    @property
-    def publishes(self) -> bool:
-        """Whether the thread that publishes runs; True if there is none."""
-        return self.publishing is None or self.publishing.is_alive
+    def ended_thread(self) -> str:
+        """Which thread of the node has ended unexpectedly; empty if none has."""
+        threads = {'the thread that takes commands': self._command_thread,
+                   'the thread that publishes': self.publishing}
+        return next((what for what, thread in threads.items()
+                     if thread is not None and not thread.is_alive), '')
 
     def end_goals(self) -> None:
         """Abort the goals of actions and inform their clients, while the executor still spins."""
