@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.parameter import Parameter
@@ -24,31 +24,6 @@ from manip_sim.ros.sim_node import SimNode
 
 #: How long a node is given to end; a machine with many other processes takes long [s].
 _END_S = 300.0
-
-
-class ServedNode(Protocol):
-    """A node that runs."""
-
-    def check(self) -> None:
-        """
-        Check that the node still runs.
-
-        :raises ManipSimError: with the reason why it has ended
-        """
-
-    def kill(self) -> None:
-        """
-        End the node without warning, as a crash does.
-
-        :raises ManipSimError: if it runs in this process
-        """
-
-    def close(self) -> None:
-        """
-        End the node.
-
-        :raises ManipSimError: if it has failed
-        """
 
 
 class NodeInProcess:
@@ -72,17 +47,29 @@ class NodeInProcess:
         self.node.start()
 
     def check(self) -> None:
-        """Check that the node still runs."""
+        """
+        Check that the node still runs.
+
+        :raises ManipSimError: with the reason why it has ended
+        """
         if self.node.thread.error is not None:
             raise ManipSimError(f'the node has ended: {self.node.thread.error}')
 
     def kill(self) -> None:
-        """Say that the node cannot be killed."""
+        """
+        Say that the node cannot be killed.
+
+        :raises ManipSimError: in any case
+        """
         raise ManipSimError('a node in the process of the test cannot be killed: start it with '
                             'as_process=True')
 
     def close(self) -> None:
-        """End the node; after a signal, rclpy has shut its context down already."""
+        """
+        End the node; after a signal, rclpy has shut its context down already.
+
+        :raises ManipSimError: if it has failed
+        """
         interrupted = not self._context.ok()
         self.node.end_goals()
         self._executor.end()
@@ -114,7 +101,7 @@ class NodeProcess:
                 stdout=log, stderr=subprocess.STDOUT)
 
     def check(self) -> None:
-        """Check that the node still runs."""
+        """Check that the node still runs, as :meth:`NodeInProcess.check`."""
         code = self._process.poll()
         if code is not None:
             raise ManipSimError(f'the node has ended with exit code {code}: {self._last_line()}')
@@ -123,13 +110,13 @@ class NodeProcess:
         return (self._log.read_text().strip().splitlines() or ['no output'])[-1]
 
     def kill(self) -> None:
-        """Send SIGKILL to the process."""
+        """End the node without warning, as a crash does: send SIGKILL to the process."""
         self._process.kill()
         self._process.wait()
         self._files.close()
 
     def close(self) -> None:
-        """End the node."""
+        """End the node, as :meth:`NodeInProcess.close`."""
         self._process.terminate()
         try:
             code = self._process.wait(_END_S)
@@ -139,3 +126,6 @@ class NodeProcess:
             self._process.kill()
             self._process.wait()
             self._files.close()
+
+
+ServedNode = NodeInProcess | NodeProcess

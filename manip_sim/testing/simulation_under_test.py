@@ -156,7 +156,7 @@ class SimulationUnderTest:
         end_ns = self._now_ns + periods * round(self.period_s * 1e9)
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked()
-        self._set('pause_at', end_ns * 1e-9)
+        self.set_parameter('pause_at', end_ns * 1e-9)
         self._recorded.repeats = 0
         # What counts is that time passes: DDS may lose the answer.
         self._ask(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
@@ -173,14 +173,6 @@ class SimulationUnderTest:
                      if self._lockstep else 'is it paused by somebody else, or has it diverged?')
             raise SimulationStalled(f'the simulation stands still at {self.time_s:.3f} s: {parts}')
 
-    def _set(self, name: str, value: Any) -> None:
-        result = self.call(SetParametersAtomically, 'manip_sim/set_parameters_atomically',
-                           SetParametersAtomically.Request(parameters=[
-                               Parameter(name, value=value).to_parameter_msg()]),
-                           again=True).result
-        if not result.successful:
-            raise ManipSimError(result.reason)
-
     def set_parameter(self, name: str, value: Any) -> None:
         """
         Change a live parameter of the node.
@@ -189,7 +181,12 @@ class SimulationUnderTest:
         :param value: the new value
         :raises ManipSimError: if the node rejects it, with its reason
         """
-        self._set(name, value)
+        result = self.call(SetParametersAtomically, 'manip_sim/set_parameters_atomically',
+                           SetParametersAtomically.Request(parameters=[
+                               Parameter(name, value=value).to_parameter_msg()]),
+                           again=True).result
+        if not result.successful:
+            raise ManipSimError(result.reason)
 
     def reset(self) -> None:
         """
