@@ -52,8 +52,8 @@ def best_s(function: Callable[[], object]) -> float:
     return min(times)
 
 
-def hand_at(simulation: Simulation, arm: str, positions: Any) -> tuple[Any, Any]:
-    """Return the pose of the hand at joint positions, position and rotation matrix."""
+def pose_at(simulation: Simulation, arm: str, positions: Any) -> tuple[Any, Any]:
+    """Return the pose of the end effector at joint positions, position and rotation matrix."""
     model, data = simulation.model, mujoco.MjData(simulation.model)
     data.qpos[:] = simulation.data.qpos
     data.qpos[simulation.robot.parts[arm].qpos_addresses] = positions
@@ -71,10 +71,10 @@ def joint_ranges(simulation: Simulation, arm: str) -> Any:
 
 
 def random_poses(simulation: Simulation, arm: str) -> list[tuple[Any, Any]]:
-    """Return poses of the hand, position and rotation matrix, that the arm can take."""
+    """Return poses of the end effector, position and rotation matrix, that the arm can take."""
     low, high = joint_ranges(simulation, arm)
     random = np.random.default_rng(3)
-    return [hand_at(simulation, arm, (low + high) / 2.0 + random.uniform(-0.4, 0.4, len(low))
+    return [pose_at(simulation, arm, (low + high) / 2.0 + random.uniform(-0.4, 0.4, len(low))
                     * (high - low)) for _ in range(POSES)]
 
 
@@ -85,15 +85,15 @@ def deviations(simulation: Simulation, steps: int, arm: str) -> list[float]:
     for _ in range(WAYS):
         simulation.reset()
         start = robot.controller_state(arm).reference.position
-        goal = hand_at(simulation, arm, np.clip(
+        goal = pose_at(simulation, arm, np.clip(
             start + random.uniform(-AWAY_RAD, AWAY_RAD, len(start)), low + 0.1, high - 0.1))
         mujoco.mju_mat2Quat(quat, goal[1].ravel())
         command = robot.parse_cartesian.pose(arm, goal[0], quat[[1, 2, 3, 0]])
         robot.apply(command, period_s=1.0 / RATE_HZ)
-        way = [hand_at(simulation, arm, start)[0]]
+        way = [pose_at(simulation, arm, start)[0]]
         for _ in range(round(WAY_S * RATE_HZ)):
             simulation.advance(steps)
-            way.append(hand_at(simulation, arm, robot.controller_state(arm).reference.position)[0])
+            way.append(pose_at(simulation, arm, robot.controller_state(arm).reference.position)[0])
         if command.handle.status is Status.DONE:
             along = (goal[0] - way[0]) / np.linalg.norm(goal[0] - way[0])
             offset = np.array(way) - way[0]
@@ -111,7 +111,7 @@ def print_straightness(deviation: list[float]) -> None:
 
 
 def time_to(simulation: Simulation, steps: int, arm: str, pose: tuple[Any, Any]) -> float:
-    """Return how long the hand takes to a pose from the start [s], or infinity."""
+    """Return how long the end effector takes to a pose from the start [s], or infinity."""
     quat, vector = np.empty(4), np.empty(3)
     mujoco.mju_mat2Quat(quat, pose[1].ravel())
     robot, data = simulation.robot, simulation.data

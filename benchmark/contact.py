@@ -9,16 +9,16 @@ Contact forces and grasps of grippers: press, drag, hold and shake, as a table.
 Each gripper is mounted on a Panda at a table, hands with five fingers on a GR1; each robot has its
 own gripper. With ``--topics`` a client of a node in lock-step presses, see ``pressing.py``.
 
-- touch: an admittance controller of 100 Hz lowers the hand at 20 mm/s until it touches, and
+- touch: an admittance controller of 100 Hz lowers the gripper at 20 mm/s until it touches, and
   presses with 5 or 10 N: the greatest force in a step, wherever in a period the touch falls.
 - press: then it slides at 30 mm/s: the greatest error of ``external_wrench`` from 1.5 s after the
   touch and after the start of sliding on.
-- drag: in effort mode, the target so far below the table that the hand presses with 8 N, along x
-  and y, to and fro, at 5, 20 and 50 mm/s: the share of steps without contact at the worst, and
+- drag: in effort mode, the target so far below the table that the gripper presses with 8 N, along
+  x and y, to and fro, at 5, 20 and 50 mm/s: the share of steps without contact at the worst, and
   where; the friction at the most.
-- hold: a cube of 80 % of the payload: how far it creeps in the hand in a minute, from four
-  seconds. Hands that hold by closing around things hold a cylinder.
-- shake: 2 Hz by 5 mm for 2 s, so 0.8 m/s^2: how far it is from where it was in the hand.
+- hold: a cube of 80 % of the payload: how far it creeps in the gripper in a minute, from four
+  seconds. Grippers that hold by closing around things hold a cylinder.
+- shake: 2 Hz by 5 mm for 2 s, so 0.8 m/s^2: how far it is from where it was in the gripper.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ PAYLOADS = {
     'PalGripper': (2.0, 0.04), 'SO101Gripper': (0.3, 0.03)}
 #: Robots that are measured with their own grippers; Panda and GR1 are with those that they carry.
 ROBOTS = ['UR5e', 'IIWA', 'Sawyer', 'Kinova3', 'Jaco', 'Baxter']
-#: Hands that press through topics: the plainest, and that whose fingers give most.
+#: Grippers that press through topics: the plainest, and that whose fingers give most.
 TOPIC_GRIPPERS = ('PandaGripper', 'JacoThreeFingerGripper')
 DIRECTIONS = {'x': (1.0, 0.0), '-x': (-1.0, 0.0), 'y': (0.0, 1.0), '-y': (0.0, -1.0)}
 
@@ -92,11 +92,11 @@ class Bench:
         self.position, self.quat_xyzw = pose.position, pose.quat_xyzw
 
     def pose(self):
-        """Return where the hand is."""
+        """Return where the gripper is."""
         return self.robot.state().end_effectors[self.arm].pose
 
     def actuate(self, action):
-        """Open (-1) or close (+1) the hand."""
+        """Open (-1) or close (+1) the gripper."""
         part = f'{self.arm}/gripper'
         gripper = self.robot.grippers.get(part)
         if gripper is None or gripper.part.gripper is None or not gripper.part.gripper.dof:
@@ -115,24 +115,24 @@ class Bench:
             self.simulation.advance(STEPS)
 
     def go(self, position):
-        """Command the position of the hand, as it is turned at the start."""
+        """Command the position of the gripper, as it is turned at the start."""
         self.robot.apply(self.robot.parse_cartesian.pose(
             self.arm, list(position), list(self.quat_xyzw)), period_s=PERIOD_S)
 
     def move(self, along, rise, steps):
-        """Let the hand move along y and z [m/s] for a control period."""
+        """Let the gripper move along y and z [m/s] for a control period."""
         self.robot.apply(self.robot.parse_cartesian.twist(
             self.arm, [0.0, along, rise], [0.0, 0.0, 0.0]), period_s=steps * TIMESTEP_S)
         self.simulation.advance(steps)
 
     def gap(self):
-        """Return how far the hand is above the table [m]."""
+        """Return how far the gripper is above the table [m]."""
         table, points = self.model.geom('table_collision').id, np.zeros(6)
         return min(mujoco.mj_geomDistance(self.model, self.data, geom, table, 1.0, points)
                    for geom in self.geoms)
 
     def approach(self, height_m):
-        """Close the hand and bring it above the table."""
+        """Close the gripper and bring it above the table."""
         self.actuate(1.0)
         for _ in range(2):
             self.position = self.position - [0.0, 0.0, self.gap() - height_m]
@@ -157,7 +157,7 @@ class Bench:
 
 class Admittance:
     """
-    Lets a hand move down as fast as the force that is missing says.
+    Lets a gripper move down as fast as the force that is missing says.
 
     :param force_n: wanted [N]
     :param period_s: of the controller [s]
@@ -171,7 +171,7 @@ class Admittance:
         self.speed, self.touched = 0.0, False
 
     def velocity(self, measured_n: float) -> float:
-        """Return how fast the hand shall rise [m/s]."""
+        """Return how fast the gripper shall rise [m/s]."""
         self.touched = self.touched or measured_n > 0.1
         if self.touched:
             wanted = (self._force_n - measured_n) / self._damping
@@ -269,19 +269,19 @@ def hold(gripper, seconds=6.0):
     bench.model.opt.gravity[:] = gravity
     load = bench.data.body('load')
 
-    def in_hand():
+    def in_gripper():
         return bench.site.xmat.reshape(3, 3).T @ (load.xpos - bench.site.xpos)
     bench.wait(4.0)
-    begin = in_hand()
+    begin = in_gripper()
     bench.wait(seconds)
-    creep = np.linalg.norm(in_hand() - begin) / seconds
-    if np.linalg.norm(in_hand()) > 0.1:
+    creep = np.linalg.norm(in_gripper() - begin) / seconds
+    if np.linalg.norm(in_gripper()) > 0.1:
         return load_kg, math.nan, math.nan
-    begin, there = in_hand(), bench.pose().position
+    begin, there = in_gripper(), bench.pose().position
     for period in range(round(2.0 / PERIOD_S)):
         bench.go(there + [0.0, 0.0, 0.005 * math.sin(4.0 * math.pi * PERIOD_S * period)])
         bench.simulation.advance(STEPS)
-    return load_kg, creep, np.linalg.norm(in_hand() - begin)
+    return load_kg, creep, np.linalg.norm(in_gripper() - begin)
 
 
 def row(name):

@@ -7,7 +7,7 @@ Train the PPO of stable-baselines3 on the task reach, and draw how its success r
     python3 benchmark/ppo_reach.py [--periods 20000] [--minutes 10] [--seed 0] [--curve FILE.svg]
 
 It needs ``pip install 'manip_sim[env]' stable-baselines3 matplotlib``. The observation is the way
-from the hand to the point. A row is printed for each rollout: wall time, CPU time, control
+from the end effector to the point. A row is printed for each rollout: wall time, CPU time, control
 periods, and the share of the last 100 episodes that succeeded; at the end, the share of 100 seeds
 that were not trained on, with the deterministic policy.
 """
@@ -33,7 +33,7 @@ _ROLLOUT = _ENVIRONMENTS * _STEPS
 
 
 class Way(gymnasium.ObservationWrapper):
-    """The way from the hand to the goal in units of 5 cm, what one action covers."""
+    """The way from the end effector to the goal in units of 5 cm, what one action covers."""
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
@@ -44,7 +44,7 @@ class Way(gymnasium.ObservationWrapper):
 
 
 def make() -> Any:
-    """Return an environment whose actions are where the hand moves."""
+    """Return an environment whose actions are where the end effector moves."""
     env = gymnasium.wrappers.TransformAction(
         Way(TaskEnv('reach')), lambda action: np.concatenate([action, np.zeros(4)]),
         gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32))

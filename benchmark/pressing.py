@@ -15,12 +15,12 @@ from std_msgs.msg import Float64MultiArray
 
 #: Parameters of the node; the rate and the gripper come with them.
 PARAMETERS = {'stepping': 'lockstep', 'arena': 'table', 'cube': False}
-#: Where the hand begins: fingers down, above the table of 0.8 m.
+#: Where the gripper begins: fingers down, above the table of 0.8 m.
 _START = PoseStamped()
 _START.pose.position = Point(x=-0.1, y=0.0, z=0.83)
 _START.pose.orientation = Quaternion(x=1.0, y=0.0, z=0.0, w=0.0)
 _NEAR_M = 1e-3
-#: How long a hand needs to close, at most [s].
+#: How long a gripper needs to close, at most [s].
 _CLOSED_S = 1.6
 
 
@@ -30,10 +30,10 @@ def _nanoseconds(message: Any) -> int:
 
 class PressingClient:
     """
-    Closes a hand, brings it down, presses with a force, then slides to the left.
+    Closes a gripper, brings it down, presses with a force, then slides to the left.
 
     It answers each instant once, after both topics that it needs of that instant have come. The
-    z-axis of ``ft_frame`` has to point out of the hand.
+    z-axis of ``ft_frame`` has to point out of the gripper.
 
     :param node: of rclpy
     :param force_n: to press with [N]
@@ -88,7 +88,7 @@ class PressingClient:
         (self._move if self._below else self._go).publish(command)
 
     def _twist(self) -> TwistStamped:
-        """Return how fast the hand shall move, in ``world``."""
+        """Return how fast the gripper shall move, in ``world``."""
         message = TwistStamped()
         pushed_up = -self._wrench.wrench.force.z
         message.twist.linear.z = float(self._law.velocity(pushed_up))

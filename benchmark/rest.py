@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Whether arms come to rest whose hands can't reach their target, and how soon, as a table.
+Whether arms come to rest whose end effectors can't reach their target, and how soon: a table.
 
     python3 benchmark/rest.py [ROBOT ...] [--modes MODE ...] [--targets N] [--seed SEED]
 
-Targets are 0.4 to 2 m from the hand in a random direction, and half of them turned by up to half a
-turn; those that are reached do not count. Every other one is sought from the start of the robot,
-the rest from anywhere, three joints of ten at an end of their range. Nothing collides. An arm
-rests if all of its joints stay slower than 0.002 rad/s for a second.
+Targets are 0.4 to 2 m from the end effector in a random direction, and half of them turned by up
+to half a turn; those that are reached do not count. Every other one is sought from the start of
+the robot, the rest from anywhere, three joints of ten at an end of their range. Nothing collides.
+An arm rests if all of its joints stay slower than 0.002 rad/s for a second.
 
-- arrives: how long the hand takes until it moves less than 1 mm and turns less than 0.01 rad in
-  0.4 s, for the first time: the median and the longest. Time to rest counts from there.
+- arrives: how long the end effector takes until it moves less than 1 mm and turns less than
+  0.01 rad in 0.4 s, first: the median and the longest. Time to rest counts from there.
 - rests: how many arms rest within 3 s from there, and when half of them and the last of them do.
 """
 
@@ -36,7 +36,8 @@ from manip_sim.simulation import Simulation
 PERIOD_S = 0.01
 #: Rest [rad/s], for how long [s], and how soon it shall come [s].
 REST, RESTS_S, SOON_S = 0.002, 1.0, 3.0
-#: A hand that moves less than this [m], and turns less [rad], in this time [s] has arrived.
+#: An end effector that moves less than this [m], and turns less [rad], in this time [s] has
+#: arrived.
 STILL, TURN, STILL_S = 1e-3, 0.01, 0.4
 #: A target is given up after so long [s].
 LIMIT_S = 24.0
@@ -51,7 +52,7 @@ class Arm:
     :ivar name: of the arm
     :ivar dofs: of its joints in ``qvel``
     :ivar site: id of its ``grip_site``
-    :ivar arrives_s: when the hand arrived [s]
+    :ivar arrives_s: when the end effector arrived [s]
     :ivar moved_s: when a joint moved last [s]
     """
 
@@ -63,7 +64,7 @@ class Arm:
 
     @property
     def rests_s(self) -> float:
-        """How long after the hand the joints came to rest [s], infinite if they did not."""
+        """How long after the end effector the joints rested [s], infinite if they did not."""
         if not math.isfinite(self.arrives_s) or self.moved_s > LIMIT_S - RESTS_S:
             return math.inf
         return max(self.moved_s - self.arrives_s, 0.0)
@@ -94,7 +95,7 @@ def place(simulation: Simulation, arm: Arm, random: np.random.Generator) -> None
 
 
 def send_away(simulation: Simulation, arm: Arm, random: np.random.Generator) -> CommandHandle:
-    """Command a pose far from the hand; return the handle."""
+    """Command a pose far from the end effector; return the handle."""
     robot, data = simulation.robot, simulation.data
     way, turn = random.normal(size=3), random.uniform(-1.0, 1.0, 3)
     way *= random.uniform(*AWAY_M) / np.linalg.norm(way)
@@ -111,7 +112,7 @@ def send_away(simulation: Simulation, arm: Arm, random: np.random.Generator) -> 
 
 
 def is_still(before: tuple[Any, Any], now: tuple[Any, Any]) -> bool:
-    """Return whether a hand has hardly moved between two poses, each position and matrix."""
+    """Return whether two poses, each position and matrix, hardly differ."""
     turned = np.linalg.norm(now[1] - before[1]) / math.sqrt(2.0)
     return bool(np.linalg.norm(now[0] - before[0]) < STILL and turned < TURN)
 
@@ -119,12 +120,12 @@ def is_still(before: tuple[Any, Any], now: tuple[Any, Any]) -> bool:
 def run_to_rest(simulation: Simulation, arms: Sequence[Arm]) -> None:
     """Let arms move until all of them rest, and note when."""
     data, steps = simulation.data, round(PERIOD_S / simulation.timestep_s)
-    hands: dict[str, deque[Any]] = {arm.name: deque(maxlen=round(STILL_S / PERIOD_S) + 1)
-                                    for arm in arms}
+    traces: dict[str, deque[Any]] = {arm.name: deque(maxlen=round(STILL_S / PERIOD_S) + 1)
+                                     for arm in arms}
     for period in range(round(LIMIT_S / PERIOD_S)):
         now_s = period * PERIOD_S
         for arm in arms:
-            trace = hands[arm.name]
+            trace = traces[arm.name]
             trace.append((data.site_xpos[arm.site].copy(), data.site_xmat[arm.site].copy()))
             if np.abs(data.qvel[arm.dofs]).max() >= REST:
                 arm.moved_s = now_s
@@ -139,7 +140,7 @@ def run_to_rest(simulation: Simulation, arms: Sequence[Arm]) -> None:
 def measure(name: str, mode: str, targets: Iterable[int], seed: int = 1
             ) -> tuple[list[float], list[float]]:
     """
-    Return when hands arrive and how long after that their arms rest [s], infinite if never.
+    Return when end effectors arrive and how much later their arms rest [s], infinite if never.
 
     :param targets: their numbers
     """

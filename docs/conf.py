@@ -53,9 +53,9 @@ nitpick_ignore_regex = [
     ('py:(class|func)', r'.*(Controller|Description|Frames|GripperJoints|HandFromFile|ModelFile'
                         r'|RobotPlan|Subsystems|ImageSettings|CameraModel|Camera'
                         r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts'
-                        r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hand|Hold'
-                        r'|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike|CameraLike'
-                        r'|Pictures|VelocityLaw|Friction|TorqueSpeed|Shard|Base'
+                        r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hold'
+                        r'|KinematicChain|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike'
+                        r'|CameraLike|Pictures|VelocityLaw|Friction|TorqueSpeed|Shard|Base'
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
                         r'|ControlState|ElementMap|Operations|Part|Streams|Surroundings)'),
 ]

@@ -24,7 +24,7 @@ FLOORS = (
     {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing'},
     {'tasks': 'starts, success, episodes', 'worlds': 'many copies of one'},
     {'simulation': 'what happens: robots in a world, states', 'rendering': 'pictures'},
-    {'control': 'commands, modes, setpoints, servos, hands'},
+    {'control': 'commands, modes, setpoints, servos, grippers'},
     {'physics': 'the compiled model and its data, steps, forces'},
     {'models': 'what exists: robots, grippers, arenas, worlds'},
     {'sensing': 'what is measured: instruments'})

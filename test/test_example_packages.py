@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-GUIDES = {'hand_imu': 'add_sensor.md', 'touched_bodies': 'add_sensor.md',
+GUIDES = {'end_effector_imu': 'add_sensor.md', 'touched_bodies': 'add_sensor.md',
           'reach_command': 'add_verb.md', 'impedance_mode': 'add_control_mode.md'}
 
 
@@ -17,7 +17,7 @@ def test_an_example_package_is_short_and_its_guide_shows_its_files(name):
     files = [path.read_text() for path in (ROOT / 'test/data' / name).iterdir() if path.is_file()]
     assert len(files) == 2 and sum(len(text.splitlines()) for text in files) <= 60
     guide = (ROOT / 'docs/how_to' / GUIDES[name]).read_text()
-    shown = [f'{name}.py'] + ['pyproject.toml'] * (name != 'touched_bodies')  # As hand_imu's.
+    shown = [f'{name}.py'] + ['pyproject.toml'] * (name != 'touched_bodies')  # As the IMU's.
     for file in shown:
         text = (ROOT / 'test/data' / name / file).read_text()
         assert text.partition('\n\n')[2] in guide  # After the licence.

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Hands out of reach come to rest, as ``benchmark/rest.py`` measures it and the page says."""
+"""Arms whose targets are out of reach come to rest, as ``benchmark/rest.py`` and its page say."""
 
 from pathlib import Path
 import re

@@ -12,7 +12,7 @@ from manip_sim.arrays import FloatArray, IntArray
 
 #: Share of the torque beyond weight and damping that a jump of the goal may use.
 _TORQUE_SHARE = 0.6
-#: Shortest time in which a step reaches the velocity limit, of joints or of a hand [s].
+#: Shortest time in which a step reaches the velocity limit, of joints or of an end effector [s].
 SPEED_UP_S = 0.1
 #: Number of poses in which the inertia is computed, and the share of them that may be heavier.
 _POSES = 64

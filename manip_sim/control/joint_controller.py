@@ -16,7 +16,7 @@ from manip_sim.clamping import clamp
 from manip_sim.control.base_twists import BaseTwists
 from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
 from manip_sim.control.cartesian.controller import CartesianController
-from manip_sim.control.cartesian.hands import Hand
+from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.command_timeouts import CommandTimeouts
 from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
@@ -41,16 +41,17 @@ class JointController(ControlledJoints):
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
-    :param hands: of the arms that take Cartesian commands, by arm
-    :ivar cartesian: controller of the hands
+    :param chains: of the arms that take Cartesian commands, by arm
+    :ivar cartesian: controller of the end effectors
     :ivar plan: the controls of the intervals that follow in a period, where they are planned
     """
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
-                 atomic: Sequence[str], hands: Mapping[str, Hand] | None = None) -> None:
+                 atomic: Sequence[str], chains: Mapping[str, KinematicChain] | None = None
+                 ) -> None:
         super().__init__(physics, parts, atomic)
         self.cartesian = CartesianController(
-            physics, hands or {}, self.names, self._servos, self._setpoints)
+            physics, chains or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
         self._trajectories = TrajectoryFollowing(
@@ -243,7 +244,7 @@ class JointController(ControlledJoints):
             elif isinstance(meant, JointSetpoint):
                 self._apply_setpoint(meant, period_s)
             elif isinstance(meant, CartesianCommand):
-                if MODES[self.modes[meant.indices[0]]].exerts_at_the_hand:
+                if MODES[self.modes[meant.indices[0]]].exerts_at_end_effector:
                     self._servos.give_effort(meant.indices, True)
                 self.cartesian.begin(meant, data, now_s)
 

@@ -68,15 +68,15 @@ class ControlMode(ABC):
     :cvar ends: whether a command is done when its setpoints rest; otherwise it lasts
     :cvar follows_trajectories: whether trajectories may move the setpoints
     :cvar takes_twists: whether the twist of a mobile base may move them
-    :cvar exerts_at_the_hand: whether Cartesian commands are followed by efforts on the measured
-        joints (operational space control), and not by setpoints
+    :cvar exerts_at_end_effector: whether Cartesian commands are followed by efforts on the
+        measured joints (operational space control), and not by setpoints
     """
 
     name: str
     field: str
     units: tuple[str, str]
     timeout_s = 0.2
-    ends = follows_trajectories = takes_twists = exerts_at_the_hand = False
+    ends = follows_trajectories = takes_twists = exerts_at_end_effector = False
 
     def ranges(self, servos: Servos) -> FloatArray:
         """Return the ranges that actions of all joints span, SI units, shape (n, 2)."""
@@ -139,7 +139,7 @@ class Effort(ControlMode):
     """Joints exert efforts, to which gravity compensation is added; held until the first."""
 
     name, field, units = 'effort', 'effort', ('N m', 'N')
-    exerts_at_the_hand = True
+    exerts_at_end_effector = True
 
     def command(self, joints: Joints, indices: IntArray, values: FloatArray, arrival: Arrival
                 ) -> None:

@@ -60,7 +60,7 @@ class Reflexes:
         self._joints, self._efforts = joints, efforts
         self._limits = {part.name: ReflexLimits() for part in atomic_parts(parts)
                         if part.gripper is None and part.actuators}
-        # A hand alone has no arm that a wrench could stop.
+        # A gripper alone has no arm that a wrench could stop.
         self._readers = {parts[arm].atomic: reader for arm, reader in end_effectors.items()
                          if arm in parts}
         self.tripped: dict[str, str] = {}

@@ -13,7 +13,7 @@ from manip_sim.control.streams import RampEstimator
 
 class VelocityStream:
     """
-    The velocities of a stream, such as twists of a hand or of a base, all in the same frame.
+    The velocities of a stream, such as twists of an end effector or a base, all in one frame.
 
     The velocity ramps from message to message within one message interval, so that nothing jerks
     where control periods are shorter. The first one is reached within a control period.

@@ -28,7 +28,7 @@ CUBE = 'objects/cube/pose'
 LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
 #: Where the cube should stand in the end, in ``world`` [m], and the tolerance [m].
 GOAL, NEAR_GOAL_M = np.array([-0.05, -0.5, 0.825]), 0.03
-#: How far from the cube a hand waits [m], and how far from the cube's centre it grips [m].
+#: How far from the cube a gripper waits [m], and how far from the cube's centre it grips [m].
 _AWAY_M, _OFF_MIDDLE_M = 0.12, 0.008
 #: A cube that is held moves in the gripper by less than this [m].
 _SLIP_M = 0.01
@@ -64,8 +64,8 @@ class HandOverDemonstration(Demonstration):
         """
         Hand the cube over twice.
 
-        :raises TaskFailed: if there is no node, a hand does not hold the cube, or it is not at the
-            goal in the end
+        :raises TaskFailed: if there is no node, a gripper does not hold the cube, or it is not
+            at the goal in the end
         """
         left, middle, right = arms = self._left, self._middle, self._right
         model = self.connect(
@@ -87,7 +87,7 @@ class HandOverDemonstration(Demonstration):
     def _take(self, arm: Arm, approach: FloatArray, across: Sequence[FloatArray]) -> None:
         """Let an arm approach the cube and grip it, fingers closing along one of ``across``."""
         rotations = [_looking(approach, direction) for direction in across]
-        # Two hands that hold the cube leave room for each other.
+        # Two grippers that hold the cube leave room for each other.
         grip = self._cube - _OFF_MIDDLE_M * approach
         before = arm.posture(grip - _AWAY_M * approach, rotations)
         at_cube = arm.posture(grip, rotations, start=before)

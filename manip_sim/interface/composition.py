@@ -190,7 +190,7 @@ def declare_parts(parameters: ParameterSource,
         parameters.declare(stream_parameters(scope, commanded))
         arms = [arm for arm in commanded if f'{arm}/gripper' in parts]
         parameters.declare(cartesian_parameters(scope, arms))
-        # A hand alone has a wrench, and no arm that is commanded.
+        # A gripper alone has a wrench, and no arm that is commanded.
         parameters.declare(wrench_parameters(
             scope, [name.removesuffix('/gripper') for name in parts if name.endswith('/gripper')]))
         parameters.declare(reflex_parameters(scope, commanded, arms))

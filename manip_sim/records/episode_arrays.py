@@ -49,7 +49,8 @@ class Frames:
     :ivar done: whether the task is done after each period, shape (periods,)
     :ivar positions: joint positions by robot [rad or m]
     :ivar velocities: joint velocities by robot [rad/s or m/s]
-    :ivar hands: poses of ``grip_site`` by robot and arm: position [m] and quaternion x, y, z, w
+    :ivar end_effectors: poses of ``grip_site`` by robot and arm: position [m] and quaternion
+        x, y, z, w
     :ivar objects: poses of free bodies by name
     :ivar goal: what the task has as its goal, or None
     """
@@ -70,7 +71,7 @@ class Frames:
             self._check(len(values), what, self._count)
         self.positions: dict[str, Columns] = {}
         self.velocities: dict[str, Columns] = {}
-        self.hands: dict[str, Columns] = {}
+        self.end_effectors: dict[str, Columns] = {}
         self.objects: dict[str, Columns] = {}
         for topic in recorded.types:
             self._read(topic)
@@ -90,7 +91,7 @@ class Frames:
                     _rows([getattr(m, field) for m in messages], topic, len(names)), names))
         elif last == 'eef_pose' and scope:
             name = '/'.join(scope if len(scope) > 1 else [next(iter(self.robots), ''), *scope])
-            self._add(self.hands, name, topic, self._poses(topic, name))
+            self._add(self.end_effectors, name, topic, self._poses(topic, name))
         elif last == 'pose' and scope[:1] == ['objects']:
             name = '/'.join(scope[1:])
             self._add(self.objects, name, topic, self._poses(topic, name))

@@ -87,10 +87,10 @@ def _observations(frames: Frames) -> dict[str, NDArray[Any]]:
             if is_finger.any():
                 found[f'robot{number}_gripper_q{kind}'] = quantity.values[:, is_finger]
     robots = list(frames.positions)
-    for name, quantity in frames.hands.items():
+    for name, quantity in frames.end_effectors.items():
         robot, _, arm = name.rpartition('/')
         number = robots.index(robot) if robot in robots else 0
-        several = sum(other.rpartition('/')[0] == robot for other in frames.hands) > 1
+        several = sum(other.rpartition('/')[0] == robot for other in frames.end_effectors) > 1
         prefix = f'robot{number}_{arm}_eef' if several else f'robot{number}_eef'
         found[f'{prefix}_pos'] = quantity.values[:, :3]
         found[f'{prefix}_quat'] = quantity.values[:, 3:]

@@ -32,9 +32,9 @@ def write_lerobot(episodes: Iterable[Frames], folder: Path) -> int:
     """
     Write a data set of which LeRobot's own class reads every number and image.
 
-    ``observation.state`` holds positions of joints and poses of hands; ``observation.environment_
-    state`` poses of objects and the goal; numbers but rewards are float64. Videos are H.264, and
-    each episode begins with a key frame.
+    ``observation.state`` holds positions of joints and poses of end effectors;
+    ``observation.environment_state`` poses of objects and the goal; numbers but rewards are
+    float64. Videos are H.264, and each episode begins with a key frame.
 
     :param episodes: in order, of one task world with the same cameras
     :param folder: is created
@@ -201,7 +201,8 @@ def _columns(frames: Frames) -> dict[str, Columns]:
     """Return what is observed and done, a row per control period."""
     count = len(frames.actions)
     found = {'action': Columns(frames.actions, _action_names(frames)),
-             'observation.state': _joined([*frames.positions.values(), *frames.hands.values()])}
+             'observation.state': _joined(
+                 [*frames.positions.values(), *frames.end_effectors.values()])}
     surroundings = [*frames.objects.values(), *([] if frames.goal is None else [frames.goal])]
     if surroundings:
         found['observation.environment_state'] = _joined(surroundings)

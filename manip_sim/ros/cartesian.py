@@ -68,7 +68,7 @@ class CartesianSubscribers:
 
 
 def reports_of(commands: CommandSubscribers, part: str) -> list[CartesianReport]:
-    """Return the reports of the arms of a part: what kept their hands from their targets."""
+    """Return the reports of a part's arms: what kept end effectors from their targets."""
     robot = commands.robot
     if part not in robot.parts:
         return []

@@ -217,7 +217,7 @@ class Diagnostics:
         return status
 
     def _report_new(self, name: str, report: CartesianReport) -> None:
-        """Warn of what has kept a hand from its target since the last status."""
+        """Warn of what has kept an end effector from its target since the last status."""
         for kind, count in report.counts.items():
             if count > self._last_faults.get(f'{name} {kind}', 0):
                 self._last_faults[f'{name} {kind}'] = count

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
-from manip_sim.control.cartesian.hands import find_frames, find_hands
+from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.commands import (
     Command, CommandHandle, GripperCommand, JointTrajectory, NoCommand, Status)
@@ -71,7 +71,7 @@ class SimulatedRobot:
         self.joints = JointController(
             physics, {name: p for name, p in self.parts.items() if p.gripper is None},
             [part.name for part in atomic if part.gripper is None],
-            find_hands(model, robot, self.parts, self.end_effectors))
+            find_chains(model, robot, self.parts, self.end_effectors))
         self.grippers = {part.name: GripperController(physics, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
         self.reflexes = Reflexes(self.parts, self.joints, self.end_effectors, efforts)

@@ -72,7 +72,7 @@ class PickCube(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a half for being at the cube, and a half for lifting it."""
-        near = nearness(length(self._hand(simulation) - position_of(simulation, 'cube')))
+        near = nearness(length(self._end_effector(simulation) - position_of(simulation, 'cube')))
         lifted = min(max(self._lifted(simulation) / _LIFT_M, 0.0), 1.0)
         return 0.5 * near + 0.5 * lifted
 
@@ -87,7 +87,7 @@ class _Picker(Expert):
     def script(self) -> Iterator[None]:
         arm = self.arms[0]
         yield from self.grasp(arm)
-        yield from self.move(arm, self.hand(arm)[0] + [0.0, 0.0, _LIFT_M + 0.03])
+        yield from self.move(arm, self.end_effector(arm)[0] + [0.0, 0.0, _LIFT_M + 0.03])
 
     def grasp(self, arm: Hold) -> Iterator[None]:
         """Grasp the cube by two of its sides."""
@@ -131,8 +131,8 @@ class StackCubes(Task):
                 and max(speed(simulation, 'cube'), speed(simulation, 'base')) < _STILL_M_S)
 
     def progress(self, simulation: Simulation) -> float:
-        """Return a third for the hand at the cube, and two thirds for the cube at its place."""
-        near = nearness(length(self._hand(simulation) - position_of(simulation, 'cube')))
+        """Return a third for the gripper at the cube, and two thirds for the cube at its place."""
+        near = nearness(length(self._end_effector(simulation) - position_of(simulation, 'cube')))
         return near / 3.0 + nearness(length(self._off(simulation)), 0.05) * 2.0 / 3.0
 
     def expert(self, simulation: Simulation) -> Expert:
@@ -146,15 +146,15 @@ class _Stacker(_Picker):
     def script(self) -> Iterator[None]:
         arm = self.arms[0]
         yield from self.grasp(arm)
-        yield from self.move(arm, self.hand(arm)[0] + [0.0, 0.0, 0.09], within_m=0.02)
-        # Where the hand has to be for the cube to be over its place.
+        yield from self.move(arm, self.end_effector(arm)[0] + [0.0, 0.0, 0.09], within_m=0.02)
+        # Where the end effector has to be for the cube to be over its place.
         place_m = position_of(self.simulation, 'base') + [0.0, 0.0, (CUBE_M + _BASE_M) / 2.0]
-        over = place_m - position_of(self.simulation, 'cube') + self.hand(arm)[0]
+        over = place_m - position_of(self.simulation, 'cube') + self.end_effector(arm)[0]
         yield from self.move(arm, over + [0.0, 0.0, 0.04])
-        over = place_m - position_of(self.simulation, 'cube') + self.hand(arm)[0]
+        over = place_m - position_of(self.simulation, 'cube') + self.end_effector(arm)[0]
         yield from self.move(arm, over + [0.0, 0.0, 0.002], longest_m=0.02, within_m=0.004)
         yield from self.grip(arm, -1.0, 6)
-        yield from self.move(arm, self.hand(arm)[0] + [0.0, 0.0, 0.1])
+        yield from self.move(arm, self.end_effector(arm)[0] + [0.0, 0.0, 0.1])
 
 
 class PushCube(Task):
@@ -194,8 +194,8 @@ class PushCube(Task):
                 and speed(simulation, 'cube') < _STILL_M_S)
 
     def progress(self, simulation: Simulation) -> float:
-        """Return a quarter for the hand at the cube, the rest for the cube at the disc."""
-        near = nearness(length(self._hand(simulation) - position_of(simulation, 'cube')))
+        """Return a quarter for the gripper at the cube, the rest for the cube at the disc."""
+        near = nearness(length(self._end_effector(simulation) - position_of(simulation, 'cube')))
         return 0.25 * near + 0.75 * nearness(length(self._way(simulation)))
 
     def goal(self, simulation: Simulation) -> FloatArray:
@@ -222,14 +222,14 @@ class _Pusher(Expert):
             yield from self.move(arm, behind)
             while far > 0.006:
                 # Slower in the end, so that the cube does not slide on.
-                along = ((self.hand(arm)[0] - behind) * ahead).sum()
+                along = ((self.end_effector(arm)[0] - behind) * ahead).sum()
                 arm.position = behind + (along + min(0.015, 0.004 + 0.1 * far)) * ahead
                 yield
                 _, here, far = self._way()
                 if (here * ahead).sum() < 0.5:
                     break
-            yield from self.move(arm, self.hand(arm)[0] - 0.05 * ahead)
-            yield from self.move(arm, self.hand(arm)[0] + up)
+            yield from self.move(arm, self.end_effector(arm)[0] - 0.05 * ahead)
+            yield from self.move(arm, self.end_effector(arm)[0] + up)
 
     def _close(self, arm: Hold) -> Iterator[None]:
         """Close the fingers until they are less than two thirds of the cube apart."""

@@ -26,8 +26,8 @@ from manip_sim.tasks.grasping import bodies_of_gripper, held_only_by, speed, tou
 from manip_sim.tasks.placing import add_goal, draw, draw_yaw, move_mocap, nearness
 from manip_sim.tasks.task import Task
 from manip_sim.tasks.task_description import (
-    Condition, Contact, Described, Distance, GRIPPER, HAND, Held, InBox, JointInRange, Speed,
-    Start)
+    Condition, Contact, Described, Distance, END_EFFECTOR, GRIPPER, Held, InBox, JointInRange,
+    Speed, Start)
 
 #: How often a start is drawn until all things are apart.
 _TRIES = 1000
@@ -89,7 +89,7 @@ class DescribedTask(Task, registered=False):
         """Reject names that are not in the world, with the nearest ones."""
         model = self.world.compile(visual=True)
         bodies = _names(model, mujoco.mjtObj.mjOBJ_BODY)
-        things = [HAND, *bodies, *_names(model, mujoco.mjtObj.mjOBJ_SITE)]
+        things = [END_EFFECTOR, *bodies, *_names(model, mujoco.mjtObj.mjOBJ_SITE)]
         joints = [name for name in _names(model, mujoco.mjtObj.mjOBJ_JOINT)
                   if int(model.joint(name).type[0]) in _ONE_AXIS]
         for term in self._terms:
@@ -187,8 +187,8 @@ class DescribedTask(Task, registered=False):
 
     def _where(self, simulation: Simulation, name: str) -> FloatArray:
         """Return the position of a body, site or the end effector in ``world`` [m], a copy."""
-        if name == HAND:
-            return self._hand(simulation)
+        if name == END_EFFECTOR:
+            return self._end_effector(simulation)
         model, data = simulation.model, simulation.data
         is_body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) >= 0
         return np.array((data.body if is_body else data.site)(name).xpos)

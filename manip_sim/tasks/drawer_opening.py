@@ -51,8 +51,9 @@ class OpenDrawer(Task):
         return self._opened(simulation) > _OPEN_M
 
     def progress(self, simulation: Simulation) -> float:
-        """Return a quarter for the hand at the handle, the rest for opening."""
-        near = nearness(length(self._hand(simulation) - simulation.data.site('handle').xpos))
+        """Return a quarter for the gripper at the handle, the rest for opening."""
+        near = nearness(length(
+            self._end_effector(simulation) - simulation.data.site('handle').xpos))
         return 0.25 * near + 0.75 * min(max(self._opened(simulation) / _OPEN_M, 0.0), 1.0)
 
     def goal(self, simulation: Simulation) -> FloatArray:

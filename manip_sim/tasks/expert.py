@@ -19,7 +19,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.tasks.grasping import bodies_of_gripper, pressure
 from manip_sim.tasks.normalized_actions import ArmAction, PoseActions, STEP_M
 
-#: A hand has arrived if it is within this of its goal [m], and turned this well: the cosine.
+#: An end effector has arrived if it is within this of its goal [m], and turned so: the cosine.
 _ARRIVED_M, _TURNED = 0.006, 0.998
 #: It is given up after this many control periods.
 _MOST_PERIODS = 60
@@ -31,7 +31,7 @@ _ROOM_M = 0.012
 _WEIGHTS, _GRAVITY = 4.0, 9.81
 #: A stroke of a gripper in the unit of its actions, from -1 to +1.
 _STROKE = 2.0
-#: How far a hand goes up in a period while its fingers stand on something [m].
+#: How far a gripper goes up in a period while its fingers stand on something [m].
 _UP_M = 0.002
 #: Distance of fingers without pads [m].
 _FAR_M = 1.0
@@ -53,12 +53,12 @@ class Policy(Protocol):
 
 class Hold:
     """
-    What an expert wants of one arm: a pose of its hand and whether the gripper closes.
+    What an expert wants of one arm: a pose of its end effector and whether the gripper closes.
 
     :param position: of ``grip_site`` in ``world`` [m], shape (3,)
     :param rotation: of ``grip_site`` in ``world``, shape (3, 3)
     :ivar closing: from -1, open, to +1
-    :ivar longest_m: how far ahead of the hand its goal may be [m]; less is slower
+    :ivar longest_m: how far ahead of the end effector its goal may be [m]; less is slower
     """
 
     def __init__(self, item: ArmAction, position: FloatArray, rotation: FloatArray) -> None:
@@ -89,7 +89,7 @@ class Expert(ABC):
         :param seed: of the episode; it does not matter to a script
         """
         data = self.simulation.data
-        self.arms = [Hold(item, *item.hand.tip.pose(data)) for item in self._actions.arms]
+        self.arms = [Hold(item, *item.chain.tip.pose(data)) for item in self._actions.arms]
         self._script = self.script()
 
     @abstractmethod
@@ -110,30 +110,30 @@ class Expert(ABC):
             action[hold.item.gripper] = hold.closing
         return action
 
-    def hand(self, arm: Hold) -> tuple[FloatArray, FloatArray]:
+    def end_effector(self, arm: Hold) -> tuple[FloatArray, FloatArray]:
         """
-        Return position [m] and rotation of the hand of an arm in ``world``.
+        Return position [m] and rotation of the end effector of an arm in ``world``.
 
         :param arm: one of :attr:`arms`
         """
-        return arm.item.hand.tip.pose(self.simulation.data)
+        return arm.item.chain.tip.pose(self.simulation.data)
 
     def move(self, arm: Hold, position: FloatArray, rotation: FloatArray | None = None,
              longest_m: float = STEP_M, within_m: float = _ARRIVED_M) -> Iterator[None]:
         """
-        Move a hand to a pose, until it is there or does not come nearer for long.
+        Move an end effector to a pose, until it is there or does not come nearer for long.
 
         :param arm: one of :attr:`arms`
         :param position: of ``grip_site`` in ``world`` [m], shape (3,)
         :param rotation: of ``grip_site`` in ``world``; None keeps the one before
-        :param longest_m: how far ahead of the hand its goal may be [m]; less is slower
+        :param longest_m: how far ahead of the end effector its goal may be [m]; less is slower
         :param within_m: how near is there [m]
         """
         arm.position, arm.longest_m = position, longest_m
         arm.rotation = arm.rotation if rotation is None else rotation
         for _ in range(_MOST_PERIODS):
             yield
-            here, turned = self.hand(arm)
+            here, turned = self.end_effector(arm)
             # The trace of a turn by an angle is one, and twice its cosine.
             cosine = (float((arm.rotation * turned).sum()) - 1.0) / 2.0
             if length(arm.position - here) <= within_m and cosine >= _TURNED:

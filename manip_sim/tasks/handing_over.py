@@ -30,7 +30,7 @@ from manip_sim.tasks.task import TABLE_M, Task, TOO_SHORT, usable_arms
 _BAR_M, _EDGE_M, _HELD_AT_M = 0.28, 0.03, 0.105
 #: How far on the giver's side the bar is, and by how much that varies along and across [m].
 _ASIDE_M, _HALF_AREA, _TURN_RAD = 0.02, np.array([0.03, 0.06]), 0.3
-#: How high the bar must be held above the table, and where it changes hands [m].
+#: How high the bar must be held above the table, and where it changes grippers [m].
 _HIGH_M, _HANDED_AT_M = 0.1, 0.16
 
 
@@ -113,7 +113,7 @@ class HandOver(Task):
         return bool(high > _HIGH_M) and held_only_by(simulation, 'bar', *self._taker(simulation))
 
     def progress(self, simulation: Simulation) -> float:
-        """Return thirds: the first hand at the bar, the bar in the air, the second hand at it."""
+        """Return thirds: a gripper at the bar, the bar in the air, the other gripper at it."""
         bar, data = position_of(simulation, 'bar'), simulation.data
         giver = next(iter(simulation.robots.values())).end_effectors[self.arm].pose(data)[:3]
         robot, arm = self._taker(simulation)
@@ -123,12 +123,12 @@ class HandOver(Task):
                 + nearness(length(taker - bar))) / 3.0
 
     def expert(self, simulation: Simulation) -> Expert:
-        """Return an expert whose hands hold the ends of the bar from above."""
+        """Return an expert whose grippers hold the ends of the bar from above."""
         return _Giver(simulation, self.onward)
 
 
 class _Giver(Expert):
-    """Picks the bar up with the first hand and takes it over with the second one."""
+    """Picks the bar up with the first gripper and takes it over with the second one."""
 
     def __init__(self, simulation: Simulation, onward: FloatArray) -> None:
         self._onward = onward
@@ -153,10 +153,10 @@ class _Giver(Expert):
         yield from self.move(taker, end, longest_m=0.03)
         yield from self.grip(taker, 1.0)
         yield from self.grip(giver, -1.0, 6)
-        yield from self.move(giver, self.hand(giver)[0] + up)
+        yield from self.move(giver, self.end_effector(giver)[0] + up)
 
     def _down(self, arm: Hold, along: FloatArray) -> FloatArray:
-        """Return the rotation of a hand over a bar that lies along a direction."""
+        """Return the rotation of a gripper over a bar that lies along a direction."""
         across = np.array([-along[1], along[0], 0.0])
         # The arms of one robot reach less far in front of it if they are turned the other way.
         both = len(self.simulation.robots) > 1

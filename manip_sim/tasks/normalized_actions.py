@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What an episode's actions mean: poses of hands, or goals of joints in SI units."""
+"""What an episode's actions mean: poses of end effectors, or goals of joints in SI units."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from numpy.typing import ArrayLike
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.clamping import finite_numbers
-from manip_sim.control.cartesian.hands import find_hands, Hand
+from manip_sim.control.cartesian.kinematic_chains import find_chains, KinematicChain
 from manip_sim.errors import UnknownNameError
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: What an action may be: robosuite's OSC_POSE, or a goal for each joint.
 ACTIONS = ('osc_pose', 'joint_position', 'joint_velocity', 'joint_effort')
-#: How far an action of 1 moves [m] and turns [rad] the goal of a hand.
+#: How far an action of 1 moves [m] and turns [rad] the goal of an end effector.
 STEP_M, TURN_RAD = 0.05, 0.5
-#: The six numbers of a hand: along and about the axes.
+#: The six numbers of an end effector: along and about the axes.
 _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 
@@ -33,13 +33,13 @@ class ArmAction:
     The part of an action that is for one arm.
 
     :ivar arm: ``right`` or ``left``
-    :ivar pose: where the six numbers of the hand are
+    :ivar pose: where the six numbers of the end effector are
     :ivar gripper: where the number of the gripper is; empty if nothing in it moves
     """
 
     robot: SimulatedRobot
     arm: str
-    hand: Hand
+    chain: KinematicChain
     pose: slice
     gripper: slice
 
@@ -61,12 +61,12 @@ class PoseActions:
         self.arms: list[ArmAction] = []
         self.size = 0
         for robot in simulation.robots.values():
-            hands = find_hands(simulation.model, robot.robot_model, robot.parts,
-                               robot.end_effectors)
-            for arm, hand in hands.items():
+            chains = find_chains(simulation.model, robot.robot_model, robot.parts,
+                                 robot.end_effectors)
+            for arm, chain in chains.items():
                 pose = slice(self.size, self.size + 6)
                 gripper = slice(pose.stop, pose.stop + (robot.grippers[f'{arm}/gripper'].dof > 0))
-                self.arms.append(ArmAction(robot, arm, hand, pose, gripper))
+                self.arms.append(ArmAction(robot, arm, chain, pose, gripper))
                 self.size = gripper.stop
 
     @property
@@ -99,16 +99,16 @@ class PoseActions:
     def towards(self, item: ArmAction, position: FloatArray, rotation: FloatArray,
                 longest_m: float = STEP_M) -> FloatArray:
         """
-        Return the six numbers that bring a hand to a pose, or as far as one action can.
+        Return the six numbers that bring an end effector to a pose, or as far as one action can.
 
         :param item: the arm
         :param position: of ``grip_site`` in ``world`` [m], shape (3,)
         :param rotation: of ``grip_site`` in ``world``, shape (3, 3)
-        :param longest_m: how far ahead of the hand its goal may be [m]
+        :param longest_m: how far ahead of the end effector its goal may be [m]
         """
         data = self._simulation.data
-        here, turned = item.hand.tip.pose(data)
-        _, axes = item.hand.origin.pose(data)
+        here, turned = item.chain.tip.pose(data)
+        _, axes = item.chain.origin.pose(data)
         way = product(axes.T, position - here) / STEP_M
         turn = product(axes.T, _rotation_vector(product(rotation, turned.T))) / TURN_RAD
         return np.concatenate([_shortened(way, min(1.0, longest_m / STEP_M)),

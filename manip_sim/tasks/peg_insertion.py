@@ -80,8 +80,8 @@ class InsertPeg(Task):
         return bool(max(abs(x), abs(y)) < _PEG_M / 2.0 and z < -_DEEP_M)
 
     def progress(self, simulation: Simulation) -> float:
-        """Return a quarter for the hand at the peg, the rest for the tip at its place."""
-        near = nearness(length(self._hand(simulation) - position_of(simulation, 'peg')))
+        """Return a quarter for the gripper at the peg, the rest for the tip at its place."""
+        near = nearness(length(self._end_effector(simulation) - position_of(simulation, 'peg')))
         return 0.25 * near + 0.75 * nearness(
             length(self._tip(simulation) + [0.0, 0.0, _DEEP_M]), 0.05)
 
@@ -108,12 +108,13 @@ class _Inserter(Expert):
         yield from self.grip(arm, 1.0, body='peg')
         yield from self.move(arm, upper + [0.0, 0.0, 0.09], within_m=0.02)
         hole = position_of(simulation, 'hole')
-        turned = pointing_down(sides(rotation_of(simulation, 'hole')), self.hand(arm)[1])
-        over = np.array([*hole[:2], self.hand(arm)[0][2]])
+        turned = pointing_down(sides(rotation_of(simulation, 'hole')), self.end_effector(arm)[1])
+        over = np.array([*hole[:2], self.end_effector(arm)[0][2]])
         yield from self.move(arm, over, turned)
         for height_m in (_HOLE_DEPTH_M + 0.02, 0.0):
-            # The middle of the peg goes over that of the hole, whatever it did in the hand.
+            # The middle of the peg goes over that of the hole, whatever it did in the gripper.
             way = hole - position_of(simulation, 'peg')
             way[2] = height_m - (position_of(simulation, 'peg')[2] - TABLE_M
                                  - _PEG_LENGTH_M / 2.0)
-            yield from self.move(arm, self.hand(arm)[0] + way, longest_m=0.015, within_m=0.002)
+            yield from self.move(arm, self.end_effector(arm)[0] + way, longest_m=0.015,
+                                 within_m=0.002)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The task to bring the hand to a point."""
+"""The task to bring the end effector to a point."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from manip_sim.tasks.expert import Expert
 from manip_sim.tasks.placing import add_goal, draw, move_mocap, nearness, position_of
 from manip_sim.tasks.task import Task, TOO_SHORT
 
-#: A hand nearer than this is there [m].
+#: An end effector nearer than this is there [m].
 NEAR_M = 0.02
 #: The points are in a box of these half extents, whose middle is this high above the table [m].
 _HALF_BOX, _HEIGHT_M = np.array([0.12, 0.15, 0.1]), 0.2
@@ -44,14 +44,14 @@ class Reach(Task):
         move_mocap(simulation, 'goal', draw(random, middle - _HALF_BOX, middle + _HALF_BOX))
 
     def _distance(self, simulation: Simulation) -> float:
-        return length(self._hand(simulation) - position_of(simulation, 'goal'))
+        return length(self._end_effector(simulation) - position_of(simulation, 'goal'))
 
     def success(self, simulation: Simulation) -> bool:
-        """Return whether the hand is at the point."""
+        """Return whether the end effector is at the point."""
         return self._distance(simulation) < NEAR_M
 
     def progress(self, simulation: Simulation) -> float:
-        """Return how near the hand is."""
+        """Return how near the end effector is."""
         return nearness(self._distance(simulation))
 
     def goal(self, simulation: Simulation) -> FloatArray:
@@ -64,7 +64,7 @@ class Reach(Task):
 
 
 class _Reacher(Expert):
-    """Moves the hand to the point."""
+    """Moves the end effector to the point."""
 
     def script(self) -> Iterator[None]:
         yield from self.move(self.arms[0], position_of(self.simulation, 'goal'))

@@ -36,7 +36,7 @@ _RIGHT_M = -0.2
 #: Robots of the catalogue that do not reach the area on the table from where they stand.
 TOO_SHORT: Mapping[str, str] = MappingProxyType({
     'GR1': 'its hands do not reach the middle of the table',
-    'SO101': 'its hand points down less than 0.1 m above its foot and 0.35 m away'})
+    'SO101': 'its gripper points down less than 0.1 m above its foot and 0.35 m away'})
 
 
 class Task(ABC):
@@ -201,7 +201,7 @@ class Task(ABC):
         """
         return np.empty(0)
 
-    def _hand(self, simulation: Simulation) -> FloatArray:
+    def _end_effector(self, simulation: Simulation) -> FloatArray:
         """Return the position of ``grip_site`` of :attr:`arm` in ``world`` [m], shape (3,)."""
         return simulation.robot.end_effectors[self.arm].pose(simulation.data)[:3]
 

@@ -28,7 +28,7 @@ _SPOT_M = 0.012
 _GONE_M = -1.0
 #: The gripper wipes what it covers while it presses with more than this [N], and this around [m].
 _PRESSES_N, _AROUND_M = 1.0, 0.005
-#: With how much force the expert presses [N], and how much deeper that takes a hand [m/N].
+#: With how much force the expert presses [N], and how much deeper that takes a gripper [m/N].
 _PRESS_N, _GIVE_M_N = 8.0, 0.00015
 
 
@@ -100,9 +100,9 @@ class WipeTable(Task):
         return not self.left(simulation).any()
 
     def progress(self, simulation: Simulation) -> float:
-        """Return the share of spots that are wiped off, and a little for the hand at the rest."""
+        """Return the share of spots wiped off, and a little for the gripper at the rest."""
         left = self.left(simulation)
-        ways = self.spots(simulation)[left] - self._hand(simulation)
+        ways = self.spots(simulation)[left] - self._end_effector(simulation)
         nearest = np.sqrt((ways * ways).sum(axis=1)).min(initial=1.0)
         return 0.9 * float(1.0 - left.mean()) + 0.1 * nearness(float(nearest))
 
@@ -141,11 +141,12 @@ class _Wiper(Expert):
                 yield from self.move(
                     arm, np.array([begin - onward, y, table + 0.03]), down, within_m=0.015)
                 yield from self._stroke(arm, np.array([end + onward, y, table]))
-                yield from self.move(arm, self.hand(arm)[0] + [0.0, 0.0, 0.04], within_m=0.02)
+                yield from self.move(arm, self.end_effector(arm)[0] + [0.0, 0.0, 0.04],
+                                     within_m=0.02)
 
     def _stroke(self, arm: Hold, end: FloatArray) -> Iterator[None]:
-        """Press down where the hand is, move along the table to a point, and keep pressing."""
-        deep, begin = 0.0, self.hand(arm)[0]
+        """Press down where the gripper is, move along the table to a point, and keep pressing."""
+        deep, begin = 0.0, self.end_effector(arm)[0]
         along, way = 0.0, end[:2] - begin[:2]
         length_m = float(np.sqrt((way * way).sum()))
         for _ in range(80):
@@ -156,6 +157,6 @@ class _Wiper(Expert):
                 along = min(along + 0.012, length_m)
             arm.position = np.array([*(begin[:2] + way * (along / length_m)), end[2] - deep])
             yield
-            here = self.hand(arm)[0][:2] - end[:2]
+            here = self.end_effector(arm)[0][:2] - end[:2]
             if (here * here).sum() < 0.008 ** 2:
                 return

@@ -10,7 +10,8 @@ import contextlib
 
 from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
 from manip_sim.control.cartesian.controller import CartesianController
-from manip_sim.control.cartesian.operational_space_controller import FollowingHand, HandEfforts
+from manip_sim.control.cartesian.operational_space_controller import (
+    EndEffectorEfforts, FollowingEndEffector)
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.control_period import Interval
 from manip_sim.worlds.joint_rows import JointRows, takes
@@ -19,7 +20,7 @@ from manip_sim.worlds.joint_rows import JointRows, takes
 _LEAST = 3
 
 
-def follows_hands(simulation: Simulation) -> bool:
+def has_cartesian_commands(simulation: Simulation) -> bool:
     """Return whether a robot has Cartesian commands, for which control acts in each interval."""
     return any([isinstance(command, CartesianCommand) for robot in simulation.robots.values()
                 for command in robot.joints.commands.running])
@@ -86,8 +87,9 @@ class ControlTogether:
 
 
 def _follow(intervals: Sequence[Interval]) -> None:
-    """Compute the efforts of hands in effort mode, of arms with as many joints together."""
-    groups: dict[int, tuple[list[FollowingHand], list[tuple[CartesianController, str]]]] = {}
+    """Compute the efforts of arms in effort mode, of those with as many joints together."""
+    groups: dict[int, tuple[list[FollowingEndEffector],
+                            list[tuple[CartesianController, str]]]] = {}
     for interval in intervals:
         for robot in interval.robots:
             joints = robot.joints
@@ -95,13 +97,13 @@ def _follow(intervals: Sequence[Interval]) -> None:
                 continue
             for command in joints.commands.running:
                 if isinstance(command, CartesianCommand):
-                    hand = joints.cartesian.following(
+                    following = joints.cartesian.following(
                         command, robot._clock.control_s, interval.duration_s)
-                    if hand is not None:
-                        hands, takers = groups.setdefault(len(command.indices), ([], []))
-                        hands.append(hand)
+                    if following is not None:
+                        end_effectors, takers = groups.setdefault(len(command.indices), ([], []))
+                        end_effectors.append(following)
                         takers.append((joints.cartesian, command.arm))
-    for hands, takers in groups.values():
-        found = HandEfforts(hands)
+    for end_effectors, takers in groups.values():
+        found = EndEffectorEfforts(end_effectors)
         for row, (controller, arm) in enumerate(takers):
             controller.take(arm, found, row)

@@ -56,7 +56,7 @@ class RobotInWorlds:
     :param robots: the robot in each world
     :param streams: that may hold joints of these robots
     :ivar command: takes commands for joints, grippers and bases
-    :ivar command_cartesian: takes commands for the hands of arms
+    :ivar command_cartesian: takes commands for the end effectors of arms
     :ivar joint_names: all scalar joints, in the order of the states
     """
 
@@ -269,7 +269,7 @@ class Commands(RowByRow):
 
 class CartesianCommands(RowByRow):
     """
-    Commands for the hands of arms, named as those of ``robot.parse_cartesian``.
+    Commands for the end effectors of arms, named as those of ``robot.parse_cartesian``.
 
     :param robots: the robot in each world
     """

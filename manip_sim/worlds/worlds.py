@@ -21,7 +21,7 @@ from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
 from manip_sim.validation import whole_number
-from manip_sim.worlds.control_together import ControlTogether, follows_hands
+from manip_sim.worlds.control_together import ControlTogether, has_cartesian_commands
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
 from manip_sim.worlds.rows import chosen
@@ -166,12 +166,11 @@ class Worlds:
 
     def _advance_together(self, simulations: list[Simulation], steps: int) -> None:
         """Run a control period in worlds whose control may be computed together."""
-        follow = [follows_hands(simulation) for simulation in simulations]
-        hands = [simulation for simulation, follows in zip(simulations, follow) if follows]
+        cartesian = [has_cartesian_commands(simulation) for simulation in simulations]
+        led = [simulation for simulation, has in zip(simulations, cartesian) if has]
         count = _IN_CACHE * self._threads.count
-        for some in ([simulation for simulation, follows in zip(simulations, follow)
-                      if not follows],
-                     *(hands[begin:begin + count] for begin in range(0, len(hands), count))):
+        for some in ([simulation for simulation, has in zip(simulations, cartesian) if not has],
+                     *(led[begin:begin + count] for begin in range(0, len(led), count))):
             if some:
                 self._run([simulation.period(steps) for simulation in some])
 

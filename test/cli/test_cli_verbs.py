@@ -42,7 +42,8 @@ def test_an_installed_verb_is_listed_and_runs_with_the_options_of_a_composition(
         install_example, command, environment):
     path = f'{install_example("reach_command")}:{environment["PYTHONPATH"]}'
     listed = command('--help', PYTHONPATH=path)
-    assert re.search(r'^ +reach +print the box that the hands reach$', listed.stdout, re.MULTILINE)
+    assert re.search(r'^ +reach +print the box that the end effectors reach$', listed.stdout,
+                     re.MULTILINE)
     done = command('reach', '--robot', 'UR5e', '--samples', 200, PYTHONPATH=path)
     assert (done.returncode, done.stderr) == (0, '')
     site, box = done.stdout.split(':')

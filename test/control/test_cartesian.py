@@ -1,10 +1,10 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cartesian targets of hands: poses, twists and actions, in all modes, against kinematics."""
+"""Cartesian targets: poses, twists and actions, in all modes, against kinematics."""
 
 
-from hands import distance, hand_of, HandOperator, turned
+from end_effector_operator import distance, operator_of, EndEffectorOperator, turned
 import mujoco
 import numpy as np
 import pytest
@@ -24,11 +24,11 @@ MODES = ['position', 'velocity', 'effort']
 
 
 @pytest.mark.parametrize('name', robot_names())
-def test_the_hands_of_every_robot_reach_poses_in_position_and_effort_mode(name):
+def test_the_end_effectors_of_every_robot_reach_poses_in_position_and_effort_mode(name):
     simulation = whole_robot(name)
     for mode, seed in (('position', 0), ('effort', 1)):
         simulation.robot.set_control_mode('arm', mode)
-        ops = [HandOperator(simulation, arm) for arm in simulation.robot.end_effectors]
+        ops = [EndEffectorOperator(simulation, arm) for arm in simulation.robot.end_effectors]
         poses = [op.reachable(0.3, seed) for op in ops]
         handles = [op.go_to(pose) for op, pose in zip(ops, poses)]
         ops[0].run_until_done(handles)
@@ -41,8 +41,8 @@ def test_the_hands_of_every_robot_reach_poses_in_position_and_effort_mode(name):
             assert op.report.unreachable == 0
 
 
-def test_the_hand_goes_straight_and_within_all_limits():
-    op = hand_of('Panda')
+def test_the_end_effector_goes_straight_and_within_all_limits():
+    op = operator_of('Panda')
     start, goal = op.pose, op.reachable(0.6, 3)
     model, joints = op.simulation.model, op.robot.joints
     top = np.array([model.joint(j).user[0] for j in op.part.joints])
@@ -71,7 +71,7 @@ def test_the_hand_goes_straight_and_within_all_limits():
 @pytest.mark.parametrize(('period_s', 'solutions'), [(0.002, 1), (0.01, 1), (0.02, 2),
                                                      (0.05, 5)])
 def test_the_kinematics_is_solved_once_in_twelve_milliseconds(period_s, solutions, monkeypatch):
-    op, solved, approach = hand_of('Panda', period_s=period_s), [], controller.approach
+    op, solved, approach = operator_of('Panda', period_s=period_s), [], controller.approach
 
     def counted(*arguments):
         solved.append(1)
@@ -83,7 +83,7 @@ def test_the_kinematics_is_solved_once_in_twelve_milliseconds(period_s, solution
 
 
 def test_a_target_that_jumps_leaves_the_setpoints_continuous():
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     limit = op.robot.joints._servos.acceleration_limit[op.robot.joints.indices_of('right')]
     speeds, random = [], np.random.default_rng(4)
 
@@ -97,8 +97,8 @@ def test_a_target_that_jumps_leaves_the_setpoints_continuous():
 
 
 @pytest.mark.parametrize('mode', MODES)
-def test_a_twist_moves_the_hand_at_that_velocity(mode):
-    op = hand_of('Panda', mode=mode)
+def test_a_twist_moves_the_end_effector_at_that_velocity(mode):
+    op = operator_of('Panda', mode=mode)
     wanted = np.array([0.0, 0.05, -0.03, 0.0, 0.0, 0.2])
     start = op.pose
     op.run(0.7, lambda: op.move_at(wanted[:3], wanted[3:]))
@@ -116,18 +116,18 @@ def test_a_twist_moves_the_hand_at_that_velocity(mode):
 
 
 @pytest.mark.parametrize('mode', MODES)
-def test_the_hand_of_an_arm_with_one_joint_goes_round_it(one_joint_arm, mode):
+def test_the_end_effector_of_an_arm_with_one_joint_goes_round_it(one_joint_arm, mode):
     robot = one_joint_arm()
     robot.add_gripper(PandaGripper(idn='0_right'))
-    op = HandOperator(Simulation(World([robot])), mode=mode)
+    op = EndEffectorOperator(Simulation(World([robot])), mode=mode)
     axis, angular = op.simulation.data.joint('robot0_joint1').xanchor, np.array([0.0, 0.3, 0.0])
     op.run(0.5, lambda: op.move_at(np.cross(angular, op.pose[0] - axis), angular))
     assert op.simulation.data.joint('robot0_joint1').qvel[0] == pytest.approx(0.3, abs=0.01)
 
 
 @pytest.mark.parametrize('mode', MODES)
-def test_without_a_fresh_twist_the_hand_stops_after_the_timeout(mode):
-    op = hand_of('Panda', mode=mode)
+def test_without_a_fresh_twist_the_end_effector_stops_after_the_timeout(mode):
+    op = operator_of('Panda', mode=mode)
     op.run(0.5, lambda: op.move_at([0.0, 0.1, 0.0]))
     handle = op.move_at([0.0, 0.1, 0.0])
     op.run(0.1)
@@ -143,15 +143,15 @@ def test_without_a_fresh_twist_the_hand_stops_after_the_timeout(mode):
 
 
 def test_the_timeout_of_a_twist_can_be_set():
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     op.robot.joints.cartesian.set('right', 'twist_timeout', 0.5)
     op.move_at([0.0, 0.1, 0.0])
     op.run(0.45)
     assert op.twist[1] == pytest.approx(0.1, abs=0.005)
 
 
-def test_a_twist_may_be_given_in_the_axes_of_the_hand():
-    op = hand_of('UR5e')
+def test_a_twist_may_be_given_in_the_axes_of_the_end_effector():
+    op = operator_of('UR5e')
     grip_site = op.robot.end_effectors['right'].grip_site
     start, rotation = op.pose
     op.run(0.5, lambda: op.move_at([0.04, 0.0, 0.0], [0.0, 0.0, 0.3], grip_site))
@@ -163,7 +163,7 @@ def test_a_twist_may_be_given_in_the_axes_of_the_hand():
 
 
 def setpoint_way(op, seconds, before_each=lambda: None):
-    """Return where setpoints have the hand on its way: positions and rotations, by kinematics."""
+    """Return poses of the end effector by setpoints: positions and rotations, by kinematics."""
     model, data = op.simulation.model, mujoco.MjData(op.simulation.model)
     data.qpos[:] = op.simulation.data.qpos
     positions, rotations = [], []
@@ -187,8 +187,8 @@ def aside(positions, direction):
 
 @pytest.mark.parametrize('name', ['Panda', 'IIWA', 'Kinova3', 'UR5e'])
 @pytest.mark.parametrize('linear', [[0.0, 0.2, 0.0], [0.1, 0.1, -0.1]])
-def test_setpoints_of_a_twist_lead_the_hand_straight_from_rest_and_do_not_turn_it(name, linear):
-    op = hand_of(name)
+def test_setpoints_of_a_twist_lead_straight_from_rest_and_do_not_turn(name, linear):
+    op = operator_of(name)
     positions, rotations = setpoint_way(op, 1.0, lambda: op.move_at(linear))
     speed = np.linalg.norm(linear)
     # Little is lost for gaining speed.
@@ -199,8 +199,8 @@ def test_setpoints_of_a_twist_lead_the_hand_straight_from_rest_and_do_not_turn_i
 
 @pytest.mark.parametrize('name', ['Panda', 'IIWA', 'Kinova3', 'UR5e'])
 @pytest.mark.parametrize('way', [[0.0, 0.2, 0.0], [0.0, -0.4, 0.1], [0.1, 0.0, 0.1]])
-def test_setpoints_of_a_pose_lead_the_hand_there_straight_and_without_delay(name, way):
-    op = hand_of(name)
+def test_setpoints_of_a_pose_lead_the_end_effector_there_straight_and_without_delay(name, way):
+    op = operator_of(name)
     position, rotation = op.pose
     handle = op.go_to((position + way, rotation))
     positions, rotations = setpoint_way(op, 1.2)
@@ -210,7 +210,7 @@ def test_setpoints_of_a_pose_lead_the_hand_there_straight_and_without_delay(name
 
 
 def test_a_fast_twist_does_not_drift_aside():
-    op = hand_of('Panda', period_s=0.05)
+    op = operator_of('Panda', period_s=0.05)
     start, rotation = op.pose
     op.run(1.2, lambda: op.move_at([0.0, 0.3, 0.0]))
     way, turn = op.pose[0] - start, distance(op.pose, (start, rotation))[1]
@@ -220,7 +220,7 @@ def test_a_fast_twist_does_not_drift_aside():
 
 
 def test_a_pose_may_be_given_in_a_link():
-    op = hand_of('Baxter', 'left')
+    op = operator_of('Baxter', 'left')
     goal = op.reachable(0.3)
     data, link = op.simulation.data, 'robot0_left_arm_mount'
     origin, axes = data.body(link).xpos, data.body(link).xmat.reshape(3, 3)
@@ -231,8 +231,8 @@ def test_a_pose_may_be_given_in_a_link():
 
 
 @pytest.mark.parametrize('base', ['default', 'none'])
-def test_a_pose_in_the_frame_of_the_hand_is_meant_where_that_is_now(base):
-    op = hand_of('IIWA', base=base)
+def test_a_pose_in_the_frame_of_the_end_effector_is_meant_where_that_is_now(base):
+    op = operator_of('IIWA', base=base)
     start = op.pose
     handle = op.go_to((np.array([0.0, 0.0, 0.05]), np.eye(3)), op.robot.end_effectors[
         'right'].grip_site)
@@ -242,7 +242,7 @@ def test_a_pose_in_the_frame_of_the_hand_is_meant_where_that_is_now(base):
 
 @pytest.mark.parametrize(('frame', 'follows'), [('world', False), ('robot0_link0', True)])
 def test_a_goal_stays_with_its_frame_while_the_base_drives(frame, follows):
-    op = hand_of('PandaOmron')
+    op = operator_of('PandaOmron')
     op.robot.set_control_mode('base', 'velocity')
     goal = op.pose
     data = op.simulation.data
@@ -261,7 +261,7 @@ def test_a_goal_stays_with_its_frame_while_the_base_drives(frame, follows):
 
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_stretched_arm_stays_bounded_and_comes_back(mode):
-    op = hand_of('Panda', mode=mode)
+    op = operator_of('Panda', mode=mode)
     model = op.simulation.model
     top = np.array([model.joint(j).user[0] for j in op.part.joints])
     speeds = []
@@ -276,7 +276,7 @@ def test_a_stretched_arm_stays_bounded_and_comes_back(mode):
     assert op.report.singular + op.report.joint_limit >= 1
     assert all(text.startswith('right: the twist ') for text in op.report.texts.values())
     x = op.pose[0][0]
-    # As far as the forearm and the hand reach.
+    # As far as the forearm and the end effector reach.
     assert x > 0.2
     op.run(1.0, lambda: op.move_at([-0.2, 0.0, 0.0]))
     assert op.pose[0][0] < x - 0.1
@@ -284,7 +284,7 @@ def test_a_stretched_arm_stays_bounded_and_comes_back(mode):
 
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_target_out_of_reach_is_approached_and_told_once(mode):
-    op = hand_of('UR5e', mode=mode)
+    op = operator_of('UR5e', mode=mode)
     start = op.pose
     # A stream of the same target is one target.
     op.run(4.0, lambda: op.go_to((start[0] + [3.0, 0.0, 0.0], start[1])))
@@ -300,7 +300,7 @@ def test_a_target_out_of_reach_is_approached_and_told_once(mode):
 
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_command_for_a_target_out_of_reach_does_not_end(mode):
-    op = hand_of('UR5e', mode=mode)
+    op = operator_of('UR5e', mode=mode)
     handle = op.go_to((op.pose[0] + [3.0, 0.0, 0.0], op.pose[1]))
     op.run(8.0)
     assert handle.status is Status.RUNNING
@@ -308,7 +308,7 @@ def test_a_command_for_a_target_out_of_reach_does_not_end(mode):
 
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_the_end_of_a_joint_range_is_kept_and_counted(mode):
-    op = hand_of('Panda', mode=mode)
+    op = operator_of('Panda', mode=mode)
     low, high = op.simulation.model.joint('robot0_joint7').range
     grip_site = op.robot.end_effectors['right'].grip_site
     positions = []
@@ -327,7 +327,7 @@ def test_the_end_of_a_joint_range_is_kept_and_counted(mode):
 @pytest.mark.parametrize(('linear', 'angular'), [
     ([0.2, 0.2, 0.2], [-2.0, -2.0, -1.0]), ([-0.3, 0.0, 0.0], [-1.0, -1.0, -2.0])])
 def test_joints_brake_before_a_twist_brings_them_to_an_end_of_their_range(linear, angular):
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     positions = []
 
     def move():
@@ -339,9 +339,9 @@ def test_joints_brake_before_a_twist_brings_them_to_an_end_of_their_range(linear
     assert (np.abs(np.diff(positions, 2, axis=0)) <= 1.001 * limit * op.period_s**2).all()
 
 
-def test_both_hands_move_at_once_and_one_alone_leaves_the_other():
+def test_both_end_effectors_move_at_once_and_one_alone_leaves_the_other():
     simulation = whole_robot('Baxter')
-    right, left = HandOperator(simulation, 'right'), HandOperator(simulation, 'left')
+    right, left = EndEffectorOperator(simulation, 'right'), EndEffectorOperator(simulation, 'left')
     goals = right.reachable(0.3, 5), left.reachable(0.3, 6)
     handles = right.go_to(goals[0]), left.go_to(goals[1])
     assert [sorted(simulation.robot.joints.parts_of(op.robot.joints.indices_of(op.arm)))
@@ -357,7 +357,7 @@ def test_both_hands_move_at_once_and_one_alone_leaves_the_other():
 
 
 def test_a_joint_that_a_newer_command_names_is_lost_and_the_others_go_on():
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     goal = op.pose
     handle = op.go_to(goal)
     op.run(0.5)
@@ -373,8 +373,8 @@ def test_a_joint_that_a_newer_command_names_is_lost_and_the_others_go_on():
     assert handle.status is Status.DONE
 
 
-def test_a_hand_that_has_come_to_rest_costs_nothing():
-    op = hand_of('UR5e')
+def test_an_end_effector_that_has_come_to_rest_costs_nothing():
+    op = operator_of('UR5e')
     op.run_until_done([op.go_to(op.reachable(0.2))])
     op.run(0.5)
     assert not op.robot.moving
@@ -382,7 +382,7 @@ def test_a_hand_that_has_come_to_rest_costs_nothing():
 
 def test_the_same_commands_give_the_same_bits():
     def final():
-        op = hand_of('Panda')
+        op = operator_of('Panda')
         op.run(0.3, lambda: op.move_at([0.02, 0.03, 0.0]))
         op.go_to(op.reachable(0.3))
         op.run(0.3)
@@ -396,7 +396,7 @@ def test_the_same_commands_give_the_same_bits():
 
 
 def test_a_change_of_mode_and_a_reset_end_a_target():
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     handle = op.go_to(op.reachable(0.4))
     op.run(0.2)
     op.robot.set_control_mode('arm', 'velocity')
@@ -412,7 +412,7 @@ def test_a_change_of_mode_and_a_reset_end_a_target():
 
 
 def test_a_command_timeout_ends_a_target():
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     op.robot.set_command_timeout('arm', 0.2)
     handle = op.go_to(op.reachable(0.5))
     op.run(0.3)
@@ -468,7 +468,7 @@ def test_what_is_too_much_is_clamped_and_counted(panda_sim):
 
 
 def test_a_stream_of_twists_goes_on_where_it_is_when_the_mode_changes():
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     op.run(1.0, lambda: op.move_at([0.0, 0.1, 0.0]))
     op.robot.set_control_mode('arm', 'effort')
     lowest = []
@@ -481,8 +481,8 @@ def test_a_stream_of_twists_goes_on_where_it_is_when_the_mode_changes():
     assert op.twist[1] == pytest.approx(0.1, abs=0.01)
 
 
-def test_a_twist_long_after_the_last_one_begins_where_the_hand_is_now():
-    op = hand_of('Panda', mode='effort')
+def test_a_twist_long_after_the_last_one_begins_where_the_end_effector_is_now():
+    op = operator_of('Panda', mode='effort')
     op.run(0.3, lambda: op.move_at([0.0, 0.1, 0.0]))
     op.robot.set_control_mode('arm', 'position')
     joint = op.part.joints[0]
@@ -496,7 +496,7 @@ def test_a_twist_long_after_the_last_one_begins_where_the_hand_is_now():
 
 
 def test_after_a_reset_a_twist_begins_at_the_start():
-    op = hand_of('Panda', mode='effort')
+    op = operator_of('Panda', mode='effort')
     start = op.pose
     op.run(1.0, lambda: op.move_at([0.0, 0.1, 0.0]))
     op.simulation.reset()
@@ -507,7 +507,7 @@ def test_after_a_reset_a_twist_begins_at_the_start():
 def test_an_object_that_is_spawned_on_the_way_changes_nothing():
     finals = []
     for spawns in (False, True):
-        op = hand_of('Panda')
+        op = operator_of('Panda')
         goal = op.reachable(0.4)
         op.go_to(goal)
         op.run(0.2)
@@ -521,8 +521,8 @@ def test_an_object_that_is_spawned_on_the_way_changes_nothing():
     np.testing.assert_allclose(*finals, atol=1e-9)
 
 
-def test_a_hand_that_passes_a_singularity_slows_down_and_stays_on_its_way():
-    op = hand_of('Sawyer')
+def test_an_end_effector_that_passes_a_singularity_slows_down_and_stays_on_its_way():
+    op = operator_of('Sawyer')
     start, model, data = op.pose, op.simulation.model, mujoco.MjData(op.simulation.model)
     data.qpos[:] = op.simulation.data.qpos
     data.qpos[op.part.qpos_addresses] += [-0.234, 0.214, 0.433, -0.7, 0.463, -0.664, 0.704]
@@ -538,7 +538,7 @@ def test_a_hand_that_passes_a_singularity_slows_down_and_stays_on_its_way():
 def test_whoever_leaves_the_way_by_centimetres_says_so():
     told = []
     for seed in range(6):
-        op = hand_of('Panda')
+        op = operator_of('Panda')
         goal, before = op.reachable(0.8, seed), op.report.aside
         op.go_to(goal)
         positions, _ = setpoint_way(op, 2.0)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is counted and told of a hand that does not come where it shall be."""
+"""What is counted and told of an end effector that does not come where it shall be."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from manip_sim.control.cartesian.reports import CartesianReport
 FAR = np.array([0.03, 0.0, 0.04, 0.2, 0.1, 0.2])
 
 
-def test_what_is_left_is_told_once_the_hand_has_stalled_for_three_tenths_of_a_second():
+def test_what_is_left_is_told_once_the_end_effector_has_stalled_for_three_tenths_of_a_second():
     report = CartesianReport('right')
     for tenth in range(3):
         report.see_target(FAR, 0.05, tenth / 10.0)
@@ -22,7 +22,7 @@ def test_what_is_left_is_told_once_the_hand_has_stalled_for_three_tenths_of_a_se
         'right: the target is not reached, 0.050 m and 0.300 rad are left')
 
 
-def test_a_hand_that_comes_nearer_or_is_near_has_not_stalled():
+def test_an_end_effector_that_comes_nearer_or_is_near_has_not_stalled():
     near = np.array([0.0019, 0.0, 0.0, 0.019, 0.0, 0.0])
     for error, progress in ((FAR, 0.11), (near, 0.0)):
         report = CartesianReport('right')
@@ -44,7 +44,7 @@ def test_causes_are_counted_when_they_begin_and_told_with_the_target():
         'are left, a joint is at the end of its range, the arm is at a singularity')
 
 
-def test_a_hand_that_leaves_its_way_by_centimetres_is_told_when_it_begins():
+def test_an_end_effector_that_leaves_its_way_by_centimetres_is_told_when_it_begins():
     report = CartesianReport('right')
     for distance in (0.0, 0.009, 0.011, 0.05, 0.004, 0.02):
         report.see_way(distance)

@@ -1,9 +1,9 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Hands whose target is out of reach come as near as they can, and all joints come to rest."""
+"""End effectors come as near to targets out of reach as they can, and all joints come to rest."""
 
-from hands import HandOperator
+from end_effector_operator import EndEffectorOperator
 import mujoco
 import numpy as np
 import pytest
@@ -11,14 +11,15 @@ from sampling import whole_robot
 
 from manip_sim.models.robots import robot_names
 
-#: Rest [rad/s], and how long after the hand it comes [s].
+#: Rest [rad/s], and how long after the end effector it comes [s].
 REST, REST_S = 0.002, 3.0
-#: The hand has arrived when it moves less than this in this time [m], [s]; it does by then [s].
+#: The end effector has arrived when it moves less than this in this time [m], [s]; it does by then
+#: [s].
 STILL, STILL_S, LIMIT_S = 1e-3, 0.4, 14.0
 
 
 def operators(simulation):
-    return [HandOperator(simulation, arm) for arm in simulation.robot.end_effectors]
+    return [EndEffectorOperator(simulation, arm) for arm in simulation.robot.end_effectors]
 
 
 def send_out_of_reach(ops, random):
@@ -29,7 +30,7 @@ def send_out_of_reach(ops, random):
 
 
 def until_still(ops):
-    """Advance until the hands have arrived."""
+    """Advance until the end effectors have arrived."""
     for _ in range(round(LIMIT_S / STILL_S)):
         before = [op.pose[0] for op in ops]
         ops[0].run(STILL_S)

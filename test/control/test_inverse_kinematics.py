@@ -3,7 +3,7 @@
 
 """Differential inverse kinematics alone, on arms that are so simple that the answer is known."""
 
-from hands import hand_of
+from end_effector_operator import operator_of
 import mujoco
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from manip_sim.control.cartesian.inverse_kinematics import (
 from manip_sim.control.cartesian.robot_frames import RobotFrames
 from manip_sim.control.cartesian.singularities import bend, rate_without_bend
 
-#: A gantry: each joint moves the hand along or about one axis.
+#: A gantry: each joint moves the end effector along or about one axis.
 GANTRY = np.eye(6)
 
 
@@ -96,7 +96,7 @@ def test_joints_brake_before_a_twist_brings_them_to_the_end_of_their_range(inter
 
 
 def test_a_joint_at_its_limit_is_held_and_another_does_its_part():
-    # Two joints move the hand along x, the first has come to its end.
+    # Two joints move the end effector along x, the first has come to its end.
     jacobian = np.zeros((6, 2))
     jacobian[0] = [1.0, 0.5]
     state = JointState(np.array([1.0, 0.0]), np.zeros(2), np.array([-1.0, -1.0]),
@@ -141,8 +141,8 @@ def test_a_twist_that_is_too_fast_is_slowed_down_in_its_direction():
     np.testing.assert_allclose(solution.velocity, [1.0, 0.5, 0, 0, 0, 0], atol=1e-12)
 
 
-def test_what_is_left_free_goes_to_the_posture_and_does_not_move_the_hand():
-    # The first and the last of seven joints both move the hand along x.
+def test_what_is_left_free_goes_to_the_posture_and_does_not_move_the_end_effector():
+    # The first and the last of seven joints both move the end effector along x.
     jacobian = np.hstack([np.eye(6), np.eye(6)[:, :1]])
     state = JointState(np.zeros(7), np.zeros(7), np.full(7, -9.0), np.full(7, 9.0), np.ones(7),
                        np.full(7, 1e3), np.array([0.1, 0.2, 0, 0, 0, 0, -0.1]))
@@ -167,8 +167,8 @@ def test_a_frame_is_a_body_or_a_site_that_is_turned_on_it():
     np.testing.assert_array_equal(rotation, np.eye(3))
 
 
-def test_the_acceleration_that_keeps_a_hand_straight_is_that_of_its_centripetal_one():
-    op = hand_of('Panda')
+def test_the_acceleration_that_keeps_an_end_effector_straight_is_that_of_its_centripetal_one():
+    op = operator_of('Panda')
     model, data, dofs = op.simulation.model, op.simulation.data, op.part.dof_addresses
     step = np.array([0.3, -0.2, 0.1, 0.4, 0.2, -0.3, 0.5])
 
@@ -190,7 +190,7 @@ def test_the_acceleration_that_keeps_a_hand_straight_is_that_of_its_centripetal_
     np.testing.assert_allclose(bend(at, step), needed * 0.06 / sizes[5], rtol=2e-3, atol=0.1)
 
 
-def test_a_rate_is_lowered_exactly_where_the_hand_would_have_to_bend_too_much():
+def test_a_rate_is_lowered_exactly_where_the_end_effector_would_have_to_bend_too_much():
     draw, lowered = np.random.default_rng(0), 0
     for _ in range(300):
         jacobian, step = draw.normal(size=(6, 7)), draw.normal(size=7)

@@ -1,9 +1,9 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Hands in effort mode against closed forms, and what actions of robosuite's OSC_POSE mean."""
+"""Cartesian targets in effort mode against closed forms, and what actions of OSC_POSE mean."""
 
-from hands import distance, hand_of, turned
+from end_effector_operator import distance, operator_of, turned
 import mujoco
 import numpy as np
 import pytest
@@ -27,14 +27,14 @@ def base_axes(op):
 
 
 def settle(op):
-    """Hold the hand where it is until all rests."""
+    """Hold the end effector where it is until all rests."""
     op.go_to(op.pose)
     op.run(1.0)
 
 
 @pytest.mark.parametrize(('stiffness', 'ratio'), [(150.0, 1.0), (400.0, 1.0), (150.0, 2.0)])
-def test_the_hand_moves_as_spring_and_damper_say(stiffness, ratio):
-    op = hand_of('Panda', mode='effort', timestep_s=0.001)
+def test_the_end_effector_moves_as_spring_and_damper_say(stiffness, ratio):
+    op = operator_of('Panda', mode='effort', timestep_s=0.001)
     op.robot.joints.cartesian.set('right', 'stiffness', stiffness)
     op.robot.joints.cartesian.set('right', 'damping_ratio', ratio)
     settle(op)
@@ -58,8 +58,8 @@ def test_the_hand_moves_as_spring_and_damper_say(stiffness, ratio):
 
 
 @pytest.mark.parametrize('stiffness', [100.0, 300.0])
-def test_a_force_moves_the_hand_by_what_stiffness_and_inertia_say(stiffness):
-    op = hand_of('IIWA', mode='effort')
+def test_a_force_moves_the_end_effector_by_what_stiffness_and_inertia_say(stiffness):
+    op = operator_of('IIWA', mode='effort')
     op.robot.joints.cartesian.set('right', 'stiffness', stiffness)
     settle(op)
     model, data, start = op.simulation.model, op.simulation.data, op.pose
@@ -85,7 +85,7 @@ def test_a_force_moves_the_hand_by_what_stiffness_and_inertia_say(stiffness):
 
 
 def test_the_weight_is_carried_also_without_gravity_compensation():
-    op = hand_of('Panda', mode='effort', gravity_compensation=False)
+    op = operator_of('Panda', mode='effort', gravity_compensation=False)
     goal = op.reachable(0.2)
     op.run_until_done([op.go_to(goal)])
     op.run(0.5)
@@ -93,10 +93,10 @@ def test_the_weight_is_carried_also_without_gravity_compensation():
 
 
 def test_a_redundant_arm_is_drawn_to_its_posture_and_comes_to_rest():
-    op = hand_of('Kinova3', mode='effort')
+    op = operator_of('Kinova3', mode='effort')
     start = op.robot.state().position[:7]
     op.go_to(op.pose)
-    # A push at the elbow, which lets the hand where it is.
+    # A push at the elbow, which lets the end effector where it is.
     elbow = op.simulation.model.joint(op.part.joints[3]).bodyid[0]
     op.simulation.data.xfrc_applied[elbow, 1] = 30.0
     op.run(1.0)
@@ -111,7 +111,7 @@ def test_a_redundant_arm_is_drawn_to_its_posture_and_comes_to_rest():
 @pytest.mark.parametrize('stepping', [(0.002, 0.01), (0.01, 0.05)])
 def test_the_stiffest_setting_is_stable(stepping):
     timestep_s, period_s = stepping
-    op = hand_of('UR5e', mode='effort', timestep_s=timestep_s, period_s=period_s)
+    op = operator_of('UR5e', mode='effort', timestep_s=timestep_s, period_s=period_s)
     op.robot.joints.cartesian.set('right', 'stiffness', 1000.0)
     goal = op.reachable(0.2)
     op.run_until_done([op.go_to(goal)])
@@ -123,7 +123,7 @@ def test_the_stiffest_setting_is_stable(stepping):
 @pytest.mark.parametrize('name', ['Panda', 'Baxter', 'GR1'])
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_an_action_of_one_moves_the_goal_by_five_centimetres_in_one_period(name, mode):
-    op = hand_of(name, mode=mode, period_s=0.05)
+    op = operator_of(name, mode=mode, period_s=0.05)
     start, axes = op.pose, base_axes(op)
     op.act(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     op.run(0.05)
@@ -135,7 +135,7 @@ def test_an_action_of_one_moves_the_goal_by_five_centimetres_in_one_period(name,
 
 
 def test_an_action_turns_about_the_axes_of_the_base():
-    op = hand_of('Baxter', 'left', period_s=0.05)
+    op = operator_of('Baxter', 'left', period_s=0.05)
     start, axes = op.pose, base_axes(op)
     op.act(0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     op.run(1.5)
@@ -144,8 +144,8 @@ def test_an_action_turns_about_the_axes_of_the_base():
     assert way < 1e-3 and turn < 1e-3
 
 
-def test_the_next_action_begins_where_the_hand_is_and_not_at_the_last_goal():
-    op = hand_of('Panda', mode='effort', period_s=0.05)
+def test_the_next_action_begins_where_the_end_effector_is_and_not_at_the_last_goal():
+    op = operator_of('Panda', mode='effort', period_s=0.05)
     start = op.pose[0]
     op.act(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
     op.run(0.05)
@@ -159,7 +159,7 @@ def test_the_next_action_begins_where_the_hand_is_and_not_at_the_last_goal():
 
 
 def test_a_goal_of_an_action_goes_with_the_base():
-    op = hand_of('PandaOmron', period_s=0.05)
+    op = operator_of('PandaOmron', period_s=0.05)
     op.robot.set_control_mode('base', 'velocity')
     op.act(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     op.run(1.0)
@@ -172,7 +172,7 @@ def test_a_goal_of_an_action_goes_with_the_base():
 @pytest.mark.parametrize('axis', range(3))
 @pytest.mark.parametrize('way', [-0.05, 0.05])
 def test_a_motion_far_from_the_ends_of_all_ranges_is_limited_by_none(axis, way):
-    op = hand_of('Panda', mode='effort')
+    op = operator_of('Panda', mode='effort')
     position, rotation = op.pose
     goal = position.copy()
     goal[axis] += way
@@ -184,7 +184,7 @@ def test_a_motion_far_from_the_ends_of_all_ranges_is_limited_by_none(axis, way):
 @pytest.mark.parametrize('end', [0, 1])
 @pytest.mark.parametrize('outwards', [True, False])
 def test_a_joint_at_an_end_of_its_range_limits_motions_beyond_it_alone(end, outwards):
-    op = hand_of('UR5e', mode='effort')
+    op = operator_of('UR5e', mode='effort')
     model, data = op.simulation.model, op.simulation.data
     joint = op.part.joints[0]
     sign = (-1.0, 1.0)[end]
@@ -224,7 +224,7 @@ def test_it_is_singular_if_most_of_the_motion_is_what_the_arm_cannot_do(smallest
     assert motion.found.row().singular == singular
 
 
-def test_a_hand_that_shall_not_move_is_not_kept_from_it_by_a_singularity():
+def test_an_end_effector_that_shall_not_move_is_not_kept_from_it_by_a_singularity():
     motion = wanted_motion(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), np.zeros(6), np.zeros(6),
                            CartesianSettings(), np.full(6, 10.0))
     assert not motion.found.row().singular

@@ -3,7 +3,7 @@
 
 """Target poses that come regularly are followed without stops, and within all limits."""
 
-from hands import distance, hand_of, turned
+from end_effector_operator import distance, operator_of, turned
 import numpy as np
 import pytest
 
@@ -25,7 +25,7 @@ def sine(times, values, frequency_hz):
     ('Panda', 'position', 100, 2.0, 0.03), ('UR5e', 'position', 100, 2.0, 0.03)])
 def test_a_circle_is_followed_one_and_a_half_intervals_late(
         name, mode, rate, frequency_hz, radius):
-    op = hand_of(name, mode=mode, period_s=1.0 / rate)
+    op = operator_of(name, mode=mode, period_s=1.0 / rate)
     start, rotation = op.pose
     times, places, turns = [], [], []
     for period in range(round(2.2 * rate)):
@@ -48,7 +48,7 @@ def test_a_circle_is_followed_one_and_a_half_intervals_late(
 
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_stream_that_stops_goes_on_for_two_intervals_and_ends_at_the_last_pose(mode):
-    op = hand_of('Panda', mode=mode)
+    op = operator_of('Panda', mode=mode)
     start, rotation = op.pose
     for period in range(40):
         last = start + [0.0, 0.003 * period, 0.0]
@@ -65,7 +65,7 @@ def test_a_stream_that_stops_goes_on_for_two_intervals_and_ends_at_the_last_pose
 
 
 def line_speeds(op, interval_s, messages):
-    """Return the speeds of the hand along a line on which poses come at 0.2 m/s."""
+    """Return the speeds of the end effector along a line on which poses come at 0.2 m/s."""
     start, rotation = op.pose
     speeds = []
     for message in range(messages):
@@ -76,7 +76,7 @@ def line_speeds(op, interval_s, messages):
 
 @pytest.mark.parametrize(('longest_s', 'ripple'), [(0.105, 0.15), (0.3, 0.002)])
 def test_slow_poses_are_followed_without_stops_if_they_are_admitted(longest_s, ripple):
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     op.robot.set_stream('arm', longest_s=longest_s)
     speeds = line_speeds(op, 0.2, 9)[120:]
     assert speeds.mean() == pytest.approx(0.2, rel=0.05)
@@ -85,7 +85,7 @@ def test_slow_poses_are_followed_without_stops_if_they_are_admitted(longest_s, r
 
 @pytest.mark.parametrize(('radius', 'slowed'), [(0.03, False), (0.06, True)])
 def test_a_circle_that_asks_for_more_than_the_joints_can_do_is_told(radius, slowed):
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     start, rotation = op.pose
     for period in range(120):
         angle, size = 0.04 * np.pi * period, radius * min(1.0, 0.01 * period)
@@ -98,7 +98,7 @@ def test_a_circle_that_asks_for_more_than_the_joints_can_do_is_told(radius, slow
 
 @pytest.mark.parametrize(('hold_s', 'expected_s'), [(0.0, 0.02), (0.15, 0.15)])
 def test_a_stream_of_poses_goes_on_for_as_long_as_it_is_held(hold_s, expected_s):
-    op = hand_of('Panda')
+    op = operator_of('Panda')
     op.robot.set_stream('right', hold_s=hold_s)
     line_speeds(op, op.period_s, 30)
     speeds = []
@@ -107,8 +107,8 @@ def test_a_stream_of_poses_goes_on_for_as_long_as_it_is_held(hold_s, expected_s)
     assert slower == pytest.approx(expected_s, abs=0.021)
 
 
-def test_a_stream_faster_than_the_limit_of_the_hand_is_followed_at_the_limit():
-    op = hand_of('Panda')
+def test_a_stream_faster_than_the_limit_of_the_end_effector_is_followed_at_the_limit():
+    op = operator_of('Panda')
     op.robot.joints.cartesian.set('right', 'linear_velocity', 0.2)
     start, rotation = op.pose
     speeds = []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip('hypothesis', reason='needs hypothesis')
-from hands import distance, hand_of, turned  # noqa: E402
+from end_effector_operator import distance, operator_of, turned  # noqa: E402
 from hypothesis import given, settings, strategies as st  # noqa: E402
 
 from manip_sim.control.commands import Status  # noqa: E402
@@ -144,17 +144,17 @@ def test_whatever_the_order_of_arrival_velocities_keep_the_limits(
 
 
 @pytest.fixture(scope='module')
-def panda_hand():
-    """Return an operator of the hand of a Panda."""
-    return hand_of('Panda')
+def panda_operator():
+    """Return an operator of the end effector of a Panda."""
+    return operator_of('Panda')
 
 
 @given(transports(), st.sampled_from([0.004, 0.01, 0.02, 0.05]), st.booleans(),
        st.sampled_from([0.105, 0.5]), st.sampled_from([0.0, 0.2]))
 @settings(max_examples=12)
 def test_whatever_the_order_of_arrival_poses_keep_the_limits_and_end_at_the_last_one(
-        panda_hand, transport, period_s, stamped, longest_s, hold_s):
-    op, (joints, period) = panda_hand, (panda_hand.robot.joints, period_s)
+        panda_operator, transport, period_s, stamped, longest_s, hold_s):
+    op, (joints, period) = panda_operator, (panda_operator.robot.joints, period_s)
     op.simulation.reset()
     op.period_s = period
     indices, steps = joints.indices_of('right'), round(period / op.simulation.timestep_s)

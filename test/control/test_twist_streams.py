@@ -3,7 +3,7 @@
 
 """Twists that come regularly are followed evenly, however short the control periods are."""
 
-from hands import hand_of
+from end_effector_operator import operator_of
 import numpy as np
 import pytest
 
@@ -11,7 +11,7 @@ INTERVAL_S = 0.01
 
 
 def along_a_circle(op, messages=100, begin=50, lose=()):
-    """Follow twists at 100 Hz along a circle; return times [s], velocities of hand and joints."""
+    """Follow twists at 100 Hz along a circle; return times [s], velocities there and of joints."""
     periods = round(INTERVAL_S / op.period_s)
     steps = round(op.period_s / op.simulation.timestep_s)
     found = []
@@ -35,7 +35,7 @@ def accelerations(op, speeds):
 
 @pytest.mark.parametrize('name', ['Panda', 'UR5e', 'Baxter'])
 def test_short_control_periods_need_no_more_acceleration_than_those_of_the_stream(name):
-    often, seldom = hand_of(name, period_s=0.002), hand_of(name, period_s=INTERVAL_S)
+    often, seldom = operator_of(name, period_s=0.002), operator_of(name, period_s=INTERVAL_S)
     _, _, speeds = along_a_circle(often)
     _, _, coarse = along_a_circle(seldom)
     needed = accelerations(seldom, coarse)
@@ -45,8 +45,8 @@ def test_short_control_periods_need_no_more_acceleration_than_those_of_the_strea
 
 @pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
 @pytest.mark.parametrize('period_s', [0.002, INTERVAL_S])
-def test_the_hand_has_each_velocity_when_the_next_one_is_due(mode, period_s):
-    op = hand_of('Panda', mode=mode, period_s=period_s)
+def test_the_end_effector_has_each_velocity_when_the_next_one_is_due(mode, period_s):
+    op = operator_of('Panda', mode=mode, period_s=period_s)
     times, twists, _ = along_a_circle(op)
     sent = times - INTERVAL_S
     wanted = 0.1 * np.stack([np.sin(6.0 * sent), np.cos(6.0 * sent)], axis=1)
@@ -55,7 +55,7 @@ def test_the_hand_has_each_velocity_when_the_next_one_is_due(mode, period_s):
 
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_lost_twist_is_bridged(mode):
-    kept, lossy = hand_of('Panda', mode=mode, period_s=0.002), hand_of(
+    kept, lossy = operator_of('Panda', mode=mode, period_s=0.002), operator_of(
         'Panda', mode=mode, period_s=0.002)
     _, twists, speeds = along_a_circle(kept)
     _, others, disturbed = along_a_circle(lossy, lose=(70,))

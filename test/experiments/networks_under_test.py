@@ -7,7 +7,7 @@ import torch
 
 
 class OfDictionary(torch.nn.Module):
-    """Moves the hand to the goal of reach; takes observations by key."""
+    """Moves the end effector to the goal of reach; takes observations by key."""
 
     def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
         way = (seen['goal'] - seen['eef_pose'][:, 0, :3]) / 0.05

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A policy in a ROS node, in a process of its own: it moves the hand to the goal."""
+"""A policy in a ROS node, in a process of its own: it moves the end effector to the goal."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from std_msgs.msg import String
 
 
 class Towards(Node):
-    """Answers each pose of the hand; ``dies_after`` answers it kills itself."""
+    """Answers each pose of the end effector; ``dies_after`` answers it kills itself."""
 
     def __init__(self, kind, dies_after):
         super().__init__('towards', namespace='/policy')

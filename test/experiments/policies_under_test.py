@@ -19,7 +19,7 @@ MARK = 'MANIP_SIM_TEST_MARK'
 
 
 class Towards:
-    """Moves the hand to the goal of reach, as far as observations tell."""
+    """Moves the end effector to the goal of reach, as far as observations tell."""
 
     def reset(self, seed):
         self.periods = 0

@@ -56,14 +56,14 @@ def test_an_onnx_file_gives_the_rows_of_the_policy_in_python(takes, like, tmp_pa
         return helper.make_tensor(key, kinds.INT64, [len(values)], values)
 
     nodes = [helper.make_node('Slice', [name, 'begin', 'end', 'axis'], ['part']),
-             helper.make_node('Reshape', ['part', 'three'], ['hand'])]
+             helper.make_node('Reshape', ['part', 'three'], ['end_effector'])]
     inputs = [helper.make_tensor_value_info(name, kinds.FLOAT, shape)]
     if takes == 'array':  # Sorted: eef_pose, eef_twist, external_wrench, goal, joints.
         inputs = [helper.make_tensor_value_info(name, kinds.FLOAT, [1, None])]
         nodes.append(helper.make_node('Slice', [name, 'goal0', 'goal1', 'axis'], ['goal']))
     else:
         inputs.append(helper.make_tensor_value_info('goal', kinds.FLOAT, [1, 3]))
-    nodes += [helper.make_node('Sub', ['goal', 'hand'], ['way']),
+    nodes += [helper.make_node('Sub', ['goal', 'end_effector'], ['way']),
               helper.make_node('Div', ['way', 'scale'], ['steps']),
               helper.make_node('Clip', ['steps', 'low', 'high'], ['move']),
               helper.make_node('Concat', ['move', 'rest'], ['action'], axis=1)]

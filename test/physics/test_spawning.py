@@ -50,10 +50,10 @@ def follow_a_sine(simulation, seconds, changes=(), grip=True):
             simulation.robot.apply(simulation.robot.parse.action('right/gripper', [1.0]))
         simulation.advance(5)
         state = simulation.robot.state()
-        hand = state.end_effectors['right']
+        arm = state.end_effectors['right']
         told.append(np.concatenate([
-            state.position, state.velocity, state.effort, hand.pose.position, hand.pose.quat_xyzw,
-            hand.wrench.force, hand.wrench.torque, hand.external_wrench.force]))
+            state.position, state.velocity, state.effort, arm.pose.position, arm.pose.quat_xyzw,
+            arm.wrench.force, arm.wrench.torque, arm.external_wrench.force]))
     return np.array(told)
 
 

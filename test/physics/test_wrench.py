@@ -14,7 +14,7 @@ from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 
 LOAD_KG = 1.0
-#: Six poses of the Panda [rad]: the hand down, up, sideways and between.
+#: Six poses of the Panda [rad]: the end effector down, up, sideways and between.
 POSES = [[0.0, 0.2, 0.0, -2.6, 0.0, 2.9, 0.8], [0.0, 0.2, 0.0, -2.6, 0.0, 1.3, 0.8],
          [0.5, -0.5, 0.3, -1.8, 0.4, 1.9, -0.5], [-1.0, 0.3, -0.6, -1.2, 1.2, 3.2, 1.9],
          [1.5, -0.9, 0.9, -2.2, -1.5, 0.6, -2.0], [0.2, 0.1, 0.0, -0.5, 2.0, 2.2, 0.0]]
@@ -149,7 +149,7 @@ BALL_KG, GRAVITY = 0.2, np.array([0.0, 0.0, -9.81])
 
 @pytest.fixture
 def thrown(panda):
-    """Return a function that makes a simulation in which a ball flies towards the hand."""
+    """Return a function that makes a simulation in which a ball flies towards the end effector."""
     def make():
         simulation = Simulation(World([panda], objects=[{
             'name': 'ball', 'shape': 'sphere', 'size': 0.03, 'mass': BALL_KG,

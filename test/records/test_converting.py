@@ -46,8 +46,8 @@ def test_an_action_has_the_row_of_the_state_that_it_was_for(episodes, recording)
     (joints,) = frames.positions.values()
     assert joints.values.shape[0] == states.shape[0] == count + 1
     np.testing.assert_array_equal(joints.values[:, :7], states[:, :7])
-    (hand,) = frames.hands.values()
-    np.testing.assert_allclose(np.linalg.norm(hand.values[:, 3:], axis=1), 1.0)
+    (poses,) = frames.end_effectors.values()
+    np.testing.assert_allclose(np.linalg.norm(poses.values[:, 3:], axis=1), 1.0)
     assert frames.done[-1] and not frames.done[:-1].any()
 
 
@@ -61,9 +61,9 @@ def test_the_parquet_files_hold_every_number(lerobot, episodes):
     assert table['frame_index'].to_pylist() == [*range(lengths[0]), *range(lengths[1])]
     assert table['index'].to_pylist() == list(range(sum(lengths)))
     states = np.array(table['observation.state'].to_pylist())
-    (joints,), (hand,) = episodes[0].positions.values(), episodes[0].hands.values()
+    (joints,), (poses,) = episodes[0].positions.values(), episodes[0].end_effectors.values()
     np.testing.assert_array_equal(
-        states[:lengths[0]], np.hstack([joints.values, hand.values])[:-1])
+        states[:lengths[0]], np.hstack([joints.values, poses.values])[:-1])
     done = table['next.done'].to_pylist()
     assert [index for index, value in enumerate(done) if value] == [
         lengths[0] - 1, sum(lengths) - 1]
@@ -124,14 +124,14 @@ def test_hdf5_has_the_structure_of_robomimic(recording, episodes, tmp_path, caps
             np.testing.assert_array_equal(demo['rewards'], frames.rewards)
             np.testing.assert_array_equal(demo['dones'], frames.done)
             np.testing.assert_array_equal(demo['states'], frames.recorded.states[:-1])
-            (joints,), (hand,) = frames.positions.values(), frames.hands.values()
+            (joints,), (poses,) = frames.positions.values(), frames.end_effectors.values()
             for group, rows in (('obs', slice(None, -1)), ('next_obs', slice(1, None))):
                 np.testing.assert_array_equal(
                     demo[f'{group}/robot0_joint_pos'], joints.values[rows, :7])
                 np.testing.assert_array_equal(
                     demo[f'{group}/robot0_gripper_qpos'], joints.values[rows, 7:])
                 np.testing.assert_array_equal(
-                    demo[f'{group}/robot0_eef_quat'], hand.values[rows, 3:])
+                    demo[f'{group}/robot0_eef_quat'], poses.values[rows, 3:])
             np.testing.assert_array_equal(
                 demo['obs/front_image'], np.stack([*frames.images('front')]))
 

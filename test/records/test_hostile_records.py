@@ -29,7 +29,7 @@ from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.tasks import create_task  # noqa: E402
 
 IMAGES, JOINTS, ACTION = '/front/color/image_raw/compressed', '/joint_states', '/episode/action'
-HAND = '/right/eef_pose'
+EEF_POSE = '/right/eef_pose'
 
 
 def png(width, height):
@@ -80,7 +80,7 @@ CASES = {
     'a camera with a null character': (topic(IMAGES, f'/a\0b{IMAGES[6:]}'), NO_TOPIC),
     'a camera with a line end': (topic(IMAGES, f'/a\nb{IMAGES[6:]}'), NO_TOPIC),
     'a long camera': (topic(IMAGES, f'/{"a" * 5000}{IMAGES[6:]}'), NO_TOPIC),
-    'an object without a name': (topic(HAND, '/objects/pose'), 'does not say of what it is'),
+    'an object without a name': (topic(EEF_POSE, '/objects/pose'), 'does not say of what it is'),
     'robots that are numbers': (about(robots='{"a": 5}'), NO_USE),
     'joints that are numbers': (about(robots='{"a": {"right_gripper": 5}}'), NO_USE),
     'joints that are lists': (about(robots='{"a": {"right_gripper": [[1]]}}'), NO_USE),
@@ -174,11 +174,11 @@ def test_a_pipe_is_no_record_and_no_task(tmp_path, capsys):
 def test_two_topics_of_one_hand_are_an_error(recording):
     episode = next(Record(recording).episodes())
     (robot,) = converting.Frames(episode).robots
-    other = f'/{robot}{HAND}'
+    other = f'/{robot}{EEF_POSE}'
     with pytest.raises(RecordError, match=f"{other} is of '{robot}/right', as another topic is"):
         converting.Frames(replace(
-            episode, types={**episode.types, other: episode.types[HAND]},
-            messages={**episode.messages, other: episode.messages[HAND]}))
+            episode, types={**episode.types, other: episode.types[EEF_POSE]},
+            messages={**episode.messages, other: episode.messages[EEF_POSE]}))
 
 
 def test_a_task_of_a_record_that_is_no_path_is_one_line(recording, tmp_path, capsys):

@@ -60,8 +60,8 @@ def slider_of(player):
     return player._timeline._slider
 
 
-def hand_of(player):
-    """Return where the hand is in the scene."""
+def end_effector_of(player):
+    """Return where the end effector is in the scene."""
     model, data = player._kinematics.model, player._kinematics.data
     (site,) = (i for i in range(model.nsite) if model.site(i).name.endswith('grip_site'))
     # Of the body, as kinematics alone is computed for the page.
@@ -70,11 +70,11 @@ def hand_of(player):
 
 
 def test_the_scene_shows_the_period_of_the_slider(player, frames):
-    (hand,) = frames[0].hands.values()
+    (poses,) = frames[0].end_effectors.values()
     for period in (0, 5, 2, len(frames[0].actions)):
         slider_of(player).value = period
         player.update(0.0)
-        np.testing.assert_allclose(hand_of(player), hand.values[period, :3], atol=1e-6)
+        np.testing.assert_allclose(end_effector_of(player), poses.values[period, :3], atol=1e-6)
     assert 'period' in player._text._shown and slider_of(player).max == len(frames[0].actions)
     assert player._text._shown.endswith(f', reward {frames[0].rewards[-1]:.3f}</div>')
     slider_of(player).value = 0
@@ -87,8 +87,8 @@ def test_failure_leads_to_the_end_of_the_next_episode_that_failed(player, frames
     player.update(0.0)
     assert player._choice.value.endswith('#1, seed 11: FAILED')
     assert slider_of(player).value == slider_of(player).max == len(frames[1].actions)
-    (hand,) = frames[1].hands.values()
-    np.testing.assert_allclose(hand_of(player), hand.values[-1, :3], atol=1e-6)
+    (poses,) = frames[1].end_effectors.values()
+    np.testing.assert_allclose(end_effector_of(player), poses.values[-1, :3], atol=1e-6)
     player._jump('Failure')  # There is no other one.
     assert player._choice.value.endswith('#1, seed 11: FAILED')
     player._jump('Previous')

@@ -26,7 +26,7 @@ class PageClient:
     A client of the page.
 
     :ivar inputs: kind and label of each element that it was sent, by id
-    :ivar targets: names of the targets of hands in the scene
+    :ivar targets: names of the targets of end effectors in the scene
     :ivar shapes: names of the shapes of bodies in the scene
     :ivar texts: the last content of each element of text, by id
     """

@@ -25,15 +25,15 @@ def served():
 
 
 @pytest.fixture(scope='module')
-def hand(served):
-    """Return a client of the node that sees where the hand is."""
-    hand = Hand()
-    yield hand
-    hand.client.close()
+def arm(served):
+    """Return a client of the node that sees where the end effector is."""
+    arm = ArmClient()
+    yield arm
+    arm.client.close()
 
 
-class Hand:
-    """What a client sees and commands of the right hand."""
+class ArmClient:
+    """What a client sees and commands of the right arm."""
 
     def __init__(self):
         self.client = Client()
@@ -54,7 +54,7 @@ class Hand:
         return np.array([linear.x, linear.y, linear.z])
 
     def wait_until_still(self):
-        """Wait until the hand has rested for half a second: a late command has come by then."""
+        """Wait until the end effector has rested for 0.5 s: a late command has come by then."""
         def rests():
             recent = [message.twist.linear for message in self.twists[begin:][-50:]]
             return len(recent) == 50 and all(
@@ -63,7 +63,7 @@ class Hand:
         self.client.spin_until(rests)
 
     def pose(self, offset=(0.0, 0.0, 0.0), frame='world', like=None):
-        """Return a message for a pose beside one of the hand."""
+        """Return a message for a pose beside one of the end effector."""
         message = like or self.poses[-1]
         pose = PoseStamped(pose=message.pose)
         point = message.pose.position
@@ -85,27 +85,27 @@ def twist(x=0.0, y=0.0, z=0.0, frame=''):
     return message
 
 
-def test_a_target_pose_is_reached(hand):
-    goal = hand.position + [0.05, 0.08, 0.05]
-    hand.client.publish('right/target_pose', hand.pose((0.05, 0.08, 0.05)))
-    hand.client.spin_until(lambda: np.abs(hand.position - goal).max() < 1e-3)
+def test_a_target_pose_is_reached(arm):
+    goal = arm.position + [0.05, 0.08, 0.05]
+    arm.client.publish('right/target_pose', arm.pose((0.05, 0.08, 0.05)))
+    arm.client.spin_until(lambda: np.abs(arm.position - goal).max() < 1e-3)
 
 
-def test_target_twists_move_the_hand_until_they_stop(hand):
+def test_target_twists_move_the_end_effector_until_they_stop(arm):
     def streams():
-        hand.client.publish('right/target_twist', twist(z=-0.03))
-        return abs(hand.velocity[2] + 0.03) < 1e-3 and np.abs(hand.velocity[:2]).max() < 1e-3
-    hand.client.spin_until(streams)
-    hand.wait_until_still()
+        arm.client.publish('right/target_twist', twist(z=-0.03))
+        return abs(arm.velocity[2] + 0.03) < 1e-3 and np.abs(arm.velocity[:2]).max() < 1e-3
+    arm.client.spin_until(streams)
+    arm.wait_until_still()
 
 
-def test_a_pose_action_moves_the_hand_by_five_centimetres(hand):
-    hand.wait_until_still()
-    start = hand.position
-    hand.client.publish('right/pose_command',
-                        Float64MultiArray(data=[0.0, -1.0, 0.0, 0.0, 0.0, 0.0]))
-    hand.client.spin_until(
-        lambda: np.abs(hand.position - start - [0.0, -0.05, 0.0]).max() < 1e-3)
+def test_a_pose_action_moves_the_end_effector_by_five_centimetres(arm):
+    arm.wait_until_still()
+    start = arm.position
+    arm.client.publish('right/pose_command',
+                       Float64MultiArray(data=[0.0, -1.0, 0.0, 0.0, 0.0, 0.0]))
+    arm.client.spin_until(
+        lambda: np.abs(arm.position - start - [0.0, -0.05, 0.0]).max() < 1e-3)
 
 
 @pytest.mark.parametrize(('topic', 'message', 'what'), [
@@ -116,9 +116,9 @@ def test_a_pose_action_moves_the_hand_by_five_centimetres(hand):
     ('right/target_pose', PoseStamped(), None),
     ('right/target_pose', 'zero', 'of length 0'),
     ('right/target_pose', 'nan', 'position must be finite')])
-def test_what_is_rejected_changes_nothing_and_is_told(topic, message, what, hand, served):
+def test_what_is_rejected_changes_nothing_and_is_told(topic, message, what, arm, served):
     if isinstance(message, str):
-        kind, message = message, hand.pose()
+        kind, message = message, arm.pose()
         if kind == 'zero':
             turn = message.pose.orientation
             turn.x = turn.y = turn.z = turn.w = 0.0
@@ -126,33 +126,33 @@ def test_what_is_rejected_changes_nothing_and_is_told(topic, message, what, hand
             message.pose.position.y = math.nan
     statistics = served.commands[0].statistics['arm']
     rejected, accepted = statistics.rejected, statistics.accepted
-    hand.client.publish(topic, message)
+    arm.client.publish(topic, message)
     if what is None:
         # A message of zeros has the unit quaternion and is the origin of the world.
-        hand.client.spin_until(lambda: statistics.accepted == accepted + 1)
-        hand.client.call(Trigger, 'manip_sim/reset')
+        arm.client.spin_until(lambda: statistics.accepted == accepted + 1)
+        arm.client.call(Trigger, 'manip_sim/reset')
         return
-    hand.client.spin_until(lambda: statistics.rejected == rejected + 1)
+    arm.client.spin_until(lambda: statistics.rejected == rejected + 1)
     assert statistics.accepted == accepted
-    hand.client.spin_until(lambda: any(what in line and topic in line for line in hand.log))
+    arm.client.spin_until(lambda: any(what in line and topic in line for line in arm.log))
 
 
-def test_clamps_and_targets_out_of_reach_are_counted_and_told(hand, served):
+def test_clamps_and_targets_out_of_reach_are_counted_and_told(arm, served):
     clamped = served.commands[0].statistics['arm'].clamped
-    hand.client.publish('right/target_twist', twist(x=3.0))
-    hand.client.spin_until(lambda: served.commands[0].statistics['arm'].clamped == clamped + 1)
-    hand.client.publish('right/target_pose', hand.pose((3.0, 0.0, 0.0)))
-    hand.client.spin_until(lambda: int(hand.status()['cartesian_unreachable']) >= 1)
-    hand.client.spin_until(lambda: any('right: the target is not reached' in line
-                                       for line in hand.log))
-    assert int(hand.status()['clamped']) == clamped + 1
-    hand.client.call(Trigger, 'manip_sim/reset')
+    arm.client.publish('right/target_twist', twist(x=3.0))
+    arm.client.spin_until(lambda: served.commands[0].statistics['arm'].clamped == clamped + 1)
+    arm.client.publish('right/target_pose', arm.pose((3.0, 0.0, 0.0)))
+    arm.client.spin_until(lambda: int(arm.status()['cartesian_unreachable']) >= 1)
+    arm.client.spin_until(lambda: any('right: the target is not reached' in line
+                                      for line in arm.log))
+    assert int(arm.status()['clamped']) == clamped + 1
+    arm.client.call(Trigger, 'manip_sim/reset')
 
 
-def test_stiffness_and_limits_are_live_parameters_with_unit_and_range(hand, served):
+def test_stiffness_and_limits_are_live_parameters_with_unit_and_range(arm, served):
     name = 'cartesian.right.stiffness'
-    (descriptor,) = hand.client.call(DescribeParameters, 'manip_sim/describe_parameters',
-                                     DescribeParameters.Request(names=[name])).descriptors
+    (descriptor,) = arm.client.call(DescribeParameters, 'manip_sim/describe_parameters',
+                                    DescribeParameters.Request(names=[name])).descriptors
     assert '[1/s^2]' in descriptor.description and not descriptor.read_only
     assert (descriptor.floating_point_range[0].from_value,
             descriptor.floating_point_range[0].to_value) == (1.0, 1000.0)
@@ -160,25 +160,25 @@ def test_stiffness_and_limits_are_live_parameters_with_unit_and_range(hand, serv
     def set_to(value):
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()])
-        return hand.client.call(SetParameters, 'manip_sim/set_parameters', request).results[0]
+        return arm.client.call(SetParameters, 'manip_sim/set_parameters', request).results[0]
     assert set_to(300.0).successful
     assert served.simulation.robot.joints.cartesian.settings['right'].stiffness == 300.0
     assert 'out of range' in set_to(0.0).reason
     assert served.simulation.robot.joints.cartesian.settings['right'].stiffness == 300.0
 
 
-def test_stamps_and_the_parameters_of_streams_count_for_target_poses_too(hand, served):
+def test_stamps_and_the_parameters_of_streams_count_for_target_poses_too(arm, served):
     request = SetParameters.Request(parameters=[
         Parameter(name, value=value).to_parameter_msg()
         for name, value in (('stream_interval.arm', 4.0), ('stream_hold.right', 0.5))])
-    results = hand.client.call(SetParameters, 'manip_sim/set_parameters', request).results
+    results = arm.client.call(SetParameters, 'manip_sim/set_parameters', request).results
     assert all(result.successful for result in results)
-    pose = hand.pose((0.0, 0.02, 0.0))
+    pose = arm.pose((0.0, 0.02, 0.0))
     pose.header.stamp.sec, pose.header.stamp.nanosec = 1234, 50_000_000
-    hand.client.publish('right/target_pose', pose)
+    arm.client.publish('right/target_pose', pose)
     targets = served.simulation.robot.joints.cartesian._targets
-    hand.client.spin_until(lambda: 'right' in targets and targets['right'].stream is not None)
+    arm.client.spin_until(lambda: 'right' in targets and targets['right'].stream is not None)
     clocks = targets['right'].stream._estimator.clocks
-    hand.client.spin_until(lambda: any(
+    arm.client.spin_until(lambda: any(
         clock is not None and clock._stamp_s == pytest.approx(1234.05) for clock in clocks._of))
     assert set(clocks._settings) == {(4.0, 0.5)}

@@ -46,7 +46,7 @@ def package(package_on_path):
 
 def test_an_installed_imu_measures_gravity_and_turning_with_its_noise(
         install_example, monkeypatch, serve, client):
-    monkeypatch.syspath_prepend(install_example('hand_imu'))
+    monkeypatch.syspath_prepend(install_example('end_effector_imu'))
     node = serve(start_paused=True, publish_clock=False, control_mode__arm='velocity',
                  command_timeout__arm=0.0)
     assert [row.type for row in node.table if row.name == 'right/imu'] == ['sensor_msgs/Imu']

@@ -352,7 +352,7 @@ def test_the_viewer_sees_both_robots_apart(spawning, client):
     come(client)
     both = client.settled(seen)
     assert both == (alone, replace(alone, space='/left/'))
-    assert alone.parts == ('arm', 'right/gripper') and alone.hands == ('right',)
+    assert alone.parts == ('arm', 'right/gripper') and alone.end_effectors == ('right',)
     go(client)
     client.spin_until(lambda: seen() == (alone,))
 

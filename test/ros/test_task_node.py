@@ -169,7 +169,7 @@ def test_success_and_reward_are_on_a_latched_topic(serve, client):
     assert found[0]['task'] == 'reach' and found[0]['seed'] == 4
     assert found[0]['goal'] == simulation.data.body('goal').xpos.tolist()
     assert found[0]['success'] is False and 0.0 < found[0]['reward'] < 1.0
-    # A point that is where the hand is has been reached.
+    # A point that is where the end effector is has been reached.
     node.thread.call(lambda: simulation.data.mocap_pos.__setitem__(
         slice(None), simulation.data.site('gripper0_right_grip_site').xpos))
     step = client.node.create_client(Trigger, '/manip_sim/step')

@@ -73,7 +73,8 @@ def test_limits_are_those_of_the_description(client, other):
     other.urdf.publish(String(data=LIMITED.format('')))
     ((robot),) = finding.whole().robots()
     ((part),) = robot.parts
-    assert (robot.title, robot.hands, robot.twist, part.name) == ('', ('right',), None, 'arm')
+    assert (robot.title, robot.end_effectors) == ('', ('right',))
+    assert (robot.twist, part.name) == (None, 'arm')
     assert part.joints[0].ranges == {
         'position': (-0.5, 0.25), 'velocity': (-3.0, 3.0), 'effort': (-7.0, 7.0)}
 

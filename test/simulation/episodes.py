@@ -4,8 +4,9 @@
 """
 Print the digests of seeded episodes; ``python episodes.py 0 200``.
 
-One for each seed, with commands for joints, hands (poses, OSC) and grippers; after them, for every
-tenth seed, an episode of a scripted expert, which grasps, and two of three worlds at once.
+One for each seed, with commands for joints, end effectors (poses, OSC) and grippers; after them,
+for every tenth seed, an episode of a scripted expert, which grasps, and two of three worlds at
+once.
 """
 
 from collections.abc import Iterator

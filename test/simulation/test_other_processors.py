@@ -17,13 +17,13 @@ SCRIPT = """
 import hashlib
 import numpy as np
 from episodes import digests
-from hands import hand_of
+from end_effector_operator import operator_of
 random = np.random.default_rng(0)
 digest = hashlib.blake2b(digest_size=8)
 matrix = random.normal(size=(64, 64))
 print(hashlib.blake2b((matrix @ matrix).tobytes(), digest_size=8).hexdigest())
 for name, mode in (('Panda', 'position'), ('Panda', 'effort'), ('Baxter', 'position')):
-    op = hand_of(name, mode=mode)
+    op = operator_of(name, mode=mode)
     op.run(0.2, lambda: op.move_at(0.1 * random.normal(size=3), 0.2 * random.normal(size=3)))
     op.run(0.3, lambda: op.act(*np.clip(random.normal(size=6), -1.0, 1.0)))
     op.go_to(op.reachable(0.5, 1))

@@ -57,10 +57,10 @@ def move(robot, by):
 
 def numbers(robot):
     state = robot.true_state()
-    hands = [part for hand in state.end_effectors.values() for part in (
-        hand.pose.position, hand.pose.quat_xyzw, hand.wrench.force, hand.wrench.torque,
-        hand.external_wrench.force)]
-    return np.concatenate([state.position, state.velocity, state.effort, *hands])
+    measured = [part for of_arm in state.end_effectors.values() for part in (
+        of_arm.pose.position, of_arm.pose.quat_xyzw, of_arm.wrench.force, of_arm.wrench.torque,
+        of_arm.external_wrench.force)]
+    return np.concatenate([state.position, state.velocity, state.effort, *measured])
 
 
 # ---------------------------------------------------------------------- what comes
@@ -151,7 +151,7 @@ def test_a_robot_with_laws_of_friction_comes_and_goes():
 
 
 def all_that_is_published(changes):
-    """Let an arm stream, follow a hand target, grasp; return what is published and digests."""
+    """Let an arm stream, follow a target pose, grasp; return what is published and digests."""
     simulation = with_cubes()
     robot, told = simulation.robot, []
     middle = place_of(robot)
@@ -166,9 +166,9 @@ def all_that_is_published(changes):
         if period == 20:
             robot.apply(robot.parse.action('right/gripper', [1.0]))
         if period == 120:
-            hand = robot.true_state().end_effectors['right'].pose
+            pose = robot.true_state().end_effectors['right'].pose
             robot.apply(robot.parse_cartesian.pose(
-                'right', hand.position + [0.0, 0.1, 0.1], hand.quat_xyzw))
+                'right', pose.position + [0.0, 0.1, 0.1], pose.quat_xyzw))
         simulation.advance(5)
         told.append(np.concatenate([numbers(robot), simulation.data.body('cube').xpos]))
     return np.array(told)

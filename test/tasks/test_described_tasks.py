@@ -114,12 +114,12 @@ def test_all_conditions_must_hold(plate):
 
 def test_the_reward_rises_as_the_hand_comes_nearer(plate):
     plate.reset(1)
-    hand, disc = plate.observation['eef_pose'][0, :3], plate.observation['goal']
+    end_effector, disc = plate.observation['eef_pose'][0, :3], plate.observation['goal']
     found = []
     for angle in np.linspace(0.0, 3.0, 5):  # Always as far from the disc.
         cube = disc + [0.15 * np.cos(angle), 0.15 * np.sin(angle), 0.0199]
         place(plate.simulation, 'cube', cube)
-        found.append((math.dist(hand, cube), plate.reward))
+        found.append((math.dist(end_effector, cube), plate.reward))
     far, rewards = np.transpose(sorted(found))
     assert (np.diff(far) > 0.0).all() and (np.diff(rewards) < 0.0).all() and rewards[0] < 1.0
 

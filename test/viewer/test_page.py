@@ -68,9 +68,9 @@ def test_fingers_have_sliders_where_they_take_positions():
     assert fingers('UR5e', 'Robotiq85Gripper') != []
 
 
-def topics(space, parts, hands=()):
+def topics(space, parts, arms=()):
     subscribed = [f'{space}joint_command', *(f'{space}{part}/joint_command' for part in parts),
-                  *(f'{space}{hand}/target_pose' for hand in hands)]
+                  *(f'{space}{arm}/target_pose' for arm in arms)]
     return [f'{space}robot_description'], subscribed
 
 
@@ -93,7 +93,7 @@ def test_two_arms_are_parts_of_their_own_and_robots_have_spaces():
     assert [robot.space for robot in layout.robots] == ['/cell/a/', '/cell/b/']
     assert layout.robots[1].parts == (
         'right', 'right/gripper', 'left', 'left/gripper', 'torso')
-    assert layout.robots[1].hands == ('right', 'left')
+    assert layout.robots[1].end_effectors == ('right', 'left')
 
 
 def test_an_input_keeps_what_was_asked_for_until_all_is_still():

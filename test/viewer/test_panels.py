@@ -15,7 +15,7 @@ pytest.importorskip('hypothesis', reason='needs hypothesis')
 from hypothesis import given, strategies as st  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
-from manip_sim.viewer.page.dragging import HandTarget  # noqa: E402
+from manip_sim.viewer.page.dragging import EndEffectorTarget  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
 from manip_sim.viewer.page.page_commands import Events  # noqa: E402
 from manip_sim.viewer.page.panels import (  # noqa: E402
@@ -222,14 +222,14 @@ def test_a_base_is_driven_until_it_is_stopped(rig):
 
 
 def test_a_target_is_sent_while_it_is_dragged_and_follows_the_hand_else(rig):
-    target = HandTarget(rig.gui, '/left/', 'right', rig.sent)
+    target = EndEffectorTarget(rig.gui, '/left/', 'right', rig.sent)
     control = rig.gui.found['/targets/left/right']
-    hand, upright = np.array([0.5, 0.1, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
-    target.follow(0.0, hand, upright, paused=False)
+    position, upright = np.array([0.5, 0.1, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    target.follow(0.0, position, upright, paused=False)
     np.testing.assert_array_equal(control.position, np.zeros(3))  # It is not shown.
     target.show(True)
-    target.follow(0.1, hand, upright, paused=False)
-    np.testing.assert_array_equal(control.position, hand)
+    target.follow(0.1, position, upright, paused=False)
+    np.testing.assert_array_equal(control.position, position)
     control.use(position=np.array([0.6, 0.1, 1.0]), phase='update')
     target.send()
     target.send()
@@ -238,20 +238,20 @@ def test_a_target_is_sent_while_it_is_dragged_and_follows_the_hand_else(rig):
     np.testing.assert_array_equal(position, [0.6, 0.1, 1.0])
     np.testing.assert_array_equal(quat, upright)
     now_s = time.monotonic()
-    target.follow(now_s + 3.0, hand, upright, paused=False)
+    target.follow(now_s + 3.0, position, upright, paused=False)
     assert control.position[0] == 0.6  # It is still held.
     control.use(phase='end')
     for later_s in (4.0, 4.1):
-        target.follow(now_s + later_s, hand, upright, paused=False)
-    np.testing.assert_array_equal(control.position, hand)
+        target.follow(now_s + later_s, position, upright, paused=False)
+    np.testing.assert_array_equal(control.position, position)
     # What nobody sees is not sent.
-    for moved, followed in ((hand + 5e-5, False), (hand + 1e-3, True)):
+    for moved, followed in ((position + 5e-5, False), (position + 1e-3, True)):
         target.follow(now_s + 5.0, moved, upright, paused=False)
-        np.testing.assert_array_equal(control.position, moved if followed else hand)
+        np.testing.assert_array_equal(control.position, moved if followed else position)
     for angle, followed in ((1e-4, False), (0.1, True), (0.1 + 1e-3, True)):
         before = control.wxyz
         turned = np.array([math.cos(angle / 2.0), 0.0, 0.0, math.sin(angle / 2.0)])
-        target.follow(now_s + 6.0, hand, turned, paused=False)
+        target.follow(now_s + 6.0, position, turned, paused=False)
         np.testing.assert_array_equal(control.wxyz, turned if followed else before)
     target.remove()
     assert control.removed

@@ -210,23 +210,23 @@ NAMES = st.sampled_from([['robot0_joint1'], ['robot0_joint1'] * 2, [], ['joint']
                          [f'robot0_joint{n}' for n in range(1, 8)]])
 
 
-@given(what=st.sampled_from(['action', 'joints', 'trajectory', 'twist', 'pose', 'hand', 'osc',
+@given(what=st.sampled_from(['action', 'joints', 'trajectory', 'twist', 'pose', 'arm_twist', 'osc',
                              'reset', 'restore', 'mode']),
        one=ANYTHING, other=ANYTHING, where=WHERE, names=NAMES)
 @settings(max_examples=150, deadline=None)
 def test_whatever_is_given_is_taken_or_rejected_with_a_reason(
         lasting_pair, what, one, other, where, names):
     worlds, robot = start(lasting_pair).worlds, lasting_pair.worlds.robot
-    command, hands = robot.command, robot.command_cartesian
+    command, cartesian = robot.command, robot.command_cartesian
     before = worlds.digest()
     try:
         {'action': lambda: command.action('arm', one, where=where),
          'joints': lambda: command.joint_command(names, position=one, where=where),
          'trajectory': lambda: command.trajectory('arm', names, other, one, where=where),
          'twist': lambda: command.twist(one, where=where),
-         'pose': lambda: hands.pose('right', one, other, where=where),
-         'hand': lambda: hands.twist('right', one, other, where=where),
-         'osc': lambda: hands.action('right', one, where=where),
+         'pose': lambda: cartesian.pose('right', one, other, where=where),
+         'arm_twist': lambda: cartesian.twist('right', one, other, where=where),
+         'osc': lambda: cartesian.action('right', one, where=where),
          'reset': lambda: worlds.reset(one, where),
          'restore': lambda: worlds.restore(one, where),
          'mode': lambda: robot.set_control_mode('arm', one, where)}[what]()

@@ -17,11 +17,11 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.hands import Hand
+from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, STILL, stop)
 from manip_sim.control.cartesian.operational_space_controller import (
-    EffortSolution, FollowingHand, HandEfforts, OperationalSpaceController)
+    EffortSolution, EndEffectorEfforts, FollowingEndEffector, OperationalSpaceController)
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport, MISSED
 from manip_sim.control.cartesian.robot_frames import Frame
@@ -51,16 +51,16 @@ _MOVED = 1e-5
 
 class CartesianController:
     """
-    A controller of the hands of a robot, through the servos and setpoints of its arm joints.
+    A controller of a robot's end effectors, through the servos and setpoints of its arm joints.
 
     In position and velocity mode inverse kinematics runs on the setpoints, not on the measured
-    joints: the servos resist a force at the hand, which does not change where the setpoints go
-    unless it exceeds the effort limits. In effort mode operational space control runs in every
-    tick, on the measured joints.
+    joints: the servos resist a force at the end effector, which does not change where the
+    setpoints go unless it exceeds the effort limits. In effort mode operational space control runs
+    in every tick, on the measured joints.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, whose joint positions are the posture
-    :param hands: by arm
+    :param chains: by arm
     :param names: of the joints
     :param servos: of all driven joints
     :param setpoints: of all driven joints
@@ -72,38 +72,38 @@ class CartesianController:
     #: Empty between two control periods.
     not_in_digest = ('_found',)
 
-    def __init__(self, physics: Physics, hands: Mapping[str, Hand], names: Sequence[str],
-                 servos: Servos, setpoints: SetpointGenerator) -> None:
+    def __init__(self, physics: Physics, chains: Mapping[str, KinematicChain],
+                 names: Sequence[str], servos: Servos, setpoints: SetpointGenerator) -> None:
         self._physics = physics
-        self._hands = hands
+        self._chains = chains
         self._names = names
         self._servos = servos
         self._setpoints = setpoints
         self._posture = physics.data.qpos[servos.qpos].copy()
         self._low, self._high = servos.position_clamp().T
-        self.settings = {arm: CartesianSettings() for arm in hands}
-        self.reports = {arm: CartesianReport(arm) for arm in hands}
+        self.settings = {arm: CartesianSettings() for arm in chains}
+        self.reports = {arm: CartesianReport(arm) for arm in chains}
         self.period_s = self._timestep_s = float(physics.model.opt.timestep)
         self._targets: dict[str, Target] = {}
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
-        self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in hands}
+        self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in chains}
         #: Efforts for the next interval, by arm, where they were computed with those of others.
-        self._found: dict[str, tuple[HandEfforts, int]] = {}
+        self._found: dict[str, tuple[EndEffectorEfforts, int]] = {}
         self._operational = OperationalSpaceController(physics, servos, self._posture)
         physics.on_change(self._make_room)
 
     def look_at_model(self, model: mujoco.MjModel) -> None:
-        """Take over the ids of the frames of the hands in another model."""
-        for hand in self._hands.values():
-            hand.tip.look_at_model(model)
-            hand.origin.look_at_model(model)
+        """Take over the ids of the frames of the end effectors in another model."""
+        for chain in self._chains.values():
+            chain.tip.look_at_model(model)
+            chain.origin.look_at_model(model)
 
     def look_at_joints(self) -> None:
         """Take over the damping of the joints, which was changed in the model."""
         self._operational.look_at_joints()
 
     def _make_room(self) -> None:
-        self._scratch: Any = mujoco.MjData(self._physics.model) if self._hands else None
+        self._scratch: Any = mujoco.MjData(self._physics.model) if self._chains else None
 
     def set(self, arm: str, name: str, value: float) -> None:
         """
@@ -124,8 +124,8 @@ class CartesianController:
         Change what counts as a stream of poses of an arm, and what happens when one stops.
 
         :param longest_s: longest interval between messages of a stream [s]; None: no change
-        :param hold_s: how long the hand goes on at the velocity of a stream after a message was
-            due [s]; 0: two message intervals; None: no change
+        :param hold_s: how long the end effector goes on at the velocity of a stream after a
+            message was due [s]; 0: two message intervals; None: no change
         """
         before = self._streams[arm]
         self._streams[arm] = (before[0] if longest_s is None else longest_s,
@@ -133,7 +133,7 @@ class CartesianController:
 
     def goal(self, arm: str, data: mujoco.MjData) -> Pose | None:
         """
-        Return the goal of the hand of an arm in ``world``, or None before the first command.
+        Return the goal of an arm's end effector in ``world``, or None before the first command.
 
         :raises UnknownNameError: if there is no such arm
         """
@@ -171,7 +171,7 @@ class CartesianController:
         if before is not None and (before.twists is None or now_s > before.until_s + 1e-9):
             before = None
         target = self._targets[command.arm] = target_of(
-            command, self._hands[command.arm], self._physics.model, data, before,
+            command, self._chains[command.arm], self._physics.model, data, before,
             now_s + self.settings[command.arm].twist_timeout)
         if isinstance(command, CartesianPose):
             self._continue_stream(command, target, streamed, data)
@@ -207,11 +207,11 @@ class CartesianController:
 
     def _present_twist(self, command: CartesianCommand, frame: Frame, data: mujoco.MjData
                        ) -> FloatArray:
-        """Return the velocity of a hand in the axes of a frame [m/s, rad/s], shape (6,)."""
+        """Return the end effector's velocity in the axes of a frame [m/s, rad/s], shape (6,)."""
         dofs = self._servos.dofs[command.indices]
         gives = self._servos.gives_effort(command.indices)
         velocity = np.where(gives, data.qvel[dofs], self._setpoints.velocity[command.indices])
-        moved = product(self._hands[command.arm].tip.jacobian(self._physics.model, data, dofs),
+        moved = product(self._chains[command.arm].tip.jacobian(self._physics.model, data, dofs),
                         velocity)
         _, axes = frame.pose(data)
         return np.concatenate([transposed_product(axes, moved[:3]),
@@ -235,9 +235,9 @@ class CartesianController:
                 target.settled_in = None
 
     def _place(self, command: CartesianCommand, target: Target, data: mujoco.MjData) -> FloatArray:
-        hand = self._hands[command.arm]
-        bodies = [hand.origin.body, target.anchor.body]
-        taken = np.setdiff1d(hand.qpos, self._servos.qpos[command.indices])
+        chain = self._chains[command.arm]
+        bodies = [chain.origin.body, target.anchor.body]
+        taken = np.setdiff1d(chain.qpos, self._servos.qpos[command.indices])
         return np.concatenate([data.xpos[bodies].ravel(), data.xmat[bodies].ravel(),
                                data.qpos[taken]])
 
@@ -256,11 +256,11 @@ class CartesianController:
             if command.arm in self._found:
                 found, row = self._found.pop(command.arm)
             else:
-                found, row = HandEfforts(
+                found, row = EndEffectorEfforts(
                     [self._following(command, target, now_s, duration_s)]), 0
             efforts[command.indices] = found.efforts_of(row)
             if target.solve_s == -math.inf:
-                # What limits the hand is reported, and whether it rests, once in a control period.
+                # What limits the end effector, and whether it rests, is reported once in a period.
                 target.solve_s = now_s
                 self._report(command, target, found.solution(row), data, now_s)
         elif target.settled_in is None and now_s >= target.solve_s - 1e-9:
@@ -288,7 +288,7 @@ class CartesianController:
         scratch.qpos[self._servos.qpos[indices]] = joints.position
         mujoco.mj_kinematics(self._physics.model, scratch)
         mujoco.mj_comPos(self._physics.model, scratch)
-        tip = self._hands[command.arm].tip
+        tip = self._chains[command.arm].tip
         jacobian = tip.jacobian(self._physics.model, scratch, self._servos.dofs[indices])
         still, limit = True, None
         if target.until_s == -math.inf:
@@ -340,9 +340,9 @@ class CartesianController:
 
     def _look(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
               error: FloatArray, reached: bool, progress: float) -> None:
-        """Check whether the pose is reached, and report a hand that comes no nearer."""
+        """Check whether the pose is reached, and report an end effector that comes no nearer."""
         if reached and command.handle.is_active:
-            here = self._hands[command.arm].tip.pose(data)
+            here = self._chains[command.arm].tip.pose(data)
             command.handle.end(Status.DONE, error=pose_error(target.goal(data), here))
         self.reports[command.arm].see_target(error, progress, now_s)
         if target.stream is None or not target.stream.moving:
@@ -352,9 +352,9 @@ class CartesianController:
     # ------------------------------------------------------------------ by operational space
 
     def following(self, command: CartesianCommand, now_s: float, duration_s: float
-                  ) -> FollowingHand | None:
+                  ) -> FollowingEndEffector | None:
         """
-        Return the hand of a command if it takes efforts in the next interval, else None.
+        Return the end effector of a command if it takes efforts in the next interval, else None.
 
         So they can be computed together with those of others; :meth:`take` has to be called then.
 
@@ -367,20 +367,20 @@ class CartesianController:
         self._end_twist(command, target, now_s)
         return self._following(command, target, now_s, duration_s)
 
-    def take(self, arm: str, found: HandEfforts, row: int) -> None:
+    def take(self, arm: str, found: EndEffectorEfforts, row: int) -> None:
         """
         Take efforts for the next call of :meth:`follow`.
 
-        :param arm: whose hand
-        :param found: efforts of several hands
+        :param arm: whose end effector
+        :param found: efforts of several end effectors
         :param row: which of them is that of the arm
         """
         self._found[arm] = found, row
 
     def _following(self, command: CartesianCommand, target: Target, now_s: float,
-                   duration_s: float) -> FollowingHand:
-        return self._operational.hand(
-            self._hands[command.arm].tip, target, command.indices, self.settings[command.arm],
+                   duration_s: float) -> FollowingEndEffector:
+        return self._operational.following(
+            self._chains[command.arm].tip, target, command.indices, self.settings[command.arm],
             now_s, duration_s)
 
     def _report(self, command: CartesianCommand, target: Target, solution: EffortSolution,

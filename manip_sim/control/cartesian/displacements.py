@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Joint displacements that bring a hand nearer to where it shall be, within the ranges of the joints.
+Joint displacements, within their ranges, that bring an end effector nearer to where it shall be.
 
 A Gauss-Newton step (least squares with bounds on the joints) where all of the motion is possible.
 What is not possible, beyond the reach or near a singularity, is treated as a constant force on the
-hand: its stiffness, the second derivative of the kinematics, makes the step a Newton step towards
-the place where the hand is nearest, so the joints come to rest there. Nothing here knows of time.
+end effector: its stiffness, the second derivative of the kinematics, makes the step a Newton step
+towards the place where the end effector is nearest, so the joints come to rest there. Nothing here
+knows of time.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ _POSTURE, _POSTURE_RATE = 1e-6, 0.005
 _DAMPING, _DAMPING_RATE = 1.6e-3, 0.02
 #: A part of the task smaller than this, as a share, counts as possible.
 _NEGLIGIBLE = 1e-6
-#: A hand rests if a step brings it nearer by less than this for each radian [m/rad], and until
-#: one does by so many times as much: where it may rest does not change from step to step ...
+#: An end effector rests if a step brings it nearer by less than this for each radian [m/rad], and
+#: until one does by so many times as much: where it may rest does not change from step to step ...
 _WORTH, _WORTH_AGAIN = 2e-3, 2.0
 #: ... unless it is farthest there, as its distance bends down this much [m/rad^2], or the squared
 #: distance bends up so much that the nearest place is near [m^2/rad^2].
@@ -56,14 +57,14 @@ class Displacement(NamedTuple):
     Displacements of the joints of an arm.
 
     :ivar step: for the task [rad], shape (n,)
-    :ivar drift: of a redundant arm towards its posture, which leaves the hand where it is [rad],
-        shape (n,)
+    :ivar drift: of a redundant arm towards its posture, which leaves the end effector where it is
+        [rad], shape (n,)
     :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
     :ivar factor: Cholesky factor of the second derivative of what the step makes smaller, with the
         weight of the posture, shape (n, n)
-    :ivar rests: whether the hand is as near as it can come, so that there is no step
-    :ivar jacobian: of the hand, shape (6, n)
-    :ivar task: wanted motion of the hand, shape (6,)
+    :ivar rests: whether the end effector is as near as it can come, so that there is no step
+    :ivar jacobian: of the end effector, shape (6, n)
+    :ivar task: wanted motion of the end effector, shape (6,)
     :ivar easy: whether nothing singular can be wanted, as the step is small for it
     """
 
@@ -78,7 +79,7 @@ class Displacement(NamedTuple):
 
     @property
     def singular(self) -> bool:
-        """Whether a motion is wanted in a direction in which the hand can hardly move."""
+        """Whether a motion is wanted in a direction in which the end effector can hardly move."""
         return not self.easy and is_singular(self.jacobian, self.task)
 
 
@@ -89,15 +90,15 @@ class Displacements:
     For several, fewer calls are needed than one by one, with the same bits. For one arm, arrays
     have no axis of rows.
 
-    :param jacobians: of position and rotation of the hands, shape (rows, 6, n), the joints in
-        their order from the base to the hand
+    :param jacobians: of position and rotation of the end effectors, shape (rows, 6, n), the joints
+        in their order from the base to the end effector
     :param tasks: wanted translations [m] and rotation vectors [rad], shape (rows, 6)
     :param low: lowest displacements within the ranges of the joints [rad], shape (rows, n)
     :param high: highest displacements [rad], shape (rows, n)
     :param away: displacements to the postures [rad], shape (rows, n)
-    :param rested: whether each hand rested before
+    :param rested: whether each end effector rested before
     :ivar step: as of :class:`Displacement`, shape (rows, n); ``drift`` too
-    :ivar rests: of each hand
+    :ivar rests: of each end effector
     """
 
     def __init__(self, jacobians: FloatArray, tasks: FloatArray, low: FloatArray,
@@ -195,7 +196,7 @@ class Displacements:
         step, drift, factor, jacobian, task = [
             of if self._one else of[row]
             for of in (self.step, self.drift, self._factors, self._jacobians, self._tasks)]
-        # Half of the task in a direction in which the hand can hardly move would need more.
+        # Half of the task in a direction of hardly any motion would need more.
         return Displacement(
             step, drift, np.zeros(len(step), dtype=bool), factor, False, jacobian, task,
             easy=self._far[row] * SINGULAR <= 0.4 * self._whole[row])
@@ -217,13 +218,13 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
     """
     Return the displacements for a task, and those in what it leaves free towards the posture.
 
-    :param jacobian: of position and rotation of the hand, shape (6, n), the joints in their order
-        from the base to the hand
+    :param jacobian: of position and rotation of the end effector, shape (6, n), the joints in
+        their order from the base to the end effector
     :param task: wanted translation [m] and rotation vector [rad], shape (6,)
     :param low: lowest displacements within the ranges of the joints [rad], shape (n,)
     :param high: highest displacements [rad], shape (n,)
     :param away: displacements to the posture [rad], shape (n,)
-    :param rested: whether the hand rested before
+    :param rested: whether the end effector rested before
     """
     return Displacements(jacobian, task, low, high, away, [rested]).row()
 
@@ -252,7 +253,7 @@ def _bounded(jacobian: FloatArray, task: FloatArray, square: FloatArray, whole: 
     held = ((step <= low) & (wanted < low)) | ((step >= high) & (wanted > high))
     drift, weighted, lowest, highest = (
         away, with_diagonal(stiffness, weight), low - step, high - step)
-    for _ in range(2):  # The first one still moves the hand by a millionth.
+    for _ in range(2):  # The first one still moves the end effector by a millionth.
         drift = _minimum(weighted, weight * drift, lowest, highest)
     rests = False
     if not possible:

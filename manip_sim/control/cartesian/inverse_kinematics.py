@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Differential inverse kinematics: joint velocities that bring a hand nearer to its target.
+Differential inverse kinematics: joint velocities that bring an end effector nearer to its target.
 
 How fast to go along the displacements of :mod:`displacements`. Nothing here knows of commands.
 """
@@ -28,8 +28,8 @@ _BRAKING = 0.5
 #: (v[n] + v[n+1]) / 2 with v[n+1] = k x[n] is at k T = 6 - 4 sqrt(2).
 _APPROACH = 6.0 - 4.0 * math.sqrt(2.0)
 _MAX_RATE = 40.0
-#: Rate at which a redundant arm goes towards its posture [1/s], when the hand rests and while it
-#: moves faster than this share of the velocity limits, so that its way is straight.
+#: Rate at which a redundant arm goes towards its posture [1/s], when the end effector rests and
+#: while it moves faster than this share of the velocity limits, so that its way is straight.
 _POSTURE_RATE, _POSTURE_RATE_MOVING, _MOVING_PACE = 3.0, 1.0, 0.1
 #: A twist is slowed down so that no joint comes to its limit sooner than this [s].
 _HORIZON_S = 0.1
@@ -74,10 +74,11 @@ class Solution:
     :ivar pace: of the motion for the task, as a share of the velocity limits
     :ivar progress: share of the wanted motion that the joints can make
     :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
-    :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
-    :ivar slowed: whether joint limits slow a twist down, or keep the hand from going along with a
-        pose that moves
-    :ivar rests: whether the hand is as near to a pose as it can come
+    :ivar singular: whether a motion is wanted in a direction in which the end effector can hardly
+        move
+    :ivar slowed: whether joint limits slow a twist down, or keep the end effector from going along
+        with a pose that moves
+    :ivar rests: whether the end effector is as near to a pose as it can come
     :ivar acceleration_limit: of the joints, if the motion needs more than their own
         [rad/s^2], shape (n,)
     """
@@ -98,21 +99,21 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     """
     Return the velocities that bring the end effector to a pose and let it rest there.
 
-    All joints arrive together: the hand moves straight and turns about one axis, as fast as joint
-    velocity and acceleration limits and those of the hand allow.
+    All joints arrive together: the end effector moves straight and turns about one axis, as fast
+    as joint velocity and acceleration limits and those of the end effector allow.
 
-    :param jacobian: of position and rotation of the hand, shape (6, n)
+    :param jacobian: of position and rotation of the end effector, shape (6, n)
     :param error: translation [m] and rotation vector [rad] to the pose, shape (6,), from where the
-        present velocities bring the hand in the interval
+        present velocities bring the end effector in the interval
     :param interval_s: interval that the velocities are for [s]
-    :param linear_velocity: limit for the hand [m/s]
-    :param angular_velocity: limit for the hand [rad/s]
+    :param linear_velocity: limit for the end effector [m/s]
+    :param angular_velocity: limit for the end effector [rad/s]
     :param before: velocity of the pose now [m/s, rad/s], shape (6,)
-    :param twist: velocity of the pose at the end of the interval, with which the hand shall go
-        along [m/s, rad/s], shape (6,)
+    :param twist: velocity of the pose at the end of the interval, with which the end effector
+        shall go along [m/s, rad/s], shape (6,)
     :param smooth: share of the change between these two that the joints may follow beyond their
         acceleration limits
-    :param rested: whether the hand was as near as it can come before
+    :param rested: whether the end effector was as near as it can come before
     """
     along, relative, follows = np.zeros(len(joints.velocity)), joints, False
     if before is not STILL or twist is not STILL:
@@ -151,11 +152,11 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
 def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float
                  ) -> Solution:
     """
-    Return the velocities that move the hand with a twist, or slower where joints limit it.
+    Return the velocities that move the end effector with a twist, or slower where joints limit it.
 
     A joint that comes near the end of its range brakes before, and the others do what they can.
 
-    :param jacobian: of position and rotation of the hand, shape (6, n)
+    :param jacobian: of position and rotation of the end effector, shape (6, n)
     :param twist: linear [m/s] and angular [rad/s], shape (6,)
     :param interval_s: interval that the velocities are for [s]
     """

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Operational space control: what makes a hand behave like a mass on a spring and damper.
+Operational space control: what makes an end effector behave like a mass on a spring and damper.
 
-As Khatib (1987) the hand accelerates as spring and damper say, whatever the inertia of the arm;
-here by joint accelerations rather than by a force at the hand, which is the same for the hand and
-well behaved where the arm is singular. What leaves the hand where it is goes to a posture.
+As Khatib (1987) the end effector accelerates as spring and damper say, whatever the inertia of the
+arm; here by joint accelerations rather than by a force at the end effector, which is the same for
+the end effector and well behaved where the arm is singular. What leaves the end effector where it
+is goes to a posture.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class WantedMotions:
     near a singularity and near the ends of the ranges of the joints. Several arms have as many
     joints, and arrays have a row for each; for one arm, arrays have no axis of rows.
 
-    :param jacobians: of position and rotation of the hands, shape (rows, 6, n)
+    :param jacobians: of position and rotation of the end effectors, shape (rows, 6, n)
     :param errors: translations [m] and rotation vectors [rad] to the targets, shape (rows, 6)
     :param twists: velocity of each target [m/s, rad/s], shape (6,); None where it rests
     :param settings: of each arm
@@ -44,8 +45,8 @@ class WantedMotions:
     :param low: lowest displacements within the ranges of the joints [rad], shape (rows, n)
     :param high: highest displacements [rad], shape (rows, n)
     :param away: displacements to the postures [rad], shape (rows, n)
-    :param rested: whether each hand was as near as it can come before
-    :ivar joints: velocities for the hands [rad/s], shape (rows, n)
+    :param rested: whether each end effector was as near as it can come before
+    :ivar joints: velocities for the end effectors [rad/s], shape (rows, n)
     :ivar found: the displacements that they make in a while
     """
 
@@ -79,7 +80,7 @@ class WantedMotions:
         """
         Return the accelerations of the joints [rad/s^2], shape (rows, n).
 
-        Those of a hand are damping times its velocity error, in all six directions.
+        Those of an end effector are damping times its velocity error, in all six directions.
 
         :param velocity: of the joints [rad/s], shape (rows, n)
         """
@@ -101,7 +102,7 @@ def _column(values: Sequence[float], one: bool) -> float | FloatArray:
 def _limit(wanted: FloatArray, rate: float, twist: FloatArray | None, linear_velocity: float,
            angular_velocity: float) -> float:
     """
-    Limit the velocity that a hand shall have, in place, and add that of its target.
+    Limit the velocity that an end effector shall have, in place, and add that of its target.
 
     :returns: for how long displacements are sought [s]
     """

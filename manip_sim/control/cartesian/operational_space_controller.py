@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Operational space control of hands, on the measured joints."""
+"""Operational space control of end effectors, on the measured joints."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from manip_sim.control.cartesian.targets import Target, pose_error
 from manip_sim.control.servos import Servos
 from manip_sim.physics.physics import Physics
 
-#: A pose is reached within this [m, rad], by a hand that is slower than this [m/s, rad/s].
+#: A pose is reached within this [m, rad], by an end effector that is slower [m/s, rad/s].
 _REACHED = np.array([1e-3] * 3 + [1e-2] * 3)
 _SLOW_TWIST = 2e-3
 
 
 class EffortSolution(NamedTuple):
     """
-    How near a hand is to its target, and what limits it.
+    How near an end effector is to its target, and what limits it.
 
     :ivar error: translation [m] and rotation vector [rad] to the target, shape (6,)
     :ivar found: displacements of the joints that spring and damper want
@@ -45,17 +45,17 @@ class EffortSolution(NamedTuple):
 
     @property
     def moved(self) -> FloatArray:
-        """Velocity of the hand [m/s, rad/s], shape (6,)."""
+        """Velocity of the end effector [m/s, rad/s], shape (6,)."""
         return product(self.found.jacobian, self.velocity)
 
     @property
     def rests(self) -> bool:
-        """Whether the hand is at the target and rests."""
+        """Whether the end effector is at the target and rests."""
         return self.still and bool((np.abs(self.error) <= _REACHED).all()
                                    and (np.abs(self.moved) < _SLOW_TWIST).all())
 
     def progress(self, settings: CartesianSettings) -> float:
-        """Return the share of the motion that spring and damper want which the hand makes."""
+        """Return which share of the motion that spring and damper want the end effector makes."""
         goes = settings.stiffness / settings.damping * self.error
         return dot(self.moved, goes) / max(dot(goes, goes), 1e-12)
 
@@ -77,12 +77,12 @@ class ArmJoints(NamedTuple):
     all_limits: FloatArray
 
 
-class FollowingHand(NamedTuple):
+class FollowingEndEffector(NamedTuple):
     """
-    A hand that follows a target in the next interval; a twist moves the goal of the target.
+    An end effector that follows a target in the next interval; a twist moves the target's goal.
 
-    :ivar own: controller of the hands of its robot
-    :ivar tip: of the hand
+    :ivar own: controller of the end effectors of its robot
+    :ivar tip: frame of the end effector
     :ivar target: changed when efforts are computed
     :ivar arm: the joints of its arm
     :ivar settings: of the arm
@@ -116,7 +116,7 @@ class FollowingHand(NamedTuple):
         Return whether the target rests, and how it and the arm are and move; some are views.
 
         :returns: whether it rests; its velocity [m/s, rad/s], shape (6,), or None; translation and
-            rotation vector to it [m, rad], shape (6,); Jacobian of the hand, shape (6, n);
+            rotation vector to it [m, rad], shape (6,); Jacobian of the end effector, shape (6, n);
             position, velocity and posture of the joints, each of shape (n,)
         """
         own, target, arm, now_s = self.own, self.target, self.arm, self.now_s
@@ -139,37 +139,38 @@ class FollowingHand(NamedTuple):
                 physics.qvel[arm.dofs], own.posture[arm.joints])
 
 
-class HandEfforts:
+class EndEffectorEfforts:
     """
-    The efforts with which hands follow their targets, each a row if there are several.
+    The efforts with which end effectors follow their targets, each a row if there are several.
 
-    :param hands: of arms of as many joints, of one robot or of several in worlds of their own,
-        after ``mj_forward``
+    :param end_effectors: of arms of as many joints, of one robot or of several in worlds of their
+        own, after ``mj_forward``
     """
 
-    def __init__(self, hands: Sequence[FollowingHand]) -> None:
-        one = self._one = len(hands) == 1
-        seen = [hand.look() for hand in hands]
+    def __init__(self, end_effectors: Sequence[FollowingEndEffector]) -> None:
+        one = self._one = len(end_effectors) == 1
+        seen = [each.look() for each in end_effectors]
         twists: Sequence[FloatArray | None]
         self._still: Sequence[bool]
         if one:
             still, twist, *arrays = seen[0]
-            self._still, twists, limits = [still], [twist], hands[0].arm.limits
+            self._still, twists, limits = [still], [twist], end_effectors[0].arm.limits
         else:
             self._still, twists, *lists = zip(*seen)
             arrays = [_together(rows) for rows in lists]
-            limits = tuple(_together([hand.arm.all_limits for hand in hands]).swapaxes(0, 1))
+            limits = tuple(
+                _together([each.arm.all_limits for each in end_effectors]).swapaxes(0, 1))
         self._errors, jacobians, position, self._velocity, posture = arrays
         low, high, fastest, weakest, strongest, damping = limits
         wanted = self._wanted = WantedMotions(
-            jacobians, self._errors, twists, [hand.settings for hand in hands], fastest,
+            jacobians, self._errors, twists, [each.settings for each in end_effectors], fastest,
             low - position, high - position, posture - position,
-            [hand.target.rests for hand in hands])
+            [each.target.rests for each in end_effectors])
         accelerations, forces = wanted.accelerations(self._velocity), []
-        for hand, rests, acceleration in zip(
-                hands, wanted.found.rests, (accelerations,) if one else accelerations):
-            hand.target.rests = rests
-            forces.append(hand.forces(acceleration))
+        for each, rests, acceleration in zip(
+                end_effectors, wanted.found.rests, (accelerations,) if one else accelerations):
+            each.target.rests = rests
+            forces.append(each.forces(acceleration))
         self._efforts = forces[0] if one else _together(forces)
         self._efforts += damping * self._velocity
         np.maximum(self._efforts, weakest, out=self._efforts)
@@ -180,7 +181,7 @@ class HandEfforts:
         return self._efforts if self._one else self._efforts[row]
 
     def solution(self, row: int) -> EffortSolution:
-        """Return how near a hand is to its target, and what limits it."""
+        """Return how near an end effector is to its target, and what limits it."""
         error, velocity = self._errors, self._velocity
         if not self._one:
             error, velocity = error[row], velocity[row]
@@ -195,7 +196,7 @@ def _together(found: Sequence[FloatArray]) -> FloatArray:
 
 class OperationalSpaceController:
     """
-    What the efforts of the hands of a robot are computed from.
+    What the efforts of the end effectors of a robot are computed from.
 
     :param physics: of the world
     :param servos: of all driven joints
@@ -236,14 +237,15 @@ class OperationalSpaceController:
                 tuple(limits), limits)
         return self._arms[key]
 
-    def hand(self, tip: Frame, target: Target, indices: IntArray, settings: CartesianSettings,
-             now_s: float, duration_s: float) -> FollowingHand:
+    def following(self, tip: Frame, target: Target, indices: IntArray, settings: CartesianSettings,
+                  now_s: float, duration_s: float) -> FollowingEndEffector:
         """
-        Return a hand that follows a target in the next interval.
+        Return an end effector that follows a target in the next interval.
 
-        :param tip: of the hand
+        :param tip: frame of the end effector
         :param indices: of the joints of the arm, shape (n,)
         :param now_s: simulation time [s]
         :param duration_s: length of the interval [s]
         """
-        return FollowingHand(self, tip, target, self._arm(indices), settings, now_s, duration_s)
+        return FollowingEndEffector(
+            self, tip, target, self._arm(indices), settings, now_s, duration_s)

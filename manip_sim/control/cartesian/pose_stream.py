@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How a hand follows poses that come regularly: one and a half intervals late, without stops."""
+"""How an end effector follows regular poses: one and a half intervals late, without stops."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ class PoseStream:
 
     :ivar moving: whether poses have come regularly, so that the reference moves
     :ivar smooth: share of the acceleration of the reference that is that of the poses themselves,
-        0 after a jump, where messages are late, and where poses are faster than the hand may be
+        0 after a jump, where messages are late, and where poses are faster than the end effector
+        may be
     """
 
     def __init__(self) -> None:
@@ -76,7 +77,7 @@ class PoseStream:
         :param position: [m], shape (3,)
         :param rotation: rotation matrix, shape (3, 3)
         :param period_s: length of a control period [s]
-        :param twist: of the hand now, if the stream begins [m/s, rad/s], shape (6,)
+        :param twist: of the end effector now, if the stream begins [m/s, rad/s], shape (6,)
         :param limits: of linear and angular velocity [m/s, rad/s], shape (2,)
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown

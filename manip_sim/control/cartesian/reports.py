@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What keeps the hand of an arm from its target: counted, and described in words."""
+"""What keeps the end effector of an arm from its target: counted, and described in words."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ import numpy as np
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 
-#: A target is unreachable if the hand is farther from it than this [m, rad], and for this time [s]
-#: makes no more than this share of the wanted motion.
+#: A target is unreachable if the end effector is farther from it than this [m, rad], and for this
+#: time [s] makes no more than this share of the wanted motion.
 MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
 _STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
-#: A hand has left its way if it is farther from it than this [m].
+#: An end effector has left its way if it is farther from it than this [m].
 _ASIDE = 0.01
 
 
 @dataclass
 class CartesianReport:
     """
-    Counts of what keeps a hand from its target, each counted when it begins.
+    Counts of what keeps an end effector from its target, each counted when it begins.
 
-    :ivar arm: whose hand
+    :ivar arm: whose end effector
     :ivar unreachable: targets that were not reached
     :ivar joint_limit: how often the range of a joint shortened a motion
-    :ivar singular: how often the hand could hardly move in the wanted direction
+    :ivar singular: how often the end effector could hardly move in the wanted direction
     :ivar slowed: how often limits of joints slowed down a twist or a stream of poses
-    :ivar aside: how often the hand left the straight line to a pose by more than 1 cm
+    :ivar aside: how often the end effector left the straight line to a pose by more than 1 cm
     :ivar texts: what happened last, in words, by counter
     """
 
@@ -50,7 +50,7 @@ class CartesianReport:
     aside: int = 0
     texts: dict[str, str] = field(default_factory=dict)
     _active: set[str] = field(default_factory=set)
-    #: When the hand was checked last, and since when it has come no nearer to its target.
+    #: When the end effector was checked last, and since when it has come no nearer to its target.
     _seen_s: float = -math.inf
     _stalled_s: float = 0.0
 
@@ -71,7 +71,7 @@ class CartesianReport:
 
         :param what: the motion, in words
         :param held: names of the joints that are at the end of their range
-        :param singular: whether the hand can hardly move in the wanted direction
+        :param singular: whether the end effector can hardly move in the wanted direction
         :param slowed: whether limits of joints slow a twist or a stream of poses down
         """
         self._note('joint_limit', bool(held),
@@ -83,7 +83,7 @@ class CartesianReport:
 
     def see_target(self, error: FloatArray, progress: float, now_s: float) -> None:
         """
-        Record whether the hand comes nearer to its target; a stream of targets counts as one.
+        Record whether the end effector comes nearer to its target; a stream counts as one.
 
         :param error: translation [m] and rotation vector [rad] to the target, shape (6,)
         :param progress: share of the wanted motion that is made
@@ -102,7 +102,7 @@ class CartesianReport:
 
     def see_way(self, distance: float) -> None:
         """
-        Record how far the hand is from the straight line to its target.
+        Record how far the end effector is from the straight line to its target.
 
         :param distance: [m]
         """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What joints have to do near a singularity, where a hand can hardly move in some direction."""
+"""What joints do near a singularity, where an end effector can hardly move in some direction."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ import numpy as np
 from manip_sim.algebra import dot, factorized, length, product, solved
 from manip_sim.arrays import FloatArray
 
-#: Below this singular value [m/rad and 1] the hand can hardly move in a direction.
+#: Below this singular value [m/rad and 1] the end effector can hardly move in a direction.
 SINGULAR = 0.029
 _INVERSE_ITERATIONS = 4
-#: Singular values near a singularity, and those below which the hand does not slow down further.
+#: Singular values near a singularity, and those below which it is slowed down no further.
 _NEAR, _SMALLEST = 0.06, 0.03
 
 
 def bend(jacobian: FloatArray, step: FloatArray) -> FloatArray:
     """
-    Return the joint accelerations that keep a hand straight along a step, at most, shape (n,).
+    Return the joint accelerations that keep an end effector straight along a step, at most.
 
     They are those at velocities that make the step in a second, and grow with their square. As the
-    direction in which the hand can hardly move turns, all of the centripetal acceleration of the
-    hand may come to be along it; so a hand slows down before it passes a singularity.
+    direction in which the end effector can hardly move turns, all of the centripetal acceleration
+    of the end effector may come to be along it; so an end effector slows down before it passes a
+    singularity.
 
-    :param jacobian: shape (6, n), the joints in their order from the base to the hand
+    :param jacobian: shape (6, n), the joints in their order from the base to the end effector
     :param step: displacements of the joints [rad], shape (n,)
+    :returns: shape (n,)
     """
     return _bend(jacobian, step, *_hardest(jacobian))
 
@@ -75,7 +77,7 @@ def _vector_products(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _hardest(jacobian: FloatArray) -> tuple[FloatArray, float]:
-    """Return the direction in which a hand moves least, and the square of its singular value."""
+    """Return the direction of least motion, and the square of its singular value."""
     return _hard_direction(jacobian, np.full(6, 6.0**-0.5))
 
 
@@ -90,7 +92,7 @@ def _hard_direction(jacobian: FloatArray, direction: FloatArray) -> tuple[FloatA
 
 
 def is_singular(jacobian: FloatArray, task: FloatArray) -> bool:
-    """Return whether most of a task is in a direction in which the hand can hardly move."""
+    """Return whether a task is mostly in a direction in which the end effector can hardly move."""
     whole = length(task)
     if whole <= 1e-9:
         return False

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a hand is to do: a goal pose, or a twist that moves it; made when a command begins."""
+"""What an end effector is to do: a goal pose, or a twist that moves it; made as commands begin."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from manip_sim.algebra import dot, length, product, transposed_product
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist, PoseAction)
-from manip_sim.control.cartesian.hands import Hand
+from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.robot_frames import (
     Frame, rotation_of_vector, rotation_vector, WORLD)
 from manip_sim.control.velocity_stream import VelocityStream
 
-#: How far a goal that a twist moves may be ahead of the hand [m], [rad].
+#: How far a goal that a twist moves may be ahead of the end effector [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
 #: How far an action of 1 moves and turns the goal [m], [rad]; robosuite's defaults for OSC_POSE.
 _ACTION_STEP, _ACTION_TURN = 0.05, 0.5
@@ -36,12 +36,12 @@ class Target:
     :ivar position: of the goal in the anchor [m], shape (3,)
     :ivar rotation: of the goal in the anchor, shape (3, 3)
     :ivar axes: frame of the twist
-    :ivar twists: in those axes, of which the hand follows the last one, or None
+    :ivar twists: in those axes, of which the end effector follows the last one, or None
     :ivar until_s: simulation time when that ends [s]
     :ivar solve_s: simulation time of the next solution [s]
     :ivar settled_in: where the arm's mount was when the setpoints came to rest, or None
-    :ivar rests: whether the hand is as near as it can come
-    :ivar start: where the way of the hand began, in the anchor [m], shape (3,), or None
+    :ivar rests: whether the end effector is as near as it can come
+    :ivar start: where the way of the end effector began, in the anchor [m], shape (3,), or None
     :ivar stream: of poses in the anchor, of which the goal is the last one, or None
     """
 
@@ -91,9 +91,9 @@ class Target:
 
     def off_the_way(self, place: FloatArray, data: mujoco.MjData) -> float:
         """
-        Return how far a hand is from the straight line to the goal; the first call begins it.
+        Return how far an end effector is from the line to the goal, which the first call begins.
 
-        :param place: of the hand in the world [m], shape (3,)
+        :param place: of the end effector in the world [m], shape (3,)
         """
         origin, turned = self.anchor.pose(data)
         here = transposed_product(turned, place - origin)
@@ -117,7 +117,7 @@ class Target:
     def reference(self, data: mujoco.MjData, now_s: float
                   ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
         """
-        Return where the hand shall be now, and how that moves, in the world.
+        Return where the end effector shall be now, and how that moves, in the world.
 
         :param now_s: simulation time [s]
         :returns: position [m] and rotation matrix, velocity and acceleration, each of shape (6,)
@@ -139,7 +139,7 @@ class Target:
 
     def move(self, data: mujoco.MjData, tip: Frame, twist: FloatArray, duration_s: float) -> None:
         """
-        Move the goal with a twist, not far ahead of the hand.
+        Move the goal with a twist, not far ahead of the end effector.
 
         :param twist: in the world [m/s, rad/s], shape (6,)
         :param duration_s: length of the motion [s]
@@ -168,12 +168,12 @@ def pose_error(goal: tuple[FloatArray, FloatArray], here: tuple[FloatArray, Floa
     return error
 
 
-def target_of(command: CartesianCommand, hand: Hand, model: mujoco.MjModel, data: mujoco.MjData,
-              before: Target | None, until_s: float) -> Target:
+def target_of(command: CartesianCommand, chain: KinematicChain, model: mujoco.MjModel,
+              data: mujoco.MjData, before: Target | None, until_s: float) -> Target:
     """
     Return the target of a command.
 
-    :param hand: the hand that the target is for
+    :param chain: of the arm that the target is for
     :param model: the ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` after ``mj_forward``
     :param before: the target that a stream of twists has moved until now, or None
@@ -181,26 +181,26 @@ def target_of(command: CartesianCommand, hand: Hand, model: mujoco.MjModel, data
     """
     if isinstance(command, CartesianPose):
         origin, turned = command.frame.pose(data)
-        anchor = Frame(WORLD, 0) if _moves(hand, command.frame, model) else command.frame
+        anchor = Frame(WORLD, 0) if _moves(chain, command.frame, model) else command.frame
         return Target.at(anchor, origin + product(turned, command.position),
                          product(turned, command.rotation), data)
-    position, rotation = hand.tip.pose(data)
+    position, rotation = chain.tip.pose(data)
     if isinstance(command, PoseAction):
-        _, axes = hand.origin.pose(data)
+        _, axes = chain.origin.pose(data)
         turn = rotation_of_vector(product(axes, _ACTION_TURN * command.action[3:]))
-        return Target.at(hand.origin, position + product(axes, _ACTION_STEP * command.action[:3]),
+        return Target.at(chain.origin, position + product(axes, _ACTION_STEP * command.action[:3]),
                          product(turn, rotation), data)
     assert isinstance(command, CartesianTwist)
     if before is not None:
         position, rotation = before.goal(data)
-    target = Target.at(hand.origin, position, rotation, data)
+    target = Target.at(chain.origin, position, rotation, data)
     target.axes, target.until_s = command.frame, until_s
     return target
 
 
-def _moves(hand: Hand, frame: Frame, model: mujoco.MjModel) -> bool:
+def _moves(chain: KinematicChain, frame: Frame, model: mujoco.MjModel) -> bool:
     """Return whether an arm moves a frame."""
-    own = set(model.jnt_bodyid[np.isin(model.jnt_qposadr, hand.qpos)].tolist())
+    own = set(model.jnt_bodyid[np.isin(model.jnt_qposadr, chain.qpos)].tolist())
     body = frame.body
     while body and body not in own:
         body = int(model.body_parentid[body])

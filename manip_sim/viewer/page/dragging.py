@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What people drag in the scene: the targets of hands, and bodies that are pulled."""
+"""What people drag in the scene: the targets of end effectors, and bodies that are pulled."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from manip_sim.viewer.page.model_scene import Scene
 from manip_sim.viewer.page.page_commands import Events, Following, PageCommands
 
 _SCALE = 0.18
-#: A hand that moves less between two calls [m] is still.
+#: An end effector that moves less between two calls [m] is still.
 _STILL_M = 2e-4
 _SAME = 1e-4
 
 
-class HandTarget:
+class EndEffectorTarget:
     """
-    The target of one hand.
+    The target of one end effector.
 
     :param space: namespace of the robot's topics, such as ``/left/``
-    :param arm: whose hand it is
+    :param arm: whose end effector it is
     """
 
     def __init__(self, scene: Any, space: str, arm: str, commands: PageCommands) -> None:
@@ -62,11 +62,11 @@ class HandTarget:
     def follow(self, now_s: float, position: FloatArray, quat_wxyz: FloatArray,
                paused: bool) -> None:
         """
-        Move the target to the hand, unless the hand is on its way to the target.
+        Move the target to the end effector, unless the end effector is on its way to the target.
 
         :param now_s: wall time [s]
-        :param position: of the hand in ``world`` [m]
-        :param quat_wxyz: of the hand
+        :param position: of the end effector in ``world`` [m]
+        :param quat_wxyz: of the end effector
         :param paused: whether the simulation is paused, so that nothing can move
         """
         moving = paused or self._dragged or np.linalg.norm(position - self._last) > _STILL_M

@@ -80,7 +80,7 @@ class Latest:
     The newest state of each kind.
 
     :ivar joints: by namespace of the robot's topics
-    :ivar hands: by namespace and arm
+    :ivar end_effectors: by namespace and arm
     :ivar wrenches: the external wrench, force and torque [N, N m], shape (6,), by namespace and
         arm
     :ivar objects: by name
@@ -92,7 +92,7 @@ class Latest:
     """
 
     joints: dict[str, JointStates] = field(default_factory=dict)
-    hands: dict[tuple[str, str], PoseInWorld] = field(default_factory=dict)
+    end_effectors: dict[tuple[str, str], PoseInWorld] = field(default_factory=dict)
     wrenches: dict[tuple[str, str], FloatArray] = field(default_factory=dict)
     objects: dict[str, PoseInWorld] = field(default_factory=dict)
     contacts: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))

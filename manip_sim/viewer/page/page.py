@@ -13,7 +13,7 @@ import mujoco
 from manip_sim.quoting import one_line
 from manip_sim.viewer.page.aiming import Aiming
 from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus
-from manip_sim.viewer.page.dragging import HandTarget, Pulling
+from manip_sim.viewer.page.dragging import EndEffectorTarget, Pulling
 from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.model_scene import Overlays, Scene
@@ -79,7 +79,7 @@ class Page:
         tabs = gui.add_tab_group()
         self._joints: dict[tuple[str, str], JointPanel] = {}
         self._drives: dict[str, DrivePanel] = {}
-        self._targets: dict[tuple[str, str], HandTarget] = {}
+        self._targets: dict[tuple[str, str], EndEffectorTarget] = {}
         self._poses: PosePanel | None = None
         if self._commands is not None:
             self._control = tabs.add_tab('Control')
@@ -87,13 +87,13 @@ class Page:
                 self._poses = PosePanel(gui, self._saved_poses, robots, self._commands,
                                         self.events, self.show_trouble)
             for robot in robots:
-                for arm in robot.hands:
-                    self._targets[robot.space, arm] = HandTarget(
+                for arm in robot.end_effectors:
+                    self._targets[robot.space, arm] = EndEffectorTarget(
                         scene, robot.space, arm, self._commands)
         with tabs.add_tab('View'):
             self._view = ViewPanel(gui, self._dark, {
                 robot.titled(arm): self._targets[robot.space, arm]
-                for robot in robots for arm in robot.hands
+                for robot in robots for arm in robot.end_effectors
                 if self._commands is not None}, self._set_dark, self._look, self.events)
             self._pulling = None if self._commands is None else Pulling(
                 gui, self._commands, self.events)
@@ -167,9 +167,9 @@ class Page:
             drive.send(now_s)
         for key, target in self._targets.items():
             target.send()
-            if key in latest.hands:
-                hand = latest.hands[key]
-                target.follow(now_s, hand.position, hand.quat_wxyz, paused)
+            if key in latest.end_effectors:
+                pose = latest.end_effectors[key]
+                target.follow(now_s, pose.position, pose.quat_wxyz, paused)
         if self._posture is not None and self._scene is not None:
             self._take(latest, now_s)
             self._scene.update(self._posture.data)

@@ -39,7 +39,7 @@ class PageCommands(Protocol):
         """Send a velocity of a mobile base along its x and y and about z [m/s, m/s, rad/s]."""
 
     def reach(self, space: str, arm: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
-        """Send a target pose of a hand in ``world``; the position in [m]."""
+        """Send a target pose of an end effector in ``world``; the position in [m]."""
 
     def pull(self, body: str, number: int, point: FloatArray, target: FloatArray) -> None:
         """

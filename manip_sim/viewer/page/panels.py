@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.aiming import VIEWS
-from manip_sim.viewer.page.dragging import HandTarget
+from manip_sim.viewer.page.dragging import EndEffectorTarget
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.model_scene import Scene
 from manip_sim.viewer.page.page_commands import Events, Following, PageCommands
@@ -83,12 +83,12 @@ class ViewPanel:
     Check boxes for what is shown.
 
     :param dark: whether the page is dark
-    :param targets: those of the hands, by title
+    :param targets: those of the end effectors, by title
     :param set_dark: makes the page dark or light
     :param look: aims the camera of a browser, by its number and the name of a view
     """
 
-    def __init__(self, gui: Any, dark: bool, targets: Mapping[str, HandTarget],
+    def __init__(self, gui: Any, dark: bool, targets: Mapping[str, EndEffectorTarget],
                  set_dark: Callable[[bool], None], look: Callable[[int | None, str], None],
                  events: Events) -> None:
         self._scene: Scene | None = None

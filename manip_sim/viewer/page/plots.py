@@ -68,7 +68,7 @@ class History:
 
 class PlotPanel:
     """
-    Plots of one part, or of the wrench of one hand, that a person chooses.
+    Plots of one part, or of the wrench of one end effector, that a person chooses.
 
     :param tab: the tab that the plots are on
     :param robots: of the node
@@ -84,7 +84,7 @@ class PlotPanel:
             self._choices.update({robot.titled(part.name.replace('/', ' ')): (robot, part)
                                   for part in robot.parts if part.joints})
             self._choices.update({robot.titled(f'{arm} {_WRENCH}'): (robot, arm)
-                                  for arm in robot.hands})
+                                  for arm in robot.end_effectors})
         self._live = gui.add_checkbox('Live', True, hint='the last ten seconds')
         self._choice = gui.add_dropdown('Show', tuple(self._choices) or ('nothing',))
         self._tab = tab

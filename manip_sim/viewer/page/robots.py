@@ -79,7 +79,7 @@ class Robot:
     :ivar space: what the names of its topics begin with, such as ``/left/``
     :ivar title: its name for people; empty for the only robot
     :ivar parts: that do not overlap
-    :ivar hands: the arms that take Cartesian targets
+    :ivar end_effectors: the arms that take Cartesian targets
     :ivar twist: velocities that the base takes along x and y and about z at most [m/s, m/s,
         rad/s]; None where there is no such base
     """
@@ -87,7 +87,7 @@ class Robot:
     space: str
     title: str
     parts: tuple[ShownPart, ...]
-    hands: tuple[str, ...]
+    end_effectors: tuple[str, ...]
     twist: tuple[float, float, float] | None = None
 
     def titled(self, what: str) -> str:

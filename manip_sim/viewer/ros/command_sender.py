@@ -28,7 +28,7 @@ class CommandSender:
 
     :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
-    :param frames: those in which the node gives the poses of hands, by namespace and arm
+    :param frames: those in which the node gives the poses of end effectors, by namespace and arm
     :param notify: called with what could not be done, for people
     :ivar paused: called when the simulation has been paused or goes on
     """

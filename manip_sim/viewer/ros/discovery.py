@@ -160,4 +160,4 @@ class Discovery:
                 [*names.get(_BASE, []), '', '', ''], _TWIST))
             twist = x, y, yaw
         return Robot(topics.space, topics.space.removeprefix(self.base).strip('/'), parts,
-                     topics.hands, twist)
+                     topics.end_effectors, twist)

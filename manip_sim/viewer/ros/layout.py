@@ -24,13 +24,13 @@ class RobotTopics:
 
     :ivar space: what their names begin with, such as ``/left/``
     :ivar parts: those that take joint commands and do not overlap
-    :ivar hands: the arms that take Cartesian targets
+    :ivar end_effectors: the arms that take Cartesian targets
     :ivar drives: whether its base takes a twist
     """
 
     space: str
     parts: tuple[str, ...]
-    hands: tuple[str, ...]
+    end_effectors: tuple[str, ...]
     drives: bool
 
 
@@ -75,13 +75,15 @@ def layout_of(base: str, published: Collection[str], subscribed: Collection[str]
 
 
 def _robot(space: str, subscribed: Collection[str]) -> RobotTopics:
-    parts, hands = _named(space, subscribed, _COMMAND), _named(space, subscribed, _TARGET)
+    parts = _named(space, subscribed, _COMMAND)
+    end_effectors = _named(space, subscribed, _TARGET)
     # A single arm is also the part right, and of two arms, arm is both.
     double = 'arm' if {'right', 'left'} <= set(parts) else 'right'
     kept = [part for part in parts if part.count('/') <= part.endswith(_GRIPPER)
             and not (part == double and 'arm' in parts)]
     return RobotTopics(space, tuple(sorted(kept, key=_order)),
-                       tuple(sorted(hands, reverse=True)), f'{space}base/cmd_vel' in subscribed)
+                       tuple(sorted(end_effectors, reverse=True)),
+                       f'{space}base/cmd_vel' in subscribed)
 
 
 def _named(space: str, topics: Collection[str], end: str) -> list[str]:

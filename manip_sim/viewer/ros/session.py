@@ -151,7 +151,7 @@ class Session:
                 topics[f'{robot.space}{part}/joint_command'] = JointState
                 if part.endswith('/gripper'):
                     topics[f'{robot.space}{part}/command'] = Float64MultiArray
-            for arm in robot.hands:
+            for arm in robot.end_effectors:
                 topics[f'{robot.space}{arm}/target_pose'] = PoseStamped
             if robot.drives:
                 topics[f'{robot.space}base/cmd_vel'] = Twist

@@ -38,7 +38,7 @@ class States:
     :param simulation: full name of the node that is seen, without the first slash
     :param base: its namespace, with a slash at its end
     :ivar latest: what has come
-    :ivar frames: the frame of the poses of hands, by namespace and arm
+    :ivar frames: the frame of the poses of end effectors, by namespace and arm
     """
 
     def __init__(self, node: Node, readers: Readers, simulation: str, base: str) -> None:
@@ -63,10 +63,10 @@ class States:
         for robot in layout.robots:
             wanted[f'{robot.space}joint_states'] = JointState, partial(
                 self._take_joints, robot.space)
-            for arm in robot.hands:
+            for arm in robot.end_effectors:
                 key = robot.space, arm
                 wanted[f'{robot.space}{arm}/eef_pose'] = PoseStamped, partial(
-                    self._take_hand, key)
+                    self._take_end_effector, key)
                 wanted[f'{robot.space}{arm}/external_wrench'] = WrenchStamped, partial(
                     self._take_wrench, key)
         for name in layout.objects:
@@ -116,8 +116,8 @@ class States:
         self.latest.joints[space] = contents.joint_states(message)
         self.latest.joints_s = time.monotonic()
 
-    def _take_hand(self, key: tuple[str, str], message: PoseStamped) -> None:
-        self.latest.hands[key] = contents.pose(message)
+    def _take_end_effector(self, key: tuple[str, str], message: PoseStamped) -> None:
+        self.latest.end_effectors[key] = contents.pose(message)
         self.frames[key] = message.header.frame_id
 
     def _take_object(self, name: str, message: PoseStamped) -> None:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim reach``: the box that hands can reach, from random postures."""
+"""``manip_sim reach``: the box that end effectors can reach, from random postures."""
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from manip_sim.simulation import Simulation
 class Reach(Verb):
     """Print the least and greatest position of each grip_site over random postures."""
 
-    summary = 'print the box that the hands reach'
+    summary = 'print the box that the end effectors reach'
 
     def add_arguments(self, parser):
         parser.add_argument('--samples', type=int, default=1000, metavar='N',

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The hands of a robot, and the frames that commands for them may refer to."""
+"""The chains of a robot's arms, and the frames that Cartesian commands may refer to."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from manip_sim.physics.end_effectors import EndEffectorReader
 
 
 @dataclass(frozen=True)
-class Hand:
+class KinematicChain:
     """
-    The hand of an arm.
+    The joints of an arm between two frames, from the mount to the end effector.
 
-    :ivar tip: its ``grip_site``
+    :ivar tip: the end effector, ``grip_site``
     :ivar origin: site ``<arm>_center``, or else the body that the arm is mounted on
     :ivar qpos: addresses of the arm's joints in ``qpos``, shape (n,)
     """
@@ -32,16 +32,16 @@ class Hand:
     qpos: IntArray
 
 
-def find_hands(model: mujoco.MjModel, robot: RobotModel, parts: Mapping[str, Part],
-               end_effectors: Mapping[str, EndEffectorReader]) -> dict[str, Hand]:
+def find_chains(model: mujoco.MjModel, robot: RobotModel, parts: Mapping[str, Part],
+                end_effectors: Mapping[str, EndEffectorReader]) -> dict[str, KinematicChain]:
     """
-    Return the hands of a robot by arm, of the arms that have a gripper and driven joints.
+    Return the chains of a robot's arms that have a gripper and driven joints, by arm.
 
     :param model: the compiled ``mujoco.MjModel``
     :param parts: of the robot, by name
     :param end_effectors: readers of the grippers, by arm
     """
-    hands = {}
+    chains = {}
     for arm, reader in end_effectors.items():
         joints = [j for j in parts[arm].driven_joints if j] if arm in parts else []
         if not joints:
@@ -53,9 +53,9 @@ def find_hands(model: mujoco.MjModel, robot: RobotModel, parts: Mapping[str, Par
         origin = Frame(model.body(body).name, body)
         if center >= 0:
             origin = Frame(model.site(center).name, int(model.site_bodyid[center]), center)
-        hands[arm] = Hand(Frame(tip.name, int(tip.bodyid[0]), int(tip.id)), origin,
-                          parts[arm].qpos_addresses)
-    return hands
+        chains[arm] = KinematicChain(Frame(tip.name, int(tip.bodyid[0]), int(tip.id)), origin,
+                                     parts[arm].qpos_addresses)
+    return chains
 
 
 def find_frames(model: mujoco.MjModel, robot: RobotModel,

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands for hands in a few words, and where hands are by MuJoCo's kinematics alone."""
+"""Commands for end effectors in a few words, and where these are by MuJoCo's kinematics alone."""
 
 from dataclasses import replace
 
@@ -13,12 +13,12 @@ from sampling import whole_robot
 PERIOD_S = 0.01
 
 
-class HandOperator:
+class EndEffectorOperator:
     """
-    Commands the hand of an arm and lets a simulation run.
+    Commands the end effector of an arm and lets a simulation run.
 
     :param simulation: of one robot
-    :param arm: whose hand
+    :param arm: whose end effector
     :param mode: control mode of all arms
     """
 
@@ -33,13 +33,13 @@ class HandOperator:
 
     @property
     def pose(self):
-        """Where the hand is: position and rotation matrix in the world."""
+        """Where the end effector is: position and rotation matrix in the world."""
         data = self.simulation.data
         return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
 
     @property
     def twist(self):
-        """How the hand moves: linear and angular in the world, shape (6,)."""
+        """How the end effector moves: linear and angular in the world, shape (6,)."""
         velocity = np.empty(6)
         mujoco.mj_objectVelocity(self.simulation.model, self.simulation.data,
                                  mujoco.mjtObj.mjOBJ_SITE, self.site, velocity, 0)
@@ -47,7 +47,7 @@ class HandOperator:
 
     @property
     def goal(self):
-        """Where the hand shall be: position and rotation matrix in the world."""
+        """Where the end effector shall be: position and rotation matrix in the world."""
         pose = self.robot.joints.cartesian.goal(self.arm, self.simulation.data)
         matrix = np.empty(9)
         mujoco.mju_quat2Mat(matrix, pose.quat_xyzw[[3, 0, 1, 2]])
@@ -59,7 +59,7 @@ class HandOperator:
         return self.robot.controller_state(self.arm).reference
 
     def reachable(self, spread, seed=0):
-        """Return the pose of the hand with joints somewhat elsewhere, by kinematics."""
+        """Return the pose of the end effector with joints somewhat elsewhere, by kinematics."""
         model, data = self.simulation.model, mujoco.MjData(self.simulation.model)
         data.qpos[:] = self.simulation.data.qpos
         offset = np.random.default_rng(seed).uniform(-spread, spread, len(self.part.joints))
@@ -105,9 +105,9 @@ class HandOperator:
         raise AssertionError(f'not done in {limit_s} s: {self.report.texts}')
 
 
-def hand_of(name, arm='right', mode='position', period_s=PERIOD_S, **options):
-    """Return an operator of a hand of a robot of the catalogue."""
-    return HandOperator(whole_robot(name, **options), arm, mode, period_s)
+def operator_of(name, arm='right', mode='position', period_s=PERIOD_S, **options):
+    """Return an operator of an end effector of a robot of the catalogue."""
+    return EndEffectorOperator(whole_robot(name, **options), arm, mode, period_s)
 
 
 def distance(one, other):

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""An IMU at each hand: angular velocity and specific force at its grip_site, with noise."""
+"""An IMU at each end effector: angular velocity and specific force in grip_site, with noise."""
 
 import mujoco
 import numpy as np
@@ -13,11 +13,11 @@ from manip_sim.interface.topics import PUBLISHED, Topic
 GYRO, ACCELEROMETER = 0.002, 0.05
 
 
-class HandImu(Sensor):
+class EndEffectorImu(Sensor):
     """Angular velocity [rad/s] and specific force [m/s^2], in the axes of grip_site."""
 
-    topic = Topic('<arm>/imu', 'sensor_msgs/Imu', PUBLISHED, 'IMU at the hand, in grip_site',
-                  rate='publish_rate')
+    topic = Topic('<arm>/imu', 'sensor_msgs/Imu', PUBLISHED,
+                  'IMU at the end effector, in grip_site', rate='publish_rate')
 
     def __init__(self, simulation, robot, of):
         super().__init__(simulation, robot, of)
