@@ -9,6 +9,8 @@ Types and names are those of common_interfaces and rcl_interfaces, release Jazzy
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 #: Fields of each type, without the separator `/msg/` in its name.
 _FIELDS = {
     'builtin_interfaces/Time': 'int32 sec; uint32 nanosec',
@@ -43,20 +45,32 @@ def full_name(name: str) -> str:
 
 
 def definition(name: str) -> str:
+    """Return the definition of a type such as ``std_msgs/Bool``, and of those it refers to."""
+    return joined(full_name(name), lambda kind: _FIELDS[kind.replace('/msg/', '/')].replace(
+        '; ', '\n'))
+
+
+def joined(kind: str, text_of: Callable[[str], str]) -> str:
     """
     Return the definition of a type followed by those that it refers to, as rosbag2 stores it.
 
-    :param name: such as ``std_msgs/Bool``
+    :param kind: such as ``std_msgs/msg/Bool``
+    :param text_of: returns the fields of a type, one a line
     """
-    found = [name]
-    for known in found:
-        for field in _FIELDS[known].split('; '):
-            type_name = field.split()[0].removesuffix('[]')
-            if type_name in _FIELDS and type_name not in found:
-                found.append(type_name)
-    return '\n'.join([_lines(name), *(
-        f'{_SEPARATOR}\nMSG: {other}\n{_lines(other)}' for other in found[1:])])
-
-
-def _lines(name: str) -> str:
-    return _FIELDS[name].replace('; ', '\n')
+    known = [kind]
+    parts: list[str] = []
+    for name in known:
+        title = f'{_SEPARATOR}\nMSG: {name.replace("/msg/", "/")}\n' if parts else ''
+        text = text_of(name).rstrip('\n')
+        parts.append(title + text)
+        package = name.partition('/')[0]
+        for line in text.splitlines():
+            field = line.partition('#')[0].split()
+            base = field[0].partition('[')[0].partition('<')[0] if field else ''
+            if not base or base[0].islower() and '/' not in base:
+                continue
+            other = base if '/' in base else f'{package}/{base}'
+            other = other if '/msg/' in other else full_name(other)
+            if other not in known:
+                known.append(other)
+    return '\n'.join(parts)

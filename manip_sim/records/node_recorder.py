@@ -30,6 +30,7 @@ import yaml
 from manip_sim.errors import describe_choices, RecordError
 from manip_sim.quoting import quoted
 from manip_sim.rclpy_internals import RCLError
+from manip_sim.records.definitions import joined
 from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import MODEL, NODE
 from manip_sim.resources import package_version
@@ -41,7 +42,6 @@ _LOOK_S, _NODE_S, _TOPICS_S, _PARAMETERS_S = 0.5, 10.0, 3.0, 5.0
 #: Messages that may wait, of images and of others.
 _IMAGE_DEPTH, _DEPTH = 20, 500
 _ARCHIVE = 'mjcf_archive'
-_SEPARATOR = '=' * 80
 
 
 def record_node(path: Path, name: str, topics: Sequence[str], duration_s: float | None,
@@ -181,7 +181,7 @@ class _NodeRecorder:
         assert self._file is not None
         try:
             cls = _message_class(kind)
-            text = installed_definition(kind)
+            text = joined(kind, _installed) + '\n'
         except (ImportError, AttributeError, RecordError) as error:
             self._notes.append(f'{topic} was left out: {kind} is not installed ({error})')
             return None
@@ -240,38 +240,13 @@ class _NodeRecorder:
                           f'{self._size()})'])
 
 
-def installed_definition(kind: str) -> str:
-    """
-    Return the definition of a type followed by those that it refers to, as rosbag2 stores it.
-
-    :param kind: such as ``std_msgs/msg/Bool``
-    :raises RecordError: if the package has no such definition
-    """
-    known = [kind]
-    parts: list[str] = []
-    for name in known:
-        text = _file_of(name).read_text()
-        parts.append((f'{_SEPARATOR}\nMSG: {name.replace("/msg/", "/")}\n' if parts else '')
-                     + text.rstrip('\n'))
-        package = name.partition('/')[0]
-        for line in text.splitlines():
-            field = line.partition('#')[0].split()
-            base = field[0].partition('[')[0].partition('<')[0] if field else ''
-            if not base or base[0].islower() and '/' not in base:
-                continue
-            other = base if '/' in base else f'{package}/{base}'
-            other = other if '/msg/' in other else other.replace('/', '/msg/')
-            if other not in known:
-                known.append(other)
-    return '\n'.join(parts) + '\n'
-
-
-def _file_of(kind: str) -> Path:
+def _installed(kind: str) -> str:
+    """Return the definition of a type such as ``std_msgs/msg/Bool``."""
     prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
     for prefix in filter(None, prefixes):
         file = Path(prefix, 'share', f'{kind}.msg')
         if file.is_file():
-            return file
+            return file.read_text()
     raise RecordError(f'the definition of {kind} is not installed')
 
 
