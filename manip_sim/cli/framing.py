@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TYPE_CHECKING
 
+import numpy as np
+
 from manip_sim.errors import UnknownNameError
 
 if TYPE_CHECKING:
@@ -52,7 +54,6 @@ def cameras(views: Sequence[View], model: mujoco.MjModel, points: Any, aspect: f
     :raises UnknownNameError: if there is no such camera
     """
     import mujoco
-    import numpy as np
     names = [model.camera(index).name for index in range(model.ncam)]
     for view in views:
         if view.camera is not None and view.camera not in names:
@@ -74,7 +75,6 @@ def cameras(views: Sequence[View], model: mujoco.MjModel, points: Any, aspect: f
 
 def _axes(view: View) -> Any:
     """Return the right, up and forward directions of a camera, as rows."""
-    import numpy as np
     turn, tilt = np.radians(view.azimuth), np.radians(view.elevation)
     away = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)])
     aside = np.array([np.sin(turn), -np.cos(turn), 0.0])
@@ -90,7 +90,6 @@ def _nearest(seen: Any, tangents: Any) -> float:
 
 def _aim(seen: Any, distance: float) -> Any:
     """Return where to aim so that opposite margins are equal, along the camera's axes [m]."""
-    import numpy as np
     aim = np.zeros(3)
     for _ in range(_CORRECTIONS):  # Near points shift more than far ones.
         at = (seen - aim)[:, :2] / (seen[:, 2:] + distance)

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 import contextlib
 from typing import Any, TYPE_CHECKING
 
+import numpy as np
+
 from manip_sim.cli.framing import cameras, TWO_SIDES, View
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.rendering.gl import cannot_render
@@ -44,7 +46,6 @@ _FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0)
 def prepare_studio(model: mujoco.MjModel) -> None:
     """Give ground, sky and horizon of a model one colour; the model is changed in place."""
     import mujoco
-    import numpy as np
     ground = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0)
     model.geom_matid[ground] = -1
     for texture in np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
@@ -64,7 +65,6 @@ def light_studio(scene: mujoco.MjvScene, azimuth: float) -> None:
     :param azimuth: of the view [degrees]
     """
     import mujoco
-    import numpy as np
     turn = np.radians(azimuth)
     axes = np.array([[np.sin(turn), -np.cos(turn), 0.0], [0.0, 0.0, 1.0],
                      [np.cos(turn), np.sin(turn), 0.0]])
@@ -113,7 +113,6 @@ def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
     The parameters and errors are those of :func:`picture_of_world`.
     """
     import mujoco
-    import numpy as np
 
     from manip_sim.models import create_arena
     from manip_sim.models.grippers import GripperModel
@@ -150,7 +149,6 @@ def picture_of_state(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int
     The other parameters and errors are those of :func:`picture_of_world`.
     """
     import mujoco
-    import numpy as np
     from PIL import Image
 
     corners = _visible_corners(model, data)
@@ -221,7 +219,6 @@ def _at_start(model: mujoco.MjModel, start: dict[str, float]) -> Any:
 
 def _visible_corners(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
     """Return the corners of the bounding boxes of visible shapes but the world's [m], (n, 3)."""
-    import numpy as np
     signs = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, 8).T
     corners = [np.empty((0, 3))]
     for geom in np.flatnonzero((model.geom_group < 3) & (model.geom_bodyid != 0)):
