@@ -105,7 +105,7 @@ class Expert(ABC):
         next(self._script, None)
         action = np.zeros(self._actions.size)
         for hold in self.arms:
-            action[hold.item.pose] = self._actions.towards(
+            action[hold.item.goals] = self._actions.towards(
                 hold.item, hold.position, hold.rotation, hold.longest_m)
             action[hold.item.gripper] = hold.closing
         return action

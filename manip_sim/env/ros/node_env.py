@@ -140,25 +140,23 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._settings |= {f'{robot}.{name}' if several else name: value
                            for robot in self._like.simulation.robots
                            for name, value in self._like.noise.items()}
-        if self._like.kind == 'osc_pose':
-            rows = [(item, item.gripper, 'pose_command', Float64MultiArray,
-                     functools.partial(_array, item.pose, 1)) for item in actions.arms]
-        else:
-            rows = [(item, gripper, 'joint_command', JointState,
-                     functools.partial(_joint_command, names, actions.mode, goals))
-                    for item, names, goals, gripper in actions.arms]
-        for item, gripper, topic, kind, make in rows:
+        for item in actions.arms:
             prefix = f'{item.robot.name}/' if several else ''
-            if self._like.kind != 'osc_pose':
+            topic = f'{namespace}/{prefix}{item.arm}'
+            if self._like.kind == 'osc_pose':
+                self._command(f'{topic}/pose_command', Float64MultiArray,
+                              functools.partial(_array, item.goals, 1))
+            else:
+                self._command(f'{topic}/joint_command', JointState, functools.partial(
+                    _joint_command, item.names, actions.mode, item.goals))
                 of = prefix.replace('/', '.')
                 # Actions come in each period; in this process arms have no timeout.
                 self._settings |= {f'{of}control_mode.{item.arm}': actions.mode,
                                    f'{of}command_timeout.{item.arm}': 0.0}
-            self._command(f'{namespace}/{prefix}{item.arm}/{topic}', kind, make)
             dof = item.robot.grippers[f'{item.arm}/gripper'].dof
             if dof:
-                self._command(f'{namespace}/{prefix}{item.arm}/gripper/command', Float64MultiArray,
-                              functools.partial(_array, gripper, dof))
+                self._command(f'{topic}/gripper/command', Float64MultiArray,
+                              functools.partial(_array, item.gripper, dof))
 
     def _command(self, topic: str, kind: Any, make: Callable[[FloatArray], Any]) -> None:
         self._commands.append((self._node.create_publisher(kind, topic, 10), make))
