@@ -40,7 +40,8 @@ MAY_IMPORT = {
                 PURE | {'PIL', 'av', 'h5py', 'lz4', 'mcap', 'mcap_ros2', 'pyarrow', 'zstandard'}),
     'records/node_recorder.py': ({'records'}, None),
     'moveit': ({'control', 'models', 'moveit', 'simulation'}, PURE),
-    'experiments/ros_policy.py': ({'tasks'}, None),
+    # It shares with the node how messages are filled.
+    'experiments/ros_policy.py': ({'ros', 'tasks'}, None),
     'experiments': ({'experiments', 'records', 'tasks'},
                     PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
     'cli': ({'cli', 'control', 'experiments', 'interface', 'models', 'moveit', 'physics',

@@ -23,6 +23,7 @@ from std_msgs.msg import String
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ManipSimError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
+from manip_sim.ros.messages import filled, nanoseconds_of, stamp_of, WORLD
 from manip_sim.tasks import Episode
 from manip_sim.tasks.observation import IMAGE, Observation
 
@@ -73,12 +74,11 @@ class RosPolicy:
             velocity=seen['joint_velocity'].tolist(), effort=seen['joint_effort'].tolist()))
         for row, arm in enumerate(names['eef_pose']):
             scope = arm if len(robots) > 1 else arm.rpartition('/')[2]
-            self._add(f'{scope}/eef_pose', PoseStamped, _reader('eef_pose', row, _pose))
-            self._add(f'{scope}/eef_twist', TwistStamped, _reader('eef_twist', row, _twist))
-            self._add(f'{scope}/external_wrench', WrenchStamped,
-                      _reader('external_wrench', row, _wrench))
+            for key, kind in (('eef_pose', PoseStamped), ('eef_twist', TwistStamped),
+                              ('external_wrench', WrenchStamped)):
+                self._add_row(f'{scope}/{key}', kind, key, row)
         for row, name in enumerate(names.get('object_pose', [])):
-            self._add(f'objects/{name}/pose', PoseStamped, _reader('object_pose', row, _pose))
+            self._add_row(f'objects/{name}/pose', PoseStamped, 'object_pose', row)
         for key in self._episode.observation:
             if key.startswith(IMAGE):
                 self._add(f'{key.removeprefix(IMAGE)}/image', Image, _imager(key))
@@ -87,8 +87,11 @@ class RosPolicy:
     def _add(self, topic: str, kind: Any, make: Callable[[Observation], Any]) -> None:
         self._topics.append((self._node.create_publisher(kind, topic, 10), make))
 
+    def _add_row(self, topic: str, kind: Any, key: str, row: int) -> None:
+        self._add(topic, kind, lambda seen: filled(kind(), seen[key][row]))
+
     def _receive(self, message: JointState) -> None:
-        stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        stamp_ns = nanoseconds_of(message.header.stamp)
         if stamp_ns == self._stamp_ns:
             self._answer = message
         else:
@@ -129,9 +132,8 @@ class RosPolicy:
         self._answer = None
         messages = [(publisher, make(observation)) for publisher, make in self._topics]
         for _, message in messages:
-            message.header.frame_id = 'world'
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(
-                self._stamp_ns, 10**9)
+            message.header.frame_id = WORLD
+            message.header.stamp = stamp_of(self._stamp_ns)
         end, again = time.monotonic() + self._limit_s, 0.0
         while self._answer is None:
             now = time.monotonic()
@@ -164,33 +166,8 @@ class RosPolicy:
         return numbers[[list(answer.name).index(name) for name in names]]
 
 
-def _reader(key: str, row: int, make: Callable[[Any], Any]) -> Callable[[Observation], Any]:
-    return lambda seen: make(seen[key][row].tolist())
-
-
 def _imager(key: str) -> Callable[[Observation], Image]:
     return lambda seen: _image(seen[key])
-
-
-def _pose(numbers: list[float]) -> PoseStamped:
-    message = PoseStamped()
-    place, turn = message.pose.position, message.pose.orientation
-    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers
-    return message
-
-
-def _twist(numbers: list[float]) -> TwistStamped:
-    message = TwistStamped()
-    linear, angular = message.twist.linear, message.twist.angular
-    linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = numbers
-    return message
-
-
-def _wrench(numbers: list[float]) -> WrenchStamped:
-    message = WrenchStamped()
-    force, torque = message.wrench.force, message.wrench.torque
-    force.x, force.y, force.z, torque.x, torque.y, torque.z = numbers
-    return message
 
 
 def _image(pixels: Any) -> Image:

@@ -106,13 +106,13 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
             scope = f'{namespace}/{name}' if len(robots) > 1 else namespace
             self._subscribe('joint_states', f'{scope}/joint_states', JointState, _joints)
             for arm in robot.end_effectors:
-                for key, kind, numbers in (('eef_pose', PoseStamped, _pose),
-                                           ('eef_twist', TwistStamped, _twist),
-                                           ('external_wrench', WrenchStamped, _wrench)):
-                    self._subscribe(key, f'{scope}/{arm}/{key}', kind, numbers)
+                for key, kind in (('eef_pose', PoseStamped), ('eef_twist', TwistStamped),
+                                  ('external_wrench', WrenchStamped)):
+                    self._subscribe(key, f'{scope}/{arm}/{key}', kind, _numbers)
         self._offer_actions(namespace, len(robots) > 1)
         for name in self._like.simulation.entities.free_names:
-            self._subscribe('object_pose', f'{namespace}/objects/{name}/pose', PoseStamped, _pose)
+            self._subscribe('object_pose', f'{namespace}/objects/{name}/pose', PoseStamped,
+                            _numbers)
         for key, shape in self._images.items():
             self._keys[key] = []
             self._subscribe(key, f'{namespace}/{key[len(IMAGE):]}/color/image_raw', Image,
@@ -299,18 +299,9 @@ def _joints(message: JointState) -> list[Any]:
     return [message.position, message.velocity, message.effort]
 
 
-def _pose(message: PoseStamped) -> list[float]:
-    position, turn = message.pose.position, message.pose.orientation
-    return [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
-
-
-def _vectors(linear: Any, angular: Any) -> list[float]:
-    return [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
-
-
-def _twist(message: TwistStamped) -> list[float]:
-    return _vectors(message.twist.linear, message.twist.angular)
-
-
-def _wrench(message: WrenchStamped) -> list[float]:
-    return _vectors(message.wrench.force, message.wrench.torque)
+def _numbers(message: Any) -> list[float]:
+    """Return the numbers of a pose, twist or wrench behind a header."""
+    *_, name = message.get_fields_and_field_types()
+    found = getattr(message, name)
+    parts = [getattr(found, part) for part in found.get_fields_and_field_types()]
+    return [getattr(part, axis) for part in parts for axis in part.get_fields_and_field_types()]
