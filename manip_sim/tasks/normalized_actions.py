@@ -118,6 +118,8 @@ class PoseActions(Actions):
     Actions in [-1, 1] for the end effectors of arms.
 
     The goals of each are x, y, z and a rotation vector, as for ``parse_cartesian.action``.
+
+    :param simulation: whose robots they move
     """
 
     def __init__(self, simulation: Simulation) -> None:
