@@ -95,13 +95,13 @@ def test_the_page_has_the_presses_over_topics(contact):
 
 # The 2F-85 has the most contact points for the least force, on the Panda.
 @pytest.mark.parametrize('name', ['Robotiq85Gripper', 'Kinova3'])
-def test_a_hand_that_is_drawn_along_a_table_stays_on_it(contact, name):
+def test_a_gripper_that_is_drawn_along_a_table_stays_on_it(contact, name):
     lost, where, _ = contact.drag(name, speeds=(0.05,), seconds=0.3)
     assert lost < 0.05, where
 
 
-def test_only_the_hand_counts_as_contact_with_the_table(contact):
-    # A cube on the table would hide that the hand hops.
+def test_only_the_gripper_counts_as_contact_with_the_table(contact):
+    # A cube on the table would hide that the gripper hops.
     bench = contact.Bench('PandaGripper')
     bench.wait(0.1)
     assert bench.touch() == (0.0, 0.0)
@@ -121,5 +121,5 @@ def test_a_touch_peaks_as_the_page_says_wherever_in_a_period_it_falls(contact):
 
 
 def test_fingers_that_are_drawn_along_do_not_give(contact):
-    # A thumb that slips while the hand slides lets it sink, 1.7 N less for a second.
+    # A thumb that slips while the gripper slides lets it sink, 1.7 N less for a second.
     assert contact.press('JacoThreeFingerGripper', 20.0)[1] < 0.5

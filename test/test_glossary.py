@@ -70,9 +70,20 @@ def test_most_places_have_the_name_of_their_word():
     assert len(found) > 20, {word for word, _ in PLACES} - found
 
 
-def test_names_avoid_words_that_the_style_replaces():
-    names = {(str(file.relative_to(ROOT)), named(node)) for file in SOURCES
-             for node in ast.walk(ast.parse(file.read_text()))}
+@pytest.fixture(scope='module')
+def names():
+    """Return the names that the code gives, each with its file."""
+    return {(str(file.relative_to(ROOT)), named(node)) for file in SOURCES
+            for node in ast.walk(ast.parse(file.read_text()))}
+
+
+def test_names_avoid_words_that_the_style_replaces(names):
     # A file has a method tell.
     assert not {(file, name) for file, name in names
                 if name != 'tell' and NOT_USED & set(words_of(name))}
+
+
+def test_only_models_have_hands_as_what_is_commanded_is_an_end_effector(names):
+    assert {name for file, name in names if {'hand', 'hands'} & set(words_of(name))
+            and not file.startswith('manip_sim/models/')} == {
+        'hand_over', 'HandOver', 'HandOverDemonstration'}

@@ -23,7 +23,7 @@ def rest(benchmark_module):
 @pytest.mark.parametrize(('robot', 'mode', 'targets'), [
     ('Jaco', 'position', [11, 106, 131]), ('GR1', 'position', [95]),
     ('Panda', 'velocity', [89]), ('Baxter', 'effort', [31])])
-def test_hands_that_once_kept_moving_on_their_place_come_to_rest(rest, robot, mode, targets):
+def test_arms_that_once_kept_moving_on_their_place_come_to_rest(rest, robot, mode, targets):
     arrive_s, rest_s = rest.measure(robot, mode, targets)
     assert max(arrive_s) < 10.0
     assert max(rest_s) < rest.SOON_S

@@ -105,7 +105,7 @@ def test_arena_and_its_parameters_are_in_the_picture(rendered):
         assert (red > 10) == is_there
 
 
-def test_a_camera_of_the_robot_sees_the_table_below_the_hand(rendered):
+def test_a_camera_of_the_robot_sees_the_table_below_the_gripper(rendered):
     options = ('--camera', 'robot0_eye_in_hand', '--size', '160x120')
     table = rendered('--arena', 'table', *options, name='hand.jpg')
     r, g, b = table.getpixel((80, 30))

@@ -29,7 +29,7 @@ def test_a_command_is_withdrawn_from_its_own_joints_and_once(panda_sim):
     assert ledger.rival(older).reason == 'no more'
 
 
-def test_a_command_for_one_finger_takes_the_hand_and_goes_on_when_the_older_one_is_withdrawn():
+def test_a_command_for_one_finger_takes_the_gripper_and_goes_on_when_the_older_one_is_withdrawn():
     simulation = Simulation(compose('Jaco'))
     robot, gripper = simulation.robot, simulation.robot.grippers[HAND]
     older = robot.parse.action(HAND, np.ones(gripper.dof))

@@ -46,11 +46,11 @@ def test_an_arm_that_is_too_fast_in_effort_mode_brakes_and_refuses_commands(pand
 def test_a_push_stops_an_arm_that_rests(panda_sim, run):
     robot = panda_sim.robot
     robot.set_reflex('right', 'force', 20.0)
-    hand = panda_sim.data.body('gripper0_right_right_gripper')
-    hand.xfrc_applied[1] = 19.0
+    gripper = panda_sim.data.body('gripper0_right_right_gripper')
+    gripper.xfrc_applied[1] = 19.0
     run(panda_sim, 0.2)
     assert not robot.reflexes.tripped
-    hand.xfrc_applied[1] = 21.0
+    gripper.xfrc_applied[1] = 21.0
     run(panda_sim, 0.2)
     assert robot.reflexes.tripped == {'arm': 'the external force is 21 N, allowed is 20 N'}
     # While the push lasts, it stops the arm again.

@@ -54,7 +54,7 @@ def test_what_depends_on_the_model_is_made_anew_at_once_and_at_each_change():
     assert seen == [(True, bodies), (True, bodies + 1), (True, bodies)]
 
 
-def test_edits_of_the_model_and_its_options_survive_a_spawn_while_a_hand_moves():
+def test_edits_of_the_model_and_its_options_survive_a_spawn_while_an_end_effector_moves():
     simulation = Simulation(compose('Panda', arena='empty'))
     simulation.model.opt.gravity[2] = -1.6
     simulation.model.body('robot0_link3').mass[0] = 5.0

@@ -91,21 +91,21 @@ def test_a_point_beside_the_centre_turns_the_body_towards_the_target(table):
     assert np.abs(table.data.cvel[table.model.body(CUBE).id]).max() < 5.0
 
 
-def test_a_link_gives_way_and_comes_back_and_the_wrench_feels_a_pull_of_the_hand(table):
+def test_a_link_gives_way_and_comes_back_and_the_wrench_feels_a_pull_of_the_gripper(table):
     for _ in range(50):
         table.advance(STEPS)
-    hand = 'gripper0_right_right_gripper'
-    start, effector = where(table, hand), table.robot.end_effectors['right']
+    gripper = 'gripper0_right_right_gripper'
+    start, effector = where(table, gripper), table.robot.end_effectors['right']
     before = effector.external_wrench(table.data)
-    hold(table, 1.0, start + [0.0, 0.5, 0.0], hand, point=start)
-    assert where(table, hand)[1] - start[1] > 1e-3
-    # The hand is fixed to the last link, so that is what is as heavy.
+    hold(table, 1.0, start + [0.0, 0.5, 0.0], gripper, point=start)
+    assert where(table, gripper)[1] - start[1] > 1e-3
+    # The gripper is fixed to the last link, so that is what is as heavy.
     felt = np.linalg.norm((effector.external_wrench(table.data) - before)[:3])
     assert felt == pytest.approx(
         5.0 * G * table.model.body('robot0_link7').subtreemass[0], rel=0.02)
     for _ in range(200):
         table.advance(STEPS)
-    np.testing.assert_allclose(where(table, hand), start, atol=2e-4)
+    np.testing.assert_allclose(where(table, gripper), start, atol=2e-4)
 
 
 def test_nothing_is_left_of_it_in_states_that_are_saved_restored_or_reset(table):

@@ -252,7 +252,7 @@ def test_a_cutoff_of_an_arm_that_is_not_there_names_those_that_are(panda_sim):
         panda_sim.robot.set_wrench_cutoff('left', 1.0)
 
 
-def test_a_hand_that_is_tied_to_the_world_feels_the_tie(panda):
+def test_a_gripper_that_is_tied_to_the_world_feels_the_tie(panda):
     panda.grippers['right'].spec.add_equality(
         name='tie', name1='eef', type=mujoco.mjtEq.mjEQ_CONNECT,
         objtype=mujoco.mjtObj.mjOBJ_BODY)

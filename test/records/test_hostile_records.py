@@ -171,7 +171,7 @@ def test_a_pipe_is_no_record_and_no_task(tmp_path, capsys):
         create_task(tmp_path / 'task.yaml')
 
 
-def test_two_topics_of_one_hand_are_an_error(recording):
+def test_two_topics_of_one_end_effector_are_an_error(recording):
     episode = next(Record(recording).episodes())
     (robot,) = converting.Frames(episode).robots
     other = f'/{robot}{EEF_POSE}'

@@ -266,7 +266,7 @@ def test_a_body_is_at_its_newest_pose_and_at_its_first_one_before(show, tmp_path
     assert seen == [2.0, 2.0, 2.0, 2.0, 3.0]
 
 
-def test_the_wrench_at_a_hand_and_its_pose_are_plotted(show, tmp_path):
+def test_the_wrench_at_an_end_effector_and_its_pose_are_plotted(show, tmp_path):
     record = NodeRecord(tmp_path / 'node.mcap', compose('Panda').to_archive())
     for second in (1.0, 2.0):
         record.joints(second, 0.1, -2.0)

@@ -90,7 +90,7 @@ def policy():
     process.wait(timeout=300.0)
 
 
-def test_the_policy_of_the_document_lifts_the_hand(serve, client, request):
+def test_the_policy_of_the_document_lifts_the_end_effector(serve, client, request):
     serve(arena='table', publish_rate=20.0, control_mode__arm='effort', stepping='lockstep',
           lockstep_parts=['arm', 'right/gripper'])
     poses = client.listen(PoseStamped, 'right/eef_pose')

@@ -68,11 +68,11 @@ def test_an_arrow_shows_the_push_on_a_tool_in_world(shown, client):
     client.spin_until(lambda: bool(arrays))
     assert len(arrows(arrays[-1], 'right/external_force')[0]) == 0
     data, push = node.simulation.data, np.array([3.0, -4.0, 5.0])
-    hand = data.body('gripper0_right_right_gripper').id
+    gripper = data.body('gripper0_right_right_gripper').id
 
     def push_there():
-        # At the hand's centre of mass, so the torque is that of a lever.
-        data.xfrc_applied[hand, :3] = push
+        # At the gripper's centre of mass, so the torque is that of a lever.
+        data.xfrc_applied[gripper, :3] = push
     node.thread.call(push_there)
 
     def force():
@@ -82,7 +82,7 @@ def test_an_arrow_shows_the_push_on_a_tool_in_world(shown, client):
     frame = data.site('gripper0_right_ft_frame').xpos
     np.testing.assert_allclose(origin, [frame], atol=1e-3)
     np.testing.assert_allclose(torque[0] / TORQUE_SCALE,
-                               np.cross(data.xipos[hand] - frame, push), atol=0.02)
+                               np.cross(data.xipos[gripper] - frame, push), atol=0.02)
 
 
 def test_a_newton_is_a_centimetre_and_a_newton_metre_a_decimetre():

@@ -59,7 +59,7 @@ def test_all_messages_of_a_period_carry_the_stamp_of_the_clock(serve, client):
         assert all(stamp % 20_000_000 == 0 for stamp in own), topic
 
 
-def test_the_wrench_at_rest_is_the_weight_of_the_hand_in_the_sensor_frame(serve, client):
+def test_the_wrench_at_rest_is_the_weight_of_the_gripper_in_the_sensor_frame(serve, client):
     serve()
     wrenches = client.listen(WrenchStamped, 'right/wrench')
     client.spin_until(lambda: len(wrenches) > 5)
@@ -91,9 +91,9 @@ def test_every_number_is_that_of_the_physics_at_its_stamp(serve, client):
         ('right/external_wrench', WrenchStamped), ('right/eef_pose', PoseStamped),
         ('right/eef_twist', TwistStamped))}
     model, data = node.simulation.model, node.simulation.data
-    hand = data.body('gripper0_right_right_gripper')
+    gripper = data.body('gripper0_right_right_gripper')
     force, torque = np.array([3.0, -4.0, 5.0]), np.array([0.3, 0.2, -0.1])
-    hand.xfrc_applied[:] = [*force, *torque]
+    gripper.xfrc_applied[:] = [*force, *torque]
     goal = np.array(START) + [0.3, 0.2, -0.25, 0.35, 0.4, -0.2, 0.5]
     client.publish('joint_command', JointState(
         name=[*ARM, FINGERS[0]], position=[*goal, 0.0]))
@@ -114,9 +114,9 @@ def test_every_number_is_that_of_the_physics_at_its_stamp(serve, client):
     frame = data.site(f'{GRIPPER}ft_frame')
     to_frame = frame.xmat.reshape(3, 3).T
     np.testing.assert_allclose(three(external.force), to_frame @ force, atol=1e-9)
-    # The torque is the mean over the period, in which the hand moves by less than 5 mm.
+    # The torque is the mean over the period, in which the gripper moves by less than 5 mm.
     np.testing.assert_allclose(three(external.torque), to_frame @ (
-        torque + np.cross(hand.xipos - frame.xpos, force)), atol=0.005 * 7.1)
+        torque + np.cross(gripper.xipos - frame.xpos, force)), atol=0.005 * 7.1)
     site = data.site(f'{GRIPPER}grip_site')
     np.testing.assert_array_equal(three(pose.position), site.xpos)
     jacobian = np.zeros((2, 3, model.nv))
@@ -211,7 +211,7 @@ def test_commands_name_joints_as_the_states_do(serve, client):
     client.spin_until(lambda: abs(client.state().position[7] - 0.03) < 1e-3)
 
 
-def test_a_prefix_tells_the_hands_of_two_arms_apart_and_names_the_base(serve, client):
+def test_a_prefix_tells_the_grippers_of_two_arms_apart_and_names_the_base(serve, client):
     serve(robot='Baxter', prefix='b_')
     names = list(client.state().name)
     assert names[0] == 'b_right_s0'

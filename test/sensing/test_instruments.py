@@ -95,7 +95,7 @@ def test_force_comes_before_torque_whatever_the_order_in_the_file(box):
 
 
 @pytest.mark.parametrize('name', robot_names())
-def test_each_hand_and_base_of_the_catalogue_has_an_imu_that_feels_gravity(name):
+def test_each_gripper_and_base_of_the_catalogue_has_an_imu_that_feels_gravity(name):
     simulation = Simulation(compose(name))
     imus = [one for one in simulation.sensors.instruments if one.kind == 'imu']
     robot = simulation.robot.robot_model

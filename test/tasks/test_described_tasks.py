@@ -112,7 +112,7 @@ def test_all_conditions_must_hold(plate):
     assert not plate.success
 
 
-def test_the_reward_rises_as_the_hand_comes_nearer(plate):
+def test_the_reward_rises_as_the_end_effector_comes_nearer(plate):
     plate.reset(1)
     end_effector, disc = plate.observation['eef_pose'][0, :3], plate.observation['goal']
     found = []

@@ -43,7 +43,7 @@ def test_an_expert_does_its_task(name, robot):
 
 
 @pytest.mark.parametrize('seed', [3, 4])
-def test_slow_fingers_are_open_before_the_hand_goes_down_and_hold_before_it_goes_up(seed):
+def test_slow_fingers_are_open_before_the_arm_goes_down_and_hold_before_it_goes_up(seed):
     # In the first one they would open on the cube, in the second one stand on the table.
     episode = episode_of('pick_cube', 'Jaco')
     assert episode.run(episode.task.expert(episode.simulation), seed)
@@ -262,7 +262,7 @@ def test_a_saved_state_holds_what_an_episode_has_drawn():
     np.testing.assert_array_equal(episode.task.goal(episode.simulation), goal)
 
 
-def test_an_action_moves_the_hand_and_the_gripper():
+def test_an_action_moves_the_end_effector_and_the_gripper():
     episode = episode_of('reach')
     episode.reset(1)
     robot, data = episode.simulation.robot, episode.simulation.data

@@ -221,7 +221,7 @@ def test_a_base_is_driven_until_it_is_stopped(rig):
     assert rig.sent.taken() == [('drive', '/left/', (0.0, 0.0, 0.0))]
 
 
-def test_a_target_is_sent_while_it_is_dragged_and_follows_the_hand_else(rig):
+def test_a_target_is_sent_while_it_is_dragged_and_follows_the_end_effector_else(rig):
     target = EndEffectorTarget(rig.gui, '/left/', 'right', rig.sent)
     control = rig.gui.found['/targets/left/right']
     position, upright = np.array([0.5, 0.1, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
@@ -439,7 +439,7 @@ def test_any_range_gives_a_slider(low, width):
     assert slider.min <= slider.value <= slider.max
 
 
-def test_plots_show_what_was_measured_of_the_part_or_hand_that_is_chosen(rig):
+def test_plots_show_what_was_measured_of_the_part_or_end_effector_that_is_chosen(rig):
     panel, found = PlotPanel(rig.gui, Handle(), [ROBOT]), rig.gui.found
     for second in range(4):
         # In another order than that of the part.

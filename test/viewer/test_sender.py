@@ -147,7 +147,7 @@ def test_each_button_calls_its_service(node, command, service):
     executor.shutdown()
 
 
-def test_a_base_is_driven_and_a_hand_sent_in_the_frame_of_its_pose(node):
+def test_a_base_is_driven_and_an_end_effector_sent_in_the_frame_of_its_pose(node):
     taken = {Twist: [], PoseStamped: []}
     sender = CommandSender(node, 'sim', {('/left/', 'right'): 'left/world'}, pytest.fail)
     topics = {'/left/base/cmd_vel': Twist, '/left/right/target_pose': PoseStamped,

@@ -117,7 +117,7 @@ class PandaOmron(Panda, folder='panda_omron'):
 
 
 class SO101(CatalogueRobot, folder='so101'):
-    """Five-joint arm of printed parts and hobby servos, 0.34 m reach with the hand down."""
+    """Five-joint arm of printed parts and hobby servos, 0.34 m reach with the gripper down."""
 
 
 class Sawyer(CatalogueRobot, folder='sawyer'):
