@@ -49,8 +49,10 @@ COMMAND = (
     ('mj_step', 'the physics'))
 STATE = (
     ('mj_step, mj_forward', 'the physics'), ('simulation/simulation.py', 'the end of a period'),
-    ('runtime/observers.py', 'who has to be called'), ('ros/outputs.py', 'whoever has a reader'),
-    ('ros/publishers.py', 'joints, poses, wrenches'), ('ros/serialized.py', 'numbers into bytes'),
+    ('runtime/observers.py', 'who has to be called'),
+    ('ros/lazy_publishers.py', 'whoever has a reader'),
+    ('ros/state_publishers.py', 'joints, poses, wrenches'),
+    ('ros/serialized.py', 'numbers into bytes'),
     ('DDS', 'joint_states'))
 _STYLE = ('<style>text{font:13px sans-serif;fill:#1b2733}.b{font-weight:bold}.s{font-size:11.5px}'
           'rect{fill:#eef3f8;stroke:#4a6785;rx:5}.w{fill:#fff}'

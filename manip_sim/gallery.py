@@ -159,7 +159,7 @@ def _picture_of_task(name: str) -> Image:
 
 
 def _picture_of_instant(simulation: Simulation, size: tuple[int, int]) -> Image:
-    from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
+    from manip_sim.simulation.snapshots import take_snapshot, VisibleWorld
     seen = VisibleWorld(simulation.plan)
     seen.show(take_snapshot(simulation))
     # What was wiped off is below the floor.

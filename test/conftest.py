@@ -66,7 +66,7 @@ LONGEST = (
     'tasks/test_tasks.py', 'ros/test_lockstep.py', 'ros/test_spawned_by_strangers.py',
     'models/test_add_your_own.py', 'ros/test_diagnostics.py', 'ros/test_pressing.py',
     'test_contact_bench.py', 'control/test_cartesian_rest.py',
-    'control/test_point_streams.py', 'ros/test_topic_hardware.py',
+    'control/test_streamed_trajectories.py', 'ros/test_topic_hardware.py',
     'control/test_stream_bounds.py', 'testing/test_plugin.py', 'control/test_cartesian.py',
     'moveit/test_moveit_package.py', 'test_fast.py', 'control/test_servos.py',
     'test_install.py', 'test_gallery.py', 'control/test_setpoints.py', 'cli/test_cli_render.py',

@@ -39,7 +39,7 @@ MAY_IMPORT = {
     'records': ({'control', 'interface', 'models', 'records', 'simulation', 'tasks'},
                 PURE | {'PIL', 'av', 'h5py', 'lz4', 'mcap', 'mcap_ros2', 'pyarrow', 'zstandard'}),
     'records/node_recorder.py': ({'records'}, None),
-    'moveit': ({'control', 'models', 'moveit', 'simulation'}, PURE),
+    'moveit': ({'models', 'moveit', 'physics', 'simulation'}, PURE),
     # It shares with the node how messages are filled.
     'experiments/ros_policy.py': ({'ros', 'tasks'}, None),
     'experiments': ({'experiments', 'records', 'tasks'},
@@ -51,7 +51,8 @@ MAY_IMPORT = {
     # What a client shares with the node: how messages and archives are read, what is logged.
     'viewer/ros': ({'viewer', 'models', 'ros'}, None),
     'viewer': ({'models', 'records', 'viewer'}, PURE | {'PIL', 'viser'}),
-    'interface': ({'control', 'interface', 'models', 'sensing', 'simulation', 'tasks'}, PURE),
+    'interface': ({'control', 'interface', 'models', 'physics', 'sensing', 'simulation', 'tasks'},
+                  PURE),
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
@@ -97,7 +98,7 @@ def _is_standard(name):
 
 
 #: Where fields of messages, which are named like modes, are told apart.
-FIELDS_OF_MESSAGES = ('viewer', 'simulation/gripper_goal.py')
+FIELDS_OF_MESSAGES = ('viewer', 'runtime/gripper_goal.py')
 
 
 @pytest.mark.parametrize('path', [

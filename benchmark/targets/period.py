@@ -66,7 +66,7 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
         return None
     from manip_sim.interface.topics import Scope
     from manip_sim.ros.log import RejectionLog
-    from manip_sim.ros.publishers import StatePublishers
+    from manip_sim.ros.state_publishers import StatePublishers
     rclpy.init()
     stack.callback(rclpy.shutdown)
     node = rclpy.create_node('period')

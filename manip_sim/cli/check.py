@@ -16,7 +16,7 @@ from manip_sim.cli.composing_options import compose_from
 from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.loading import compile_spec, load_spec
-from manip_sim.models.lost_shapes import lost_shapes
+from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.quoting import counted
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.start_check import find_start_defects

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.profiles import braking_velocity, low_pass, within
-from manip_sim.control.streams import StreamEstimator
+from manip_sim.control.motion_profiles import braking_velocity, low_pass, within
+from manip_sim.control.stream_estimation import StreamEstimator
 
 #: Time constant of each of the two low-pass stages that smooth what is caught up [s].
 _SMOOTHING_S = 0.02

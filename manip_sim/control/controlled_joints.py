@@ -15,11 +15,11 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.ledger import Ledger
 from manip_sim.control.modes import default_mode, MODES
-from manip_sim.control.parts import Part
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.control.trajectory import Trajectory
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
 #: A trajectory that would have to be slowed down more than this is rejected.

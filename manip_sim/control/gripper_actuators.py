@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.parts import Part
 from manip_sim.errors import ModelError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.declared_limits import declared_velocity
+from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))

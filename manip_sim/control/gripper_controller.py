@@ -11,12 +11,12 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.commands import (
     Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, Status)
-from manip_sim.control.formatting import Formatter
+from manip_sim.control.gripper_actions import Formatter
 from manip_sim.control.gripper_actuators import GripperActuators
 from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.control.gripper_joints import GripperJoints
 from manip_sim.control.ledger import Ledger
-from manip_sim.control.parts import Part
+from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
 #: Rate at which robosuite calls a gripper's ``format_action`` [Hz].

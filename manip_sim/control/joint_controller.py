@@ -22,9 +22,9 @@ from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.modes import Arrival, MODES
-from manip_sim.control.parts import Part
 from manip_sim.control.planned_controls import PlannedControls
 from manip_sim.control.trajectory_following import TrajectoryFollowing
+from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
 C = TypeVar('C', bound=Command)

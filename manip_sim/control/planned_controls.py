@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.profiles import Plan
+from manip_sim.control.motion_profiles import Plan
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
 

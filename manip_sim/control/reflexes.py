@@ -13,10 +13,10 @@ import numpy as np
 
 from manip_sim.control.commands import Command, NoCommand
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.parts import atomic_parts, Part
 from manip_sim.errors import UnknownNameError
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import EndEffectorReader
+from manip_sim.physics.parts import atomic_parts, Part
 
 
 @dataclass(frozen=True)

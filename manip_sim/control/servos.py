@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import as_slice, BoolArray, FloatArray, IntArray
 from manip_sim.control.joint_accelerations import acceleration_limits
-from manip_sim.control.profiles import Plan
+from manip_sim.control.motion_profiles import Plan
 from manip_sim.errors import ModelError
 from manip_sim.physics.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)

@@ -10,8 +10,9 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.catching_up import Terms
 from manip_sim.control.message_clock import MessageClock
-from manip_sim.control.profiles import evenly_braked, Plan, within
-from manip_sim.control.streams import RampEstimator, StreamEstimator, WaitingGoal, WaitingGoals
+from manip_sim.control.motion_profiles import evenly_braked, Plan, within
+from manip_sim.control.stream_estimation import (
+    RampEstimator, StreamEstimator, WaitingGoal, WaitingGoals)
 
 #: Multiple of a stream's own acceleration that its setpoint may use.
 _STREAM_ACCELERATION = 1.5

@@ -9,7 +9,7 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.catching_up import caught_up, Terms, terms_of
-from manip_sim.control.profiles import (
+from manip_sim.control.motion_profiles import (
     change_before_the_end, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp, within)
 from manip_sim.control.setpoint_goals import SetpointGoals
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from manip_sim.arrays import FloatArray
 from manip_sim.control.commands import JointTrajectory, Status
 from manip_sim.control.ledger import Ledger
-from manip_sim.control.point_streams import PointStreams
 from manip_sim.control.setpoints import SetpointGenerator
+from manip_sim.control.streamed_trajectories import PointStreams
 from manip_sim.errors import CommandError
 
 

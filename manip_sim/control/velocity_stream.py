@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.control.streams import RampEstimator
+from manip_sim.control.stream_estimation import RampEstimator
 
 
 class VelocityStream:

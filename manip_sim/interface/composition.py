@@ -12,7 +12,6 @@ from typing import Any, TYPE_CHECKING
 
 import mujoco
 
-from manip_sim.control.parts import Part
 from manip_sim.errors import ModelError, ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
@@ -23,16 +22,17 @@ from manip_sim.interface.parameters import (
 from manip_sim.interface.topics import Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
+from manip_sim.models.camera_choice import (
+    chosen_cameras, described_cameras, described_lidars)
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.models.world import keyframe_names
+from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
-from manip_sim.simulation.camera_choice import (
-    chosen_cameras, described_cameras, described_lidars)
 
 if TYPE_CHECKING:
     from manip_sim.tasks import Task

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.message_clock import STREAM_INTERVAL_S
 from manip_sim.control.modes import default_mode, MODES
-from manip_sim.control.parts import Part
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.topics import Scope
@@ -22,6 +21,7 @@ from manip_sim.models.grippers import gripper_names
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
+from manip_sim.physics.parts import Part
 from manip_sim.sensing.settings import QUANTITIES
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].

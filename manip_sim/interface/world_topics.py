@@ -10,11 +10,11 @@ from dataclasses import replace
 from itertools import groupby
 from types import MappingProxyType
 
-from manip_sim.control.parts import Part
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.interface.topics import (
     Action, ACTIONS, ARM, BY_NAME, CAMERA, GRIPPER, LIDAR, MEASURED, OBJECT, PART, Scope, SENSOR,
     TOKEN, Topic, TOPICS)
+from manip_sim.physics.parts import Part
 
 #: What rows need that are of the world, not of a robot.
 _OF_WORLD = ('task', 'arena', 'loose', 'bodies')

@@ -23,7 +23,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MAX_ASSET_BYTES
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.regular_files import read_file
-from manip_sim.models.trial import try_to_compile
+from manip_sim.models.sandbox import try_to_compile
 from manip_sim.models.xml_check import check_xml
 from manip_sim.models.xml_limits import product
 from manip_sim.quoting import quoted

@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.lost_shapes import check_fetched, MissingMeshError
+from manip_sim.models.missing_meshes import check_fetched, MissingMeshError
 from manip_sim.models.regular_files import check_file, Files, read_file
 from manip_sim.models.xml_check import AssetFolders, XmlModel
 from manip_sim.quoting import one_line

@@ -112,3 +112,8 @@ def _looks_along(found: CameraDescription, position: FloatArray) -> FloatArray:
     axes = np.stack([forward, left, np.cross(forward, left)], axis=1)
     mujoco.mju_mat2Quat(quat_wxyz, axes.ravel())
     return quat_wxyz
+
+
+def camera_names(model: mujoco.MjModel) -> list[str]:
+    """Return the names of the cameras of a ``mujoco.MjModel``."""
+    return [model.camera(index).name for index in range(model.ncam)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import resolve_files
-from manip_sim.models.lost_shapes import MissingMeshError
+from manip_sim.models.missing_meshes import MissingMeshError
 from manip_sim.models.xml_check import check_xml
 from manip_sim.quoting import one_line, quoted
 

@@ -18,10 +18,10 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import (
     check_content, check_image, MAX_ASSET_BYTES, MAX_FILE_BYTES)
-from manip_sim.models.held_models import HeldModel, held_name
 from manip_sim.models.loading import compile_spec, spec_from_string
 from manip_sim.models.object_model import SHAPE_GEOM
 from manip_sim.models.regular_files import check_file, Files
+from manip_sim.models.untrusted_models import HeldModel, held_name
 from manip_sim.quoting import counted, quoted
 from manip_sim.resources import keep_in_cache, mesh_cache
 

@@ -13,12 +13,12 @@ from typing import Any, TYPE_CHECKING, TypeVar, Union
 import mujoco
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.held_models import HeldModel, hold_model, LIMITS
 from manip_sim.models.loading import load_spec
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
 from manip_sim.models.regular_files import Files, OneText
 from manip_sim.models.sources import find_source, is_of_others
 from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
+from manip_sim.models.untrusted_models import HeldModel, hold_model, LIMITS
 from manip_sim.quoting import quoted, shown
 
 __all__ = ['check_object_names', 'create_described', 'create_object', 'create_objects',

@@ -4,7 +4,7 @@
 """
 The one place that converts rotations: MuJoCo's quaternions (w, x, y, z) to and from others.
 
-Those are ROS's quaternions (x, y, z, w), matrices, and roll, pitch and yaw.
+Those are ROS's quaternions (x, y, z, w), matrices, rotation vectors, and roll, pitch and yaw.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 
 #: As w, x, y, z.
@@ -80,3 +81,19 @@ def rpy_of(rotation: FloatArray) -> FloatArray:
     pitch = math.atan2(-r[2, 0], c * r[0, 0] + s * r[1, 0])
     roll = math.atan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1])
     return np.array([roll, pitch, yaw])
+
+
+def matrix_of_vector(vector: FloatArray) -> FloatArray:
+    """Return the rotation matrix of a rotation vector [rad], shape (3, 3)."""
+    quat_wxyz, angle = np.empty(4), length(vector)
+    axis = vector / angle if angle > 0.0 else np.array([1.0, 0.0, 0.0])
+    mujoco.mju_axisAngle2Quat(quat_wxyz, axis, angle)
+    return matrix_of(quat_wxyz)
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Return the rotation vector of a rotation matrix [rad], shape (3,)."""
+    quat_wxyz, vector = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(rotation).reshape(9))
+    mujoco.mju_quat2Vel(vector, quat_wxyz, 1.0)
+    return vector

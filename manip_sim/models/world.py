@@ -16,6 +16,7 @@ from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.binary import to_binary
 from manip_sim.models.cameras import Camera, create_camera
+from manip_sim.models.gravity_compensation import compensate_mounted_robots
 from manip_sim.models.initialization_noise import checked_seed, InitializationNoise
 from manip_sim.models.lidar_models import create_lidar, LidarLike
 from manip_sim.models.loading import compile_spec
@@ -165,7 +166,7 @@ class World:
         self.arena.attach_to(spec, spec.worldbody.add_frame())
         spec = spec.copy()  # That leaves behind what MuJoCo warns of when names have no prefix.
         if self.gravity_compensation:
-            self._compensate_gravity(spec)
+            compensate_mounted_robots(spec, self.robots)
         for camera in self.cameras:
             camera.attach(spec)
         for lidar in self.lidars:
@@ -196,22 +197,6 @@ class World:
                 yield robot.base
             if isinstance(robot, ManipulatorModel):
                 yield from robot.grippers.values()
-
-    def _compensate_gravity(self, spec: mujoco.MjSpec) -> None:
-        # All that is mounted on a robot is below its root, also bodies that composing added.
-        free = int(mujoco.mjtJoint.mjJNT_FREE)
-        for robot in self.robots:
-            root = spec.body(robot.root_body)
-            bodies = [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]
-            if any(int(joint.type) == free for body in bodies for joint in body.joints):
-                # MuJoCo would compensate at the free joint too, and the robot would float.
-                continue
-            for body in bodies:
-                if body.gravcomp:  # Not the actuators carry it, but what the file stands for.
-                    continue
-                body.gravcomp = 1.0
-                for joint in body.joints:
-                    joint.actgravcomp = True
 
     def with_objects(self, objects: Iterable[ObjectModel]) -> World:
         """

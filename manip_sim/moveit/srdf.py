@@ -14,11 +14,11 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.control.parts import Part
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.models.urdf_writer import Urdf
 from manip_sim.models.urdf_writer.kinematic_tree import KinematicTree, subtree
 from manip_sim.models.urdf_writer.link_shapes import text_of
+from manip_sim.physics.parts import Part
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot import SimulatedRobot
 

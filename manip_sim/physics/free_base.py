@@ -1,13 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""
-Gravity compensation of robots with a free root, which have to carry their own weight.
-
-MuJoCo compensates the weight of a body at all joints between it and the world, so also at the free
-joint: the robot would float. Here the actuators of arms, torso and head carry what is mounted
-beyond them, and the root and the legs carry that weight.
-"""
+"""The weight of compensated links, which robots with a free root have to carry themselves."""
 
 from __future__ import annotations
 
@@ -16,35 +10,9 @@ from collections.abc import Iterable
 import mujoco
 import numpy as np
 
-from manip_sim.models.robots import RobotModel
 from manip_sim.physics.physics import Physics
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: Subsystems with gravity compensation; what carries a robot, such as legs, has none.
-_CARRIED = ('arm', 'torso', 'head')
-
-
-def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) -> None:
-    """
-    Let actuators of robots with a free root carry what is mounted beyond them.
-
-    :param spec: the ``mujoco.MjSpec`` of a world, changed in place; its model needs
-        :class:`FreeRoots`
-    :param robots: the robots in it
-    """
-    driven = {actuator.target for actuator in spec.actuators}
-    for robot in robots:
-        root = spec.body(robot.root_body)
-        bodies = [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]
-        if not any(int(joint.type) == _FREE for body in bodies for joint in body.joints):
-            continue
-        carried = {name for subsystem in _CARRIED for name in robot.joints_of(subsystem)} & driven
-        for body in bodies:
-            if any(joint.name in carried for joint in body.joints):
-                for hanging in (body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)):
-                    hanging.gravcomp = 1.0
-                    for joint in hanging.joints:
-                        joint.actgravcomp = True
 
 
 class FreeRoots:

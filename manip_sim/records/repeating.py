@@ -28,8 +28,8 @@ from manip_sim.records.recorded import Record, RecordedEpisode
 from manip_sim.records.recorder import physics_state
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.json_state import check_sum, decoded, restore_plain
 from manip_sim.simulation.operations import Operations
-from manip_sim.simulation.plain_state import check_sum, decoded, restore_plain
 from manip_sim.tasks import create_task, Episode, start
 
 

@@ -15,11 +15,11 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.ros.messages import nanoseconds_of, stamp_of
 from manip_sim.ros.reading import trajectory_fields
+from manip_sim.runtime.goals import Goal, GoalCode, GoalError
+from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.runtime.tolerances import JointTolerance
+from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from manip_sim.simulation import SimulatedRobot
-from manip_sim.simulation.goals import Goal, GoalCode, GoalError
-from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
-from manip_sim.simulation.tolerances import JointTolerance
-from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 
 
 class ActionMessages(ABC):

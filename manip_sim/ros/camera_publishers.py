@@ -30,13 +30,13 @@ from manip_sim.models.urdf_writer.kinematic_tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.rendering.offscreen import BACKGROUND, Picture
+from manip_sim.ros.lazy_publishers import create_publisher, Output
 from manip_sim.ros.messages import stamp_of
-from manip_sim.ros.outputs import create_publisher, Output
 from manip_sim.ros.point_clouds import PointCloudMaker
 from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
 from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.appearance import Snapshot, take_snapshot, VisibleWorld
+from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

@@ -14,12 +14,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.control.modes import MODES
-from manip_sim.control.parts import Part
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import check_names
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.parameters import default_timeout
 from manip_sim.interface.topics import Scope
+from manip_sim.physics.parts import Part
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 
 #: Groups of parameters whose values for a part are those of the parts that it consists of.

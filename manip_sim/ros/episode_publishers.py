@@ -15,7 +15,7 @@ from std_msgs.msg import String
 
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.resources import package_version
-from manip_sim.ros.outputs import create_publisher
+from manip_sim.ros.lazy_publishers import create_publisher
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import start, Task
 

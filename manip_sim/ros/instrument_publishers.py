@@ -21,8 +21,8 @@ from manip_sim.arrays import FloatArray
 from manip_sim.interface.served_instruments import (
     SensorSettings, served_instruments, ServedInstrument)
 from manip_sim.interface.topics import Scope
+from manip_sim.ros.lazy_publishers import create_output, Publication, Publications
 from manip_sim.ros.messages import stamped
-from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.sensing.instruments import (
     IMU, Instrument, MAGNETIC_FIELD, RANGE, VALUES, WRENCH)
 from manip_sim.simulation import Simulation

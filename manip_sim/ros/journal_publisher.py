@@ -13,8 +13,8 @@ from typing import Any, TYPE_CHECKING
 from std_msgs.msg import String
 
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.ros.outputs import create_output
 from manip_sim.ros.episode_publishers import TaskPublisher
+from manip_sim.ros.lazy_publishers import create_output
 from manip_sim.simulation import Simulation
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from manip_sim.arrays import FloatArray
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.world_topics import topics_of_lidars, truths
 from manip_sim.models.lidar_models import LidarModel
+from manip_sim.ros.lazy_publishers import create_output, Output
 from manip_sim.ros.messages import stamp_of
-from manip_sim.ros.outputs import create_output, Output
 from manip_sim.sensing.lidars import Lidar
 from manip_sim.simulation import Simulation
 

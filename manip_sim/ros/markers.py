@@ -18,7 +18,7 @@ from manip_sim.interface.topics import BY_NAME
 from manip_sim.physics.contacts import read_contacts
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.ros import messages
-from manip_sim.ros.outputs import create_output
+from manip_sim.ros.lazy_publishers import create_output
 from manip_sim.simulation import Simulation
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME, Scope
+from manip_sim.ros.lazy_publishers import create_output
 from manip_sim.ros.messages import filled, stamp_of, WORLD
 from manip_sim.ros.optional_packages import import_optional
-from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.planning_scene import (
     BOX, CYLINDER, HeldObject, MESH, Obstacle, PlanningScene, Solid, SPHERE)

@@ -18,7 +18,7 @@ from manip_sim.interface.ros2_control import hardware_of
 from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
-from manip_sim.ros.outputs import create_publisher
+from manip_sim.ros.lazy_publishers import create_publisher
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 if TYPE_CHECKING:

@@ -17,17 +17,17 @@ from manip_sim.errors import ParameterError
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.topics import Scope
 from manip_sim.physics.end_effectors import EndEffectorReader
+from manip_sim.physics.frame_tree import FrameTree
+from manip_sim.physics.odometry import OdometryReader
 from manip_sim.quoting import quoted
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.messages import stamped
 from manip_sim.ros.optional_packages import missing_note
 from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
-from manip_sim.ros.publishers import Read, Reading, StatePublishers
+from manip_sim.ros.state_publishers import Read, Reading, StatePublishers
 from manip_sim.ros.transforms import offer_transforms, TransformPublisher
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.frames import FrameTree
-from manip_sim.simulation.odometry import OdometryReader
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

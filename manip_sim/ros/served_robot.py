@@ -15,7 +15,7 @@ from manip_sim.interface.parameters import commanded_parts, reflex_parameters
 from manip_sim.interface.topics import Scope
 from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.command_subscribers import CommandSubscribers
-from manip_sim.ros.publishers import StatePublishers
+from manip_sim.ros.state_publishers import StatePublishers
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot
 

@@ -26,7 +26,7 @@ from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import (
     topics_of_objects, topics_of_surroundings, topics_of_world)
 from manip_sim.models import World
-from manip_sim.models.lost_shapes import lost_shapes
+from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.actions import ActionServers, offer_actions
@@ -43,7 +43,6 @@ from manip_sim.ros.journal_publisher import JournalPublisher
 from manip_sim.ros.lidar_publishers import offer_lidars
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.overrides import check_qos_names, check_qos_values
-from manip_sim.ros.publishers import ClockPublisher, ModelPublisher
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
 from manip_sim.ros.scene import check_frame_prefix, SceneTopics
@@ -51,6 +50,7 @@ from manip_sim.ros.sensor_publishers import offer_sensors
 from manip_sim.ros.served_robot import ServedRobot
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import offer_simulation_interfaces
+from manip_sim.ros.state_publishers import ClockPublisher, ModelPublisher
 from manip_sim.ros.surroundings_topics import SurroundingsTopics
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation

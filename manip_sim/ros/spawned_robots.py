@@ -20,7 +20,7 @@ from manip_sim.models.composing import DEFAULT, NONE
 from manip_sim.models.files.requested_robot import load_requested
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.lost_shapes import lost_shapes
+from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path

@@ -19,15 +19,16 @@ from manip_sim.control.surroundings import ACTUATORS
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.topics import BY_NAME, PUBLISHED, TOKEN, Topic
 from manip_sim.interface.world_topics import topics_of_objects, topics_of_surroundings
+from manip_sim.physics.entities import Entities
 from manip_sim.physics.poses import Pose
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscription
+from manip_sim.ros.lazy_publishers import (
+    create_output, message_class, Output, Publication, Publications)
 from manip_sim.ros.log import kind_of
-from manip_sim.ros.outputs import create_output, message_class, Output, Publication, Publications
 from manip_sim.ros.reading import read_command
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.entities import Entities
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

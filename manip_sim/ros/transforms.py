@@ -14,12 +14,12 @@ from geometry_msgs.msg import TransformStamped
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME
+from manip_sim.physics.frame_tree import FrameTree, TreeFrame
+from manip_sim.ros.lazy_publishers import create_output, Output
 from manip_sim.ros.messages import filled, stamp_of
 from manip_sim.ros.optional_packages import import_optional, missing_note
-from manip_sim.ros.outputs import create_output, Output
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.frames import FrameTree, TreeFrame
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode

@@ -16,7 +16,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.rendering.gl import cannot_render, create_context
 from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
 from manip_sim.sensing.images import ImageNoise
-from manip_sim.simulation.appearance import Snapshot, VisibleWorld
+from manip_sim.simulation.snapshots import Snapshot, VisibleWorld
 
 THREAD_NAME = 'cameras'
 #: How long a running rendering may still take when the thread is to end [s].

@@ -9,9 +9,9 @@ from collections.abc import Callable
 import threading
 
 from manip_sim.errors import SimulationEnded
+from manip_sim.runtime.goals import Ending, Goal
 from manip_sim.runtime.simulation_thread import SimulationThread
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.goals import Ending, Goal
 
 
 class GoalTracker:

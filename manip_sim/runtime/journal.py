@@ -12,8 +12,8 @@ import weakref
 from manip_sim.control.commands import Command, CommandHandle, GripperCommand
 from manip_sim.errors import ModelError
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.plain import Encoder
-from manip_sim.simulation.plain_state import check_sum, plain_state
+from manip_sim.simulation.json_codec import Encoder
+from manip_sim.simulation.json_state import check_sum, plain_state
 
 #: How often there is a digest [control periods].
 DIGEST_PERIODS = 100

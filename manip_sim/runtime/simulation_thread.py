@@ -13,10 +13,10 @@ from typing import Any, TypeVar
 
 from manip_sim.control.commands import Command, CommandHandle
 from manip_sim.errors import CommandError, DivergenceError
-from manip_sim.runtime.changes import PendingChanges
 from manip_sim.runtime.inbox import Calls, Inbox
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer, Progress
+from manip_sim.runtime.pending_changes import PendingChanges
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import RobotsPlan
 

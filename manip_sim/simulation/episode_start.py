@@ -10,10 +10,10 @@ from collections.abc import Iterable, Mapping
 import mujoco
 import numpy as np
 
-from manip_sim.control.parts import Part
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.models.world import World
 from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation.randomized import Randomized

@@ -15,17 +15,17 @@ from manip_sim.control.commands import (
     Command, CommandHandle, GripperCommand, JointTrajectory, NoCommand, Status)
 from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
-from manip_sim.control.dynamics import joint_dynamics, JointDynamics
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.modes import MODES, POSITION
-from manip_sim.control.parts import atomic_parts, find_parts, Part
 from manip_sim.control.reflexes import Reflexes
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.parts import atomic_parts, find_parts, Part
 from manip_sim.physics.physics import Physics
+from manip_sim.simulation.joint_dynamics import joint_dynamics, JointDynamics
 from manip_sim.simulation.robot_reader import RobotReader
 from manip_sim.simulation.state import State
 from manip_sim.validation import positive_number

@@ -11,11 +11,11 @@ from functools import partial
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.parts import atomic_parts, find_places, Part
 from manip_sim.errors import UnknownNameError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import end_effector, EndEffectorReader, READINGS
+from manip_sim.physics.parts import atomic_parts, find_places, Part
 from manip_sim.physics.physics import Physics
 from manip_sim.sensing.channels import JointChannel, WrenchChannel
 from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing

@@ -16,18 +16,18 @@ import numpy as np
 
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.pose_stream import PoseStream
-from manip_sim.control.cartesian.robot_frames import Frame
 from manip_sim.control.cartesian.targets import Target
 from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.message_clock import MessageClock, MessageClocks
-from manip_sim.control.point_streams import PointStreams
-from manip_sim.control.streams import RampEstimator, StreamEstimator, WaitingGoals
+from manip_sim.control.stream_estimation import RampEstimator, StreamEstimator, WaitingGoals
+from manip_sim.control.streamed_trajectories import PointStreams
 from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.errors import ModelError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.physics import Physics, PHYSICS
 from manip_sim.physics.physics_steps import PhysicsSteps
+from manip_sim.physics.robot_frames import Frame
 from manip_sim.resources import package_version
 from manip_sim.simulation.control_state import Content, ControlState
 from manip_sim.simulation.episode_start import EpisodeStart

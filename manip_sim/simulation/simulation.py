@@ -17,6 +17,7 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.entities import Entities
 from manip_sim.physics.free_base import FreeRoots
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.physics_steps import PhysicsSteps
@@ -25,7 +26,6 @@ from manip_sim.physics.spawning import plan_world, WorldPlan
 from manip_sim.sensing.lidars import Lidars
 from manip_sim.simulation.control_period import ControlPeriods, Interval
 from manip_sim.simulation.control_state import Content
-from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.episode_start import EpisodeStart
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.present_robots import PresentRobots

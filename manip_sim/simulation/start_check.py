@@ -14,8 +14,8 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray
 from manip_sim.models.couplings import JointCouplings
+from manip_sim.models.mechanism import actuated_joints, joints_between
 from manip_sim.models.robots.subsystems import driven_joint
-from manip_sim.physics.mechanism import actuated_joints, joints_between
 from manip_sim.simulation.start_defect import StartDefect
 from manip_sim.simulation.start_drives import find_drive_defects
 

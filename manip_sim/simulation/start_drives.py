@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray
+from manip_sim.models.mechanism import actuated_joints, moved_joints
 from manip_sim.models.robots.subsystems import driven_joint
 from manip_sim.physics.actuator_properties import effort_range
-from manip_sim.physics.mechanism import actuated_joints, moved_joints
 from manip_sim.quoting import quoted_names
 from manip_sim.simulation.start_defect import StartDefect
 

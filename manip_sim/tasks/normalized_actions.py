@@ -9,7 +9,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -19,6 +18,7 @@ from manip_sim.clamping import finite_numbers
 from manip_sim.control.cartesian.kinematic_chains import find_chains, KinematicChain
 from manip_sim.control.commands import Command
 from manip_sim.errors import UnknownNameError
+from manip_sim.models.quaternion import rotation_vector
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: What an action may be: robosuite's OSC_POSE, or a goal for each joint.
@@ -146,16 +146,9 @@ class PoseActions(Actions):
         here, turned = item.chain.tip.pose(data)
         _, axes = item.chain.origin.pose(data)
         way = product(axes.T, position - here) / STEP_M
-        turn = product(axes.T, _rotation_vector(product(rotation, turned.T))) / TURN_RAD
+        turn = product(axes.T, rotation_vector(product(rotation, turned.T))) / TURN_RAD
         return np.concatenate([_shortened(way, min(1.0, longest_m / STEP_M)),
                                _shortened(turn, 1.0)])
-
-
-def _rotation_vector(rotation: FloatArray) -> FloatArray:
-    quat, vector = np.empty(4), np.empty(3)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(rotation).reshape(9))
-    mujoco.mju_quat2Vel(vector, quat, 1.0)
-    return vector
 
 
 def _shortened(vector: FloatArray, longest: float) -> FloatArray:

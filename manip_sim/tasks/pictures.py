@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.camera_choice import chosen_cameras, described_cameras
 from manip_sim.models.cameras import MAX_PIXELS
 from manip_sim.models.world import World
 from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
-from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
+from manip_sim.simulation.snapshots import take_snapshot, VisibleWorld
 
 #: A camera of the model by its name, or the description of another one, also as YAML.
 CameraLike = Union[str, Mapping[str, Any]]

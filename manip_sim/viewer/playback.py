@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError
-from manip_sim.models import trial
+from manip_sim.models import sandbox
 from manip_sim.models.archive import load_archive
 from manip_sim.startup import EndSignals
 from manip_sim.viewer.page.access import Access
@@ -59,7 +59,7 @@ def show_records(options: argparse.Namespace) -> int:
             player.update(time.monotonic())
     finally:
         close_server(server)
-    trial.give_up()
+    sandbox.give_up()
     return 0
 
 

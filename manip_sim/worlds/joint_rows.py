@@ -11,7 +11,7 @@ import numpy as np
 
 from manip_sim.control.commands import JointSetpoint
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.profiles import Plan
+from manip_sim.control.motion_profiles import Plan
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.worlds.servo_rows import ServoRows
 from manip_sim.worlds.setpoint_rows import SetpointRows

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.control.motion_profiles import Plan
 from manip_sim.control.planned_controls import CALM
-from manip_sim.control.profiles import Plan
 from manip_sim.simulation import SimulatedRobot
 
 

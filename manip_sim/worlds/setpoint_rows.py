@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.profiles import (
+from manip_sim.control.motion_profiles import (
     braking_velocity, change_before_the_end, low_pass, Plan, plan_ramps, ramp,
     velocity_before_the_end, way_of_ramp, within)
 from manip_sim.control.setpoints import AHEAD_S, ARRIVED, SetpointGenerator

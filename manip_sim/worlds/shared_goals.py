@@ -21,7 +21,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.message_clock import MessageClock
 from manip_sim.control.setpoints import SetpointGenerator
-from manip_sim.control.streams import WaitingGoal
+from manip_sim.control.stream_estimation import WaitingGoal
 
 #: What a clock consists of, besides the coordinates that it is of.
 _TIMES = tuple(name for name in vars(MessageClock()) if name not in ('indices', 'where'))

@@ -20,7 +20,7 @@ from manip_sim.control.commands import JointSetpoint, Status
 from manip_sim.control.message_clock import MessageClock
 from manip_sim.control.modes import POSITION
 from manip_sim.control.planned_controls import PlannedRates
-from manip_sim.control.streams import WaitingGoal
+from manip_sim.control.stream_estimation import WaitingGoal
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.worlds.joint_rows import takes
 from manip_sim.worlds.servo_rows import ServoRows

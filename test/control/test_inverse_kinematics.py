@@ -12,8 +12,8 @@ from manip_sim.control.cartesian import displacements
 from manip_sim.control.cartesian.displacements import displace, Displacements
 from manip_sim.control.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, stop)
-from manip_sim.control.cartesian.robot_frames import RobotFrames
 from manip_sim.control.cartesian.singularities import bend, rate_without_bend
+from manip_sim.physics.robot_frames import RobotFrames
 
 #: A gantry: each joint moves the end effector along or about one axis.
 GANTRY = np.eye(6)

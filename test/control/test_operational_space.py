@@ -10,7 +10,7 @@ import pytest
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.cartesian.operational_space import WantedMotions
-from manip_sim.control.cartesian.robot_frames import rotation_of_vector, rotation_vector
+from manip_sim.models.quaternion import matrix_of_vector, rotation_vector
 
 
 def wanted_motion(jacobian, error, twist, settings, velocity_limit):
@@ -270,5 +270,5 @@ def test_motions_of_several_arms_are_those_of_each_to_the_bit():
 @pytest.mark.parametrize('angle', [0.0, 1e-9, 0.5, 2.0, 3.14])
 def test_a_rotation_vector_has_the_axis_and_the_angle_of_the_rotation(axis, angle):
     vector = angle * np.array(axis)
-    np.testing.assert_allclose(rotation_of_vector(vector), turned(axis, angle), atol=1e-12)
+    np.testing.assert_allclose(matrix_of_vector(vector), turned(axis, angle), atol=1e-12)
     np.testing.assert_allclose(rotation_vector(turned(axis, angle)), vector, atol=1e-12)

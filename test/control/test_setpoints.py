@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-from manip_sim.control.profiles import braking_velocity
+from manip_sim.control.motion_profiles import braking_velocity
 from manip_sim.control.setpoints import SetpointGenerator
 
 V, A = 2.0, 8.0

@@ -10,7 +10,7 @@ import pytest
 
 from manip_sim.control.message_clock import MessageClock
 from manip_sim.control.setpoints import SetpointGenerator
-from manip_sim.control.streams import StreamEstimator
+from manip_sim.control.stream_estimation import StreamEstimator
 
 PERIOD_S, LIMIT = 0.01, np.array([10.0])
 JOINT = np.array([0])

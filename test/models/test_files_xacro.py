@@ -14,9 +14,9 @@ import pytest
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose, load_robot
 from manip_sim.models.files.xacro_expansion import split_arguments
-from manip_sim.models.held_models import hold_model
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.sources import is_path
+from manip_sim.models.untrusted_models import hold_model
 
 xacro = pytest.importorskip('xacro', reason='xacro is not installed')
 

@@ -22,7 +22,7 @@ from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.models import compose
 from manip_sim.models.files import load_robot, requested_robot
 from manip_sim.models.files.requested_robot import load_requested
-from manip_sim.models.lost_shapes import LostShape
+from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.regular_files import FilesBelow, KeptFiles, OneText
 from manip_sim.models.urdf_writer.link_shapes import binary_stl
 from manip_sim.models.urdf_writer.writer import urdf_of

@@ -6,9 +6,9 @@
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models.held_models import hold_model
 from manip_sim.models.objects import create_object
 from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.untrusted_models import hold_model
 from manip_sim.models.xml_check import XmlModel
 from manip_sim.models.xml_limits import Budget, excess, Limits, product
 

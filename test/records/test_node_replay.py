@@ -23,10 +23,10 @@ from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import NODE
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
+from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 from manip_sim.simulation.robot_spawning import plan_with_robot
-from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 
 TEXT, TOPIC = 'std_msgs/String', '/manip_sim/journal'
 

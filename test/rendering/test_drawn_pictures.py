@@ -10,7 +10,7 @@ import pytest
 from manip_sim.models import compose
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
+from manip_sim.simulation.snapshots import take_snapshot, VisibleWorld
 
 DRAWN = {
     'lights': {'key': {'diffuse': {'uniform': [[0.0] * 3, [1.0] * 3]}}},

@@ -17,8 +17,8 @@ from manip_sim.models import compose
 from manip_sim.ros.action_messages import (
     GripperMessages, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.ros.actions import messages_of
+from manip_sim.runtime.goals import GoalCode, GoalError
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.goals import GoalCode, GoalError
 
 J1, J2 = 'robot0_joint1', 'robot0_joint2'
 FINGER = 'gripper0_right_finger_joint1'

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from manip_sim.errors import ManipSimError
 from manip_sim.physics.spawning import plan_without
 from manip_sim.rendering.offscreen import OffscreenRenderer
-from manip_sim.ros.outputs import Output
+from manip_sim.ros.lazy_publishers import Output
 from manip_sim.sensing.images import ImageNoise
 
 #: It looks along x, so that in its optical frame z is x, x is -y and y is -z.
@@ -350,7 +350,7 @@ HANGS = """
 import atexit, sys, threading
 atexit.register(lambda: threading.Event().wait())
 from manip_sim.rendering.offscreen import OffscreenRenderer
-from manip_sim.ros.outputs import Output
+from manip_sim.ros.lazy_publishers import Output
 
 def render(*_, **__):
     print('rendering', flush=True)

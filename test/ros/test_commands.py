@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from manip_sim.ros.publishers import MESSAGE_TYPE
+from manip_sim.ros.state_publishers import MESSAGE_TYPE
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])

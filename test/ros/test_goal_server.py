@@ -21,8 +21,8 @@ from test_msgs.action import Fibonacci  # noqa: E402
 from manip_sim.ros import sim_node  # noqa: E402
 from manip_sim.ros.action_messages import ActionMessages  # noqa: E402
 from manip_sim.ros.actions import ActionServers  # noqa: E402
-from manip_sim.simulation.goals import GoalCode, GoalError  # noqa: E402
-from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest  # noqa: E402
+from manip_sim.runtime.goals import GoalCode, GoalError  # noqa: E402
+from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest  # noqa: E402
 
 J1 = 'robot0_joint1'
 NAME = 'arm/swing'

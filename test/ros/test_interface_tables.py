@@ -16,7 +16,7 @@ from manip_sim.interface.served_instruments import served_instruments
 from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS
 from manip_sim.interface.world_topics import topics_of_world
 from manip_sim.ros import planning_scene_publisher, transforms
-from manip_sim.ros.outputs import message_class
+from manip_sim.ros.lazy_publishers import message_class
 
 OF_ROS = {'/rosout', '/parameter_events'}
 #: Services that every node of rclpy has, and optional ones.

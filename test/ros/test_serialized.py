@@ -11,11 +11,12 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
 from manip_sim.control.controlled_joints import ControllerState, JointReference
-from manip_sim.ros import messages, outputs, transforms
-from manip_sim.ros.publishers import controller_numbers, controller_state, ROWS
+from manip_sim.physics.frame_tree import TreeFrame
+from manip_sim.ros import messages, transforms
+from manip_sim.ros.lazy_publishers import Output, Publication, Publications
 from manip_sim.ros.scene import odometry
 from manip_sim.ros.serialized import SerializedMessage
-from manip_sim.simulation.frames import TreeFrame
+from manip_sim.ros.state_publishers import controller_numbers, controller_state, ROWS
 
 NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
 FRAMES = [TreeFrame('link1', 'world'), TreeFrame('link2', 'link1'), TreeFrame('ball', 'world')]
@@ -156,9 +157,9 @@ def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_loo
     def read(simulation):
         reads.append(simulation)
         return np.ones(6)
-    topics = outputs.Publications()
+    topics = Publications()
     make = partial(messages.twist_stamped, 'world')
-    topics.replace((outputs.Publication(outputs.Output(publisher, None), make, read, 6),))
+    topics.replace((Publication(Output(publisher, None), make, read, 6),))
     assert not topics.look()
     publisher.count = 1
     topics.publish(Instant())
@@ -175,10 +176,9 @@ def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_loo
 
 
 def test_a_topic_that_has_nothing_to_tell_publishes_nothing():
-    publisher, topics = Listeners(), outputs.Publications()
+    publisher, topics = Listeners(), Publications()
     publisher.count = 1
-    topics.replace((outputs.Publication(outputs.Output(publisher, None), messages.clock,
-                                        lambda _: None, 0),))
+    topics.replace((Publication(Output(publisher, None), messages.clock, lambda _: None, 0),))
     assert topics.look()
     topics.publish(Instant())
     assert publisher.published == []

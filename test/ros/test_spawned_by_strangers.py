@@ -25,7 +25,7 @@ from visualization_msgs.msg import Marker
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import spawn_files
-from manip_sim.models import held_models, trial
+from manip_sim.models import untrusted_models, sandbox
 from manip_sim.models.files import requested_robot
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.physics.poses import Pose
@@ -93,9 +93,9 @@ def slow_mesh(faces):
 
 def test_a_mesh_that_takes_too_long_is_rejected_while_all_else_goes_on(
         serve, client, tmp_path, monkeypatch):
-    monkeypatch.setattr(trial, 'MAX_CPU_S', 1)
-    seen, tried = threading.Event(), trial._tried
-    monkeypatch.setattr(trial, '_tried', lambda *work: tried(*work) if seen.wait(60.0) else '')
+    monkeypatch.setattr(sandbox, 'MAX_CPU_S', 1)
+    seen, tried = threading.Event(), sandbox._tried
+    monkeypatch.setattr(sandbox, '_tried', lambda *work: tried(*work) if seen.wait(60.0) else '')
     (tmp_path / 'm.stl').write_bytes(slow_mesh(100_000))
     (tmp_path / 'o.xml').write_text(MESH)
     node = serve(arena='table')
@@ -205,17 +205,17 @@ def test_a_process_that_ends_does_not_wait_for_the_background(monkeypatch):
 
 
 def test_what_is_tried_is_given_up_by_a_process_that_ends(tmp_path, monkeypatch):
-    monkeypatch.setattr(trial, 'MAX_CPU_S', 60)
+    monkeypatch.setattr(sandbox, 'MAX_CPU_S', 60)
     (tmp_path / 'm.stl').write_bytes(slow_mesh(100_000))
     (tmp_path / 'o.xml').write_text(MESH)
-    held = held_models.hold_model(tmp_path / 'o.xml', FilesBelow([tmp_path], 'spawn_roots'))
+    held = untrusted_models.hold_model(tmp_path / 'o.xml', FilesBelow([tmp_path], 'spawn_roots'))
     loading = begin(held.load)
-    while not trial._running:
+    while not sandbox._running:
         assert not loading.done()
-    trial.give_up()
+    sandbox.give_up()
     with pytest.raises(ManipSimError, match='to load, which is the limit'):
         loading.result(START_S)
-    assert not trial._running
+    assert not sandbox._running
 
 
 @pytest.mark.parametrize('folders', [[], ['']])
@@ -324,7 +324,7 @@ def door(files, text='', uri=''):
 @pytest.fixture
 def tried_here(monkeypatch):
     """Compile in this process, where nothing else keeps MuJoCo from opening files."""
-    monkeypatch.setattr(held_models, 'try_to_compile', lambda *_: None)
+    monkeypatch.setattr(untrusted_models, 'try_to_compile', lambda *_: None)
     monkeypatch.setattr(requested_robot, 'try_to_do', lambda *_, **__: None)
 
 

@@ -19,7 +19,7 @@ from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.runtime.camera_thread import _Order, CameraThread, CameraView
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
+from manip_sim.simulation.snapshots import take_snapshot, VisibleWorld
 
 WAIT_S = 300.0
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.2, 'position': [3.0, 0.0, 1.0],

@@ -14,8 +14,8 @@ from manip_sim.interface.parameters import commanded_parts, mode_parameters
 from manip_sim.interface.topics import Scope
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
+from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 
 
 def test_the_joints_of_a_twist_are_those_of_a_mobile_base_and_others_have_none():

@@ -34,8 +34,8 @@ from manip_sim.ros.actions import messages_of
 from manip_sim.ros.standard_answers import ResultCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
+from manip_sim.runtime.goals import Goal, GoalError
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.goals import Goal, GoalError
 
 _OBJECTS = 3
 _FILES = {'can.xml': MJCF, 'ball.yaml': BALL, 'not.xml': '<mujoco>', 'self.xml':

@@ -17,12 +17,12 @@ from manip_sim.clamping import action_example, clamp, finite_numbers
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianPose, CartesianTwist, PoseAction)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.robot_frames import RobotFrames, rotation_of
 from manip_sim.control.joint_controller import JointController
 from manip_sim.errors import UnknownNameError
-from manip_sim.models.quaternion import xyzw_to_wxyz
+from manip_sim.models.quaternion import matrix_of, xyzw_to_wxyz
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.poses import Pose, Twist
+from manip_sim.physics.robot_frames import RobotFrames
 
 
 class CartesianParser:
@@ -64,7 +64,7 @@ class CartesianParser:
         return CartesianPose(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
             frame=found, position=pose.position,
-            rotation=rotation_of(xyzw_to_wxyz(pose.quat_xyzw)))
+            rotation=matrix_of(xyzw_to_wxyz(pose.quat_xyzw)))
 
     def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = ''
               ) -> CartesianTwist:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.control.cartesian.robot_frames import Frame
 from manip_sim.control.commands import Command
+from manip_sim.physics.robot_frames import Frame
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,14 +17,13 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, STILL, stop)
+from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.operational_space_controller import (
     EffortSolution, EndEffectorEfforts, FollowingEndEffector, OperationalSpaceController)
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport, MISSED
-from manip_sim.control.cartesian.robot_frames import Frame
 from manip_sim.control.cartesian.targets import pose_error, Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.joint_accelerations import SPEED_UP_S
@@ -36,6 +35,7 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses import Pose
+from manip_sim.physics.robot_frames import Frame
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012

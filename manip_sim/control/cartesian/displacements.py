@@ -27,7 +27,7 @@ from manip_sim.algebra import (
     dot, factorized, LEAST_PIVOT, length, product, transposed_product, with_diagonal)
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.cartesian.singularities import is_singular, SINGULAR
-from manip_sim.control.profiles import within
+from manip_sim.control.motion_profiles import within
 
 #: What needs larger displacements of a joint is not possible here [rad].
 _LARGEST = 1.0

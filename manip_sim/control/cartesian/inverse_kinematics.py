@@ -18,7 +18,7 @@ from manip_sim.algebra import dot, length, product
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.cartesian.displacements import displace
 from manip_sim.control.cartesian.singularities import rate_without_bend
-from manip_sim.control.profiles import braking_velocity
+from manip_sim.control.motion_profiles import braking_velocity
 
 #: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
 _LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5

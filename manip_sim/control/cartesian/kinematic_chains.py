@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import mujoco
 
 from manip_sim.arrays import IntArray
-from manip_sim.control.cartesian.robot_frames import Frame, RobotFrames
-from manip_sim.control.parts import Part
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.end_effectors import EndEffectorReader
+from manip_sim.physics.parts import Part
+from manip_sim.physics.robot_frames import Frame, RobotFrames
 
 
 @dataclass(frozen=True)

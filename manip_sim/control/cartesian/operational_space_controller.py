@@ -16,10 +16,10 @@ from manip_sim.arrays import as_slice, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.cartesian.displacements import Displacement
 from manip_sim.control.cartesian.operational_space import WantedMotions
-from manip_sim.control.cartesian.robot_frames import Frame
 from manip_sim.control.cartesian.targets import Target, pose_error
 from manip_sim.control.servos import Servos
 from manip_sim.physics.physics import Physics
+from manip_sim.physics.robot_frames import Frame
 
 #: A pose is reached within this [m, rad], by an end effector that is slower [m/s, rad/s].
 _REACHED = np.array([1e-3] * 3 + [1e-2] * 3)

@@ -11,9 +11,9 @@ import numpy as np
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
-from manip_sim.control.cartesian.robot_frames import rotation_of_vector, rotation_vector
 from manip_sim.control.joint_accelerations import SPEED_UP_S
-from manip_sim.control.streams import StreamEstimator
+from manip_sim.control.stream_estimation import StreamEstimator
+from manip_sim.models.quaternion import matrix_of_vector, rotation_vector
 
 _ALL = np.arange(6)
 #: Less than this is no acceleration [m/s^2, rad/s^2].
@@ -150,4 +150,4 @@ class PoseStream:
         estimator, left_s = self._estimator, max(self._ramp_end_s - now_s, 0.0)
         age_s = now_s - estimator.sent_s - 1.5 * estimator.interval_s
         way = self._velocity * age_s + self._slope * left_s**2 / 2.0
-        return self._position + way[:3], product(rotation_of_vector(way[3:]), self._rotation)
+        return self._position + way[:3], product(matrix_of_vector(way[3:]), self._rotation)

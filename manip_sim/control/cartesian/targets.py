@@ -17,9 +17,9 @@ from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist, PoseAction)
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
-from manip_sim.control.cartesian.robot_frames import (
-    Frame, rotation_of_vector, rotation_vector, WORLD)
 from manip_sim.control.velocity_stream import VelocityStream
+from manip_sim.models.quaternion import matrix_of_vector, rotation_vector
+from manip_sim.physics.robot_frames import Frame, WORLD
 
 #: How far a goal that a twist moves may be ahead of the end effector [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
@@ -148,9 +148,9 @@ class Target:
         here, turned = tip.pose(data)
         ahead = _bounded(position + duration_s * twist[:3] - here, _LEAD)
         turn = rotation_vector(product(product(
-            rotation_of_vector(duration_s * twist[3:]), rotation), turned.T))
+            matrix_of_vector(duration_s * twist[3:]), rotation), turned.T))
         self.stay_at((here + ahead, product(
-            rotation_of_vector(_bounded(turn, _TURN_LEAD)), turned)), data)
+            matrix_of_vector(_bounded(turn, _TURN_LEAD)), turned)), data)
 
 
 def _bounded(vector: FloatArray, limit: float) -> FloatArray:
@@ -187,7 +187,7 @@ def target_of(command: CartesianCommand, chain: KinematicChain, model: mujoco.Mj
     position, rotation = chain.tip.pose(data)
     if isinstance(command, PoseAction):
         _, axes = chain.origin.pose(data)
-        turn = rotation_of_vector(product(axes, _ACTION_TURN * command.action[3:]))
+        turn = matrix_of_vector(product(axes, _ACTION_TURN * command.action[3:]))
         return Target.at(chain.origin, position + product(axes, _ACTION_STEP * command.action[:3]),
                          product(turn, rotation), data)
     assert isinstance(command, CartesianTwist)

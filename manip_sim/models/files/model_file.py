@@ -22,10 +22,10 @@ from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
-from manip_sim.models.held_models import hold_robot
 from manip_sim.models.loading import compile_alone, load_spec, name_unnamed_elements
-from manip_sim.models.lost_shapes import Lost, LostShape, MissingMeshError, warnings_of
+from manip_sim.models.missing_meshes import Lost, LostShape, MissingMeshError, warnings_of
 from manip_sim.models.regular_files import Files
+from manip_sim.models.untrusted_models import hold_robot
 from manip_sim.quoting import quoted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.

@@ -27,10 +27,10 @@ from manip_sim.models.files.part_descriptions import RobotDescription
 from manip_sim.models.files.robot_plan import plan_robot
 from manip_sim.models.files.urdf import hold_urdf, is_urdf
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.held_models import held_name, hold_robot
 from manip_sim.models.object_model import NOT_SPAWNED
 from manip_sim.models.regular_files import Files, KeptFiles, OneText
-from manip_sim.models.trial import try_to_do
+from manip_sim.models.sandbox import try_to_do
+from manip_sim.models.untrusted_models import held_name, hold_robot
 from manip_sim.quoting import one_line
 
 #: Greatest number of degrees of freedom.

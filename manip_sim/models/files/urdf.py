@@ -18,9 +18,9 @@ from manip_sim.errors import ModelError
 from manip_sim.models.files.link_masses import make_physical
 from manip_sim.models.files.urdf_meshes import find_meshes
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
-from manip_sim.models.held_models import hold_tree, HeldModel, ROBOT_LIMITS
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files, OneText
+from manip_sim.models.untrusted_models import hold_tree, HeldModel, ROBOT_LIMITS
 from manip_sim.models.xml_check import XmlModel
 from manip_sim.models.xml_limits import Budget
 from manip_sim.quoting import counted, one_line, quoted, quoted_names

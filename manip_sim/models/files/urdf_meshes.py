@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES
 from manip_sim.models.files.package_folders import package_folders
-from manip_sim.models.lost_shapes import (
+from manip_sim.models.missing_meshes import (
     check_fetched, Lost, LostShape, MissingMeshError, warnings_of)
 from manip_sim.models.regular_files import Files
 from manip_sim.quoting import one_line, quoted

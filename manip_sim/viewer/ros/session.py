@@ -19,7 +19,7 @@ from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import Marker
 
 from manip_sim.errors import ManipSimError
-from manip_sim.models import trial
+from manip_sim.models import sandbox
 from manip_sim.quoting import counted
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros import background
@@ -209,7 +209,7 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    trial.give_up()
+    sandbox.give_up()
     return leave(0, background.THREAD_NAME)
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.quoting import quoted
@@ -113,26 +112,3 @@ class RobotFrames:
             raise CommandError(f'{what}: unknown frame {quoted(name)}: '
                                f'{describe_choices(name, self._frames)}')
         return frame
-
-
-def rotation_of(quat_wxyz: FloatArray) -> FloatArray:
-    """Return the rotation matrix of a quaternion w, x, y, z, shape (3, 3)."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, quat_wxyz)
-    return matrix.reshape(3, 3)
-
-
-def rotation_of_vector(vector: FloatArray) -> FloatArray:
-    """Return the rotation matrix of a rotation vector [rad], shape (3, 3)."""
-    quat_wxyz, angle = np.empty(4), length(vector)
-    axis = vector / angle if angle > 0.0 else np.array([1.0, 0.0, 0.0])
-    mujoco.mju_axisAngle2Quat(quat_wxyz, axis, angle)
-    return rotation_of(quat_wxyz)
-
-
-def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """Return the rotation vector of a rotation matrix [rad], shape (3,)."""
-    quat_wxyz, vector = np.empty(4), np.empty(3)
-    mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(rotation).reshape(9))
-    mujoco.mju_quat2Vel(vector, quat_wxyz, 1.0)
-    return vector

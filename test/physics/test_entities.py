@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.physics.entities import Entities
 from manip_sim.physics.poses import Pose, Twist
-from manip_sim.simulation.entities import Entities
 
 # The brick's centre of mass is beside its frame, so that the frame's origin is swung around.
 WORLD = """

@@ -16,11 +16,11 @@ from opened_files import OpenedFiles
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import held_models, trial, World
+from manip_sim.models import untrusted_models, sandbox, World
 from manip_sim.models.asset_files import check_content
-from manip_sim.models.held_models import hold_model, LIMITS
 from manip_sim.models.objects import create_object, object_from_model
 from manip_sim.models.regular_files import Files, FilesBelow, OneText, read_file
+from manip_sim.models.untrusted_models import hold_model, LIMITS
 
 SECRET = 'secret'
 BODY = '<body name="o"><freejoint/><geom size="0.05" mass="0.1"/>{}</body>'
@@ -119,7 +119,7 @@ def below(tmp_path):
 @pytest.fixture
 def tried_here(monkeypatch):
     """Compile in this process, where nothing else keeps MuJoCo from opening files."""
-    monkeypatch.setattr(held_models, 'try_to_compile', lambda *_: None)
+    monkeypatch.setattr(untrusted_models, 'try_to_compile', lambda *_: None)
 
 
 def doors(text, below):
@@ -371,7 +371,7 @@ def test_a_file_that_is_not_what_it_says_or_too_much_is_rejected(kind, suffix, c
 
 
 def test_files_together_are_bounded(below, monkeypatch):
-    monkeypatch.setattr(held_models, '_MAX_ASSET_BYTES', 2 * len(tetrahedron()) - 1)
+    monkeypatch.setattr(untrusted_models, '_MAX_ASSET_BYTES', 2 * len(tetrahedron()) - 1)
     for name in 'ab':
         (below[0] / f'{name}.stl').write_bytes(tetrahedron(0.1 + ord(name)))
     (below[0] / 'o.xml').write_text(mjcf(
@@ -432,7 +432,7 @@ def test_memory_that_an_object_asks_for_is_left_out():
     (mjcf('<asset><texture type="2d" builtin="flat" width="9" height="9"/></asset>'), False)])
 def test_what_compiles_quickly_for_sure_is_not_tried_before(text, light, monkeypatch):
     tried = []
-    monkeypatch.setattr(held_models, 'try_to_compile', lambda *work: tried.append(work))
+    monkeypatch.setattr(untrusted_models, 'try_to_compile', lambda *work: tried.append(work))
     text_model(text).load()
     assert bool(tried) != light
 
@@ -441,7 +441,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.2))
     (below[0] / 'o.xml').write_text(mjcf('<asset><mesh file="m.stl"/></asset>'))
     hold_model(below[0] / 'o.xml', below[1]).load()
-    monkeypatch.setattr(trial, '_tried', lambda *_: 'was tried again')
+    monkeypatch.setattr(sandbox, '_tried', lambda *_: 'was tried again')
     hold_model(below[0] / 'o.xml', below[1]).load()
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.3))
     with pytest.raises(ModelError, match='o.xml was tried again'):
@@ -449,7 +449,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
 
 
 def try_it(text):
-    trial.try_to_compile('it', text, {}, {})
+    sandbox.try_to_compile('it', text, {}, {})
 
 
 def test_a_trial_tells_what_mujoco_says():
@@ -466,6 +466,6 @@ def test_a_trial_opens_no_file(secret):
 
 
 def test_a_trial_has_little_memory(monkeypatch):
-    monkeypatch.setattr(trial, 'MAX_MEMORY_BYTES', 1_000_000_000)
+    monkeypatch.setattr(sandbox, 'MAX_MEMORY_BYTES', 1_000_000_000)
     with pytest.raises(ModelError, match='^it (does not compile|cannot be compiled)'):
         try_it('<mujoco><size memory="2G"/></mujoco>')

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.models.cameras import camera_names
 from manip_sim.physics.spawning import compile_visual, WorldPlan
 from manip_sim.simulation.randomized import apply_to_model, Drawn
 from manip_sim.simulation.simulation import Simulation
@@ -52,11 +53,6 @@ def take_snapshot(simulation: Simulation) -> Snapshot:
     data = simulation.data
     return Snapshot(simulation.plan, simulation.time_ns, data.qpos.copy(), data.mocap_pos.copy(),
                     data.mocap_quat.copy(), simulation.randomized.drawn)
-
-
-def camera_names(model: mujoco.MjModel) -> list[str]:
-    """Return the names of the cameras of a ``mujoco.MjModel``."""
-    return [model.camera(index).name for index in range(model.ncam)]
 
 
 class VisibleWorld:

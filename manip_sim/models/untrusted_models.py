@@ -23,7 +23,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES, places, references
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files
-from manip_sim.models.trial import try_to_compile
+from manip_sim.models.sandbox import try_to_compile
 from manip_sim.models.xml_check import AssetFolders, XmlModel
 from manip_sim.models.xml_limits import Budget, Limits
 from manip_sim.quoting import one_line, quoted

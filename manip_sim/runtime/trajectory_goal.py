@@ -15,10 +15,10 @@ from manip_sim.arrays import FloatArray
 from manip_sim.control.commands import JointTrajectory, Status
 from manip_sim.control.joint_command_parser import check_names
 from manip_sim.errors import CommandError
-from manip_sim.simulation.goals import Goal, GoalCode, GoalError
+from manip_sim.runtime.goals import Goal, GoalCode, GoalError
+from manip_sim.runtime.tolerances import ERASE, JointTolerance, Tolerances
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
-from manip_sim.simulation.tolerances import ERASE, JointTolerance, Tolerances
 
 #: The default of ``stopped_velocity_tolerance`` of joint_trajectory_controller [rad/s or m/s].
 STOPPED_VELOCITY = 0.01

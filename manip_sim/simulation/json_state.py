@@ -11,11 +11,11 @@ import json
 from typing import Any
 import zlib
 
-from manip_sim.control.cartesian.robot_frames import Frame
 from manip_sim.control.commands import CommandHandle
 from manip_sim.errors import ModelError
+from manip_sim.physics.robot_frames import Frame
 from manip_sim.quoting import one_line
-from manip_sim.simulation.plain import check_like, Decoder, Encoder
+from manip_sim.simulation.json_codec import check_like, Decoder, Encoder
 from manip_sim.simulation.saved_state import gains
 from manip_sim.simulation.simulation import Simulation
 

@@ -7,9 +7,9 @@ import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose
+from manip_sim.models.camera_choice import chosen_cameras, described_cameras
 from manip_sim.models.cameras import create_camera, ImageSettings, MAX_PIXELS
 from manip_sim.models.world import World
-from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
 
 
 def choose(*given, world=None):

@@ -15,9 +15,9 @@ import mujoco
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import World
 from manip_sim.models.cameras import ImageSettings, MAX_PIXELS
+from manip_sim.models.cameras import camera_names
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
-from manip_sim.simulation.appearance import camera_names
 
 #: A token of a topic's name.
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')

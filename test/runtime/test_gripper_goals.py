@@ -12,9 +12,9 @@ import pytest
 from manip_sim.control.commands import Status
 from manip_sim.models import compose
 from manip_sim.models.grippers import gripper_names
+from manip_sim.runtime.goals import Ending, GoalCode, GoalError
+from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.goals import Ending, GoalCode, GoalError
-from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 
 GRIPPER = 'right/gripper'
 FINGER, OTHER = 'gripper0_right_finger_joint1', 'gripper0_right_finger_joint2'

@@ -23,8 +23,9 @@ from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, Topic
 from manip_sim.interface.world_topics import topics_of, truths
 from manip_sim.models import World
 from manip_sim.ros import messages
+from manip_sim.ros.lazy_publishers import (
+    create_output, create_publisher, Publication, Publications)
 from manip_sim.ros.optional_packages import import_optional
-from manip_sim.ros.outputs import create_output, create_publisher, Publication, Publications
 from manip_sim.ros.serialized import Make
 from manip_sim.simulation import SimulatedRobot, Simulation
 
