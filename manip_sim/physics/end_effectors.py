@@ -118,9 +118,10 @@ class EndEffectorReader:
         :param data: the ``mujoco.MjData``
         :returns: linear [m/s] and angular velocity [rad/s], shape (6,)
         """
-        velocity = np.empty(6)
+        twist, velocity = np.empty(6), np.empty(6)
         mujoco.mj_objectVelocity(self._physics.model, data, _SITE, self._grip_site, velocity, 0)
-        return np.concatenate([velocity[3:], velocity[:3]])
+        twist[:3], twist[3:] = velocity[3:], velocity[:3]
+        return twist
 
     def wrench(self, data: mujoco.MjData) -> FloatArray:
         """

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -20,6 +20,12 @@ from manip_sim.physics.physics import Physics
 from manip_sim.sensing.channels import JointChannel, WrenchChannel
 from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing
 from manip_sim.simulation.state import State
+
+
+@cache
+def _channels_of(arm: str) -> tuple[str, ...]:
+    """Return the names of the channels of a gripper."""
+    return tuple(f'{arm}/{reading}' for reading in READINGS)
 
 
 class RobotReader:
@@ -66,9 +72,8 @@ class RobotReader:
         for arm, reader in self.end_effectors.items():
             wrench = WrenchChannel(reader.ft_frame, 6)
             noise = {'wrench': wrench, 'external_wrench': ExternalWrenchChannel(wrench)}
-            for reading in READINGS:
-                self.sensing.add(f'{arm}/{reading}', partial(self._read, arm, reading),
-                                 noise.get(reading))
+            for reading, channel in zip(READINGS, _channels_of(arm)):
+                self.sensing.add(channel, partial(self._read, arm, reading), noise.get(reading))
 
     def _read(self, arm: str, name: str) -> FloatArray:
         """Return one of the readings of a gripper, exactly."""
@@ -87,8 +92,9 @@ class RobotReader:
         if part not in self._addresses:
             raise UnknownNameError('part', part, self.indices_of)
         qpos, dofs = self._addresses[part]
-        data = self._physics.data
-        return np.concatenate([data.qpos[qpos], data.qvel[dofs], self._efforts.values[dofs]])
+        physics = self._physics
+        return np.concatenate([
+            physics.qpos[qpos], physics.qvel[dofs], self._efforts.values[dofs]])
 
     def state(self, read: Callable[[str], FloatArray]) -> State:
         """
@@ -99,7 +105,7 @@ class RobotReader:
         position, velocity, effort = read('joints').reshape(3, -1)
         return State(
             time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
-            end_effectors={arm: end_effector(*[read(f'{arm}/{name}') for name in READINGS])
+            end_effectors={arm: end_effector(*map(read, _channels_of(arm)))
                            for arm in self.end_effectors})
 
     def end_period(self, period_s: float) -> None:
