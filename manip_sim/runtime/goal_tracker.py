@@ -23,30 +23,26 @@ class GoalTracker:
 
     :param thread: runs the simulation; any number of trackers may observe it
     :param ended: is called in the simulation's thread, with each goal that has ended
+    :ivar goals: those that have not ended, oldest first
     """
 
     def __init__(self, thread: SimulationThread, ended: Callable[[Goal], None]) -> None:
         self._thread = thread
         self._ended = ended
         self._lock = threading.Lock()
-        self._goals: tuple[Goal, ...] = ()
-        thread.observe(self.observe, look=lambda: bool(self._goals))
+        self.goals: tuple[Goal, ...] = ()
+        thread.observe(self.observe, look=lambda: bool(self.goals))
         thread.changes.commands.keep_busy(self.busy_parts)
-
-    @property
-    def goals(self) -> tuple[Goal, ...]:
-        """The goals that have not ended, oldest first."""
-        return self._goals
 
     def busy_parts(self, robot: str) -> frozenset[str]:
         """Return the atomic parts of a robot that goals command."""
-        return frozenset().union(*(goal.busy_parts for goal in self._goals
+        return frozenset().union(*(goal.busy_parts for goal in self.goals
                                    if goal.robot.name == robot))
 
     def start(self, goal: Goal) -> None:
         """Submit the command of a goal and watch it from now on."""
         with self._lock:
-            self._goals = (*self._goals, goal)
+            self.goals = (*self.goals, goal)
         self._thread.observers.look_again()
         self._thread.submit([goal.command], robot=goal.robot.name)
 
@@ -56,8 +52,12 @@ class GoalTracker:
 
         :returns: whether this ended it; False if it or the simulation had ended before
         """
+        def cancel() -> bool:
+            cancelled = goal.cancel()
+            self._sweep()
+            return cancelled
         try:
-            return self._thread.call(lambda: self._change(goal, goal.cancel))
+            return self._thread.call(cancel)
         except SimulationEnded:
             return False
 
@@ -68,29 +68,24 @@ class GoalTracker:
         :param robot: only those of this robot, given by its name; None: of all
         """
         def abort() -> None:
-            for goal in self._goals:
+            for goal in self.goals:
                 if robot in (None, goal.robot.name):
                     goal.abort(reason)
             self._sweep()
         self._thread.call(abort)
 
-    def _change(self, goal: Goal, change: Callable[[], bool]) -> bool:
-        changed = change()
-        self._sweep()
-        return changed
-
     def observe(self, simulation: Simulation) -> None:
         """Check which goals have ended; called in the simulation's thread."""
-        if self._goals:
-            for goal in self._goals:
+        if self.goals:
+            for goal in self.goals:
                 goal.check(simulation)
             self._sweep()
 
     def _sweep(self) -> None:
         with self._lock:
-            ended = [goal for goal in self._goals if goal.outcome is not None]
+            ended = [goal for goal in self.goals if goal.outcome is not None]
             if ended:
-                self._goals = tuple(goal for goal in self._goals if goal.outcome is None)
+                self.goals = tuple(goal for goal in self.goals if goal.outcome is None)
         for goal in ended:
             if goal.outcome is not None and goal.outcome.ending is not Ending.SUCCEEDED:
                 self._thread.changes.journal.withdrawn(

@@ -41,6 +41,7 @@ class Pacer:
     :param real_time_factor: simulation time per wall time
     :param now_s: the present wall time [s]
     :param backlog_s: how late a period may be before the backlog is dropped, wall time [s]
+    :ivar real_time_factor: as given, or as :meth:`set_real_time_factor` has changed it
     :ivar lost_s: simulation time that was lost with the backlog so far [s]
     """
 
@@ -48,7 +49,7 @@ class Pacer:
                  backlog_s: float = 0.1) -> None:
         self._period_s = period_s
         self._backlog_s = backlog_s
-        self._factor = real_time_factor
+        self.real_time_factor = real_time_factor
         self.lost_s = 0.0
         self.restart(now_s)
 
@@ -59,13 +60,8 @@ class Pacer:
 
     def set_real_time_factor(self, factor: float, now_s: float) -> None:
         """Change the real-time factor from now on."""
-        self._factor = factor
+        self.real_time_factor = factor
         self.restart(now_s)
-
-    @property
-    def real_time_factor(self) -> float:
-        """Simulation time per wall time that is requested."""
-        return self._factor
 
     @property
     def missed(self) -> int:
@@ -75,7 +71,7 @@ class Pacer:
     @property
     def deadline_s(self) -> float:
         """Wall time at which the next period is due [s]."""
-        return self._anchor_s + self._count * self._period_s / self._factor
+        return self._anchor_s + self._count * self._period_s / self.real_time_factor
 
     def is_due(self, now_s: float) -> bool:
         """Return whether a period is due, and count it as begun if so."""
@@ -83,7 +79,7 @@ class Pacer:
         if late_s < 0.0:
             return False
         if late_s > self._backlog_s:
-            self.lost_s += late_s * self._factor
+            self.lost_s += late_s * self.real_time_factor
             self.restart(now_s)
         else:
             self._count += 1

@@ -25,7 +25,7 @@ class CommandBuffer:
     """
     Commands that wait for the next control period.
 
-    :param lockstep_parts: the atomic parts that must each have a command for :meth:`ready`
+    :param lockstep_parts: the atomic parts that must each have a command, see :meth:`missing`
     """
 
     def __init__(self, lockstep_parts: Iterable[str] = ()) -> None:
@@ -50,14 +50,6 @@ class CommandBuffer:
             else:
                 kept.append(rest)
         self._waiting = [*kept, command]
-
-    def ready(self, busy_parts: Iterable[str] = ()) -> bool:
-        """
-        Return whether each of the lock-step parts has a command.
-
-        :param busy_parts: parts that need no command, such as those that follow a trajectory
-        """
-        return not self.missing(busy_parts)
 
     def missing(self, busy_parts: Iterable[str] = ()) -> frozenset[str]:
         """
@@ -191,8 +183,8 @@ class PendingCommands:
     @property
     def complete(self) -> bool:
         """Whether every part that lock-step waits for has a command, or needs none."""
-        return all(buffer.ready() or buffer.ready(self._busy_parts(name))
-                   for name, buffer in self._buffers.items())
+        return not any(buffer.missing() and buffer.missing(self._busy_parts(name))
+                       for name, buffer in self._buffers.items())
 
     @property
     def missing(self) -> dict[str, list[str]]:

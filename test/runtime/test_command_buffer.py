@@ -178,45 +178,43 @@ def test_fingers_of_a_gripper_are_commanded_one_by_one():
 
 def test_lockstep_is_ready_when_every_part_has_a_command():
     buffer = CommandBuffer(['right', 'right/gripper'])
-    assert not buffer.ready()
+    assert buffer.missing()
     buffer.add(setpoint({0: 1.0}))
     buffer.add(setpoint({20: 1.0}, parts=frozenset(['head'])))
-    assert not buffer.ready()
     assert buffer.missing() == {'right/gripper'}
     buffer.add(gripper_action())
-    assert buffer.ready()
     assert not buffer.missing()
     buffer.take()
-    assert not buffer.ready()
+    assert buffer.missing()
 
 
 def test_lockstep_of_two_arms_waits_for_both():
     buffer = CommandBuffer(['right', 'left'])
     buffer.add(setpoint({0: 1.0}))
-    assert not buffer.ready()
+    assert buffer.missing()
     buffer.add(setpoint({7: 1.0}, parts=frozenset(['left'])))
-    assert buffer.ready()
+    assert not buffer.missing()
     buffer.take()
     buffer.add(setpoint({0: 1.0, 7: 1.0}, parts=BOTH))
-    assert buffer.ready()
+    assert not buffer.missing()
 
 
 def test_part_that_follows_a_trajectory_needs_no_command_in_lockstep():
     buffer = CommandBuffer(['right', 'left'])
     buffer.add(setpoint({0: 1.0}))
-    assert not buffer.ready(['right'])
-    assert buffer.ready(['left'])
+    assert buffer.missing(['right'])
+    assert not buffer.missing(['left'])
 
 
-def test_without_lockstep_parts_it_is_ready_at_once():
-    assert CommandBuffer().ready()
+def test_without_lockstep_parts_nothing_is_missing():
+    assert not CommandBuffer().missing()
 
 
 def test_cleared_commands_are_aborted_with_the_reason():
     buffer, command = CommandBuffer(['right']), setpoint({0: 1.0})
     buffer.add(command)
     buffer.clear('the simulation was reset')
-    assert not buffer.ready()
+    assert buffer.missing()
     assert buffer.take() == []
     assert (command.handle.status, command.handle.reason) == (
         Status.ABORTED, 'the simulation was reset')
