@@ -142,7 +142,8 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
     texts = {path: template.format(**names) for path, template in (
         ('README.md', _README), ('launch/bringup.launch.py', _BRINGUP),
         ('launch/spawn.launch.py', _SPAWN))}
-    texts |= build_files(folder.name, f'ros2_control of {name}', _dependencies(hardware),
+    needed = sorted((*_DEPENDENCIES, hardware.plugin.partition('/')[0]))
+    texts |= build_files(folder.name, f'ros2_control of {name}', needed,
                          ('config', 'launch', 'meshes'))
     texts |= as_yaml({
         'config/controllers.yaml': {
@@ -175,10 +176,6 @@ def _driven(urdf: str) -> set[str]:
     return {str(joint.get('name'))
             for joint in ElementTree.fromstring(urdf).iterfind('ros2_control/joint')
             if joint.find('command_interface') is not None}
-
-
-def _dependencies(hardware: Hardware) -> list[str]:
-    return sorted((*_DEPENDENCIES, hardware.plugin.partition('/')[0]))
 
 
 def effective_inertias(simulation: Simulation) -> dict[str, float]:

@@ -23,7 +23,7 @@ from manip_sim.moveit import launch_files
 from manip_sim.moveit.collisions import disabled_pairs
 from manip_sim.moveit.ros_package import (
     as_yaml, check_folder, robot_in, Settings, write_files)
-from manip_sim.moveit.srdf import find_groups, find_postures, Group, passive_joints, write_srdf
+from manip_sim.moveit.srdf import find_groups, find_postures, Group, write_srdf
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot import SimulatedRobot
 
@@ -164,13 +164,13 @@ def _contents(world: World, package: str, controlling: Controlling | None
     urdf, meshes = describe(model, robot, package)
     simulation = Simulation(world)
     simulated = simulation.robot
-    groups = find_groups(model, simulated, urdf)
+    groups, passive = find_groups(model, simulated, urdf)
     if not groups:
         raise ModelError(f'{robot.name} has no joints that MoveIt could plan for')
     postures = find_postures(simulation, simulated)
     name, velocity, effort = _read(urdf)
     disabled = disabled_pairs(world, robot, urdf.tree.link_of_body, postures)
-    srdf = write_srdf(name, groups, postures, passive_joints(model, simulated, urdf), disabled)
+    srdf = write_srdf(name, groups, postures, passive, disabled)
     texts = {f'config/{name}.urdf': urdf.xml, f'config/{name}.srdf': srdf,
              **launch_files.text_files(package, name),
              **as_yaml(_settings(groups, simulated, velocity, effort, controlling)),

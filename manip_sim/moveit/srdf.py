@@ -65,11 +65,13 @@ class Group:
         return bool(self.parent)
 
 
-def find_groups(model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf) -> list[Group]:
+def find_groups(model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf
+                ) -> tuple[list[Group], list[str]]:
     """
     Return the groups of a robot; a mobile base is driven by velocities and is none.
 
     :param model: the compiled ``mujoco.MjModel`` that the URDF was written from
+    :returns: the groups, and the scalar joints that nothing drives and that follow none
     """
     finder = _Finder(model, robot, urdf)
     groups = []
@@ -82,14 +84,9 @@ def find_groups(model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf) -> lis
         groups.append(Group(
             'arm', 'arm', one.joints + other.joints, one.active + other.active,
             one.driven + other.driven, subgroups=(one.name, other.name)))
-    return groups + finder.grippers([group.name for group in groups])
-
-
-def passive_joints(model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf) -> list[str]:
-    """Return the scalar joints that nothing drives and that follow none."""
-    finder = _Finder(model, robot, urdf)
-    return [joint for joint in robot.joint_names
-            if joint not in finder.followers and joint not in finder.actuated]
+    return groups + finder.grippers([group.name for group in groups]), [
+        joint for joint in robot.joint_names
+        if joint not in finder.followers and joint not in finder.actuated]
 
 
 class _Finder:
