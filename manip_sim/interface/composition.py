@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import re
 from typing import Any, TYPE_CHECKING
@@ -95,14 +95,8 @@ def compose_world(parameters: ParameterSource) -> Composition:
     parameters.declare([keyframe_parameter(keyframe_names(
         part for robot in robots for part in (robot, *robot.models))
         + keyframe_names([arena]))])
-    noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
-    world = World(robots, arena, timestep_s=value('timestep'),
-                  gravity_compensation=value('gravity_compensation'),
-                  objects=_objects(value('objects')), seed=value('seed'),
-                  initialization_noise=noise if noise['magnitude'] else None,
-                  cameras=described_cameras(value('cameras')),
-                  lidars=described_lidars(value('lidars')), keyframe=value('keyframe'),
-                  randomization=value('randomization') or None)
+    world = World(robots, arena, objects=_objects(value('objects')), keyframe=value('keyframe'),
+                  **_settings(value))
     _check_rates(world, value('publish_rate'))
     return Composition(scopes, world, steps)
 
@@ -119,22 +113,25 @@ def _compose_task(parameters: ParameterSource, steps: int) -> Composition:
     # A task brings its starts.
     parameters.declare([keyframe_parameter(())])
     parameters.declare(composition_parameters(Scope()))
-    noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
     # A task with two robots names them itself.
-    chosen: dict[str, Any] = {
-        'idn': value('idn'), 'prefix': value('prefix'), 'tactile': value('tactile'),
-        'lidars': described_lidars(value('lidars')), 'initialization_noise': (
-            noise if noise['magnitude'] else None)}
-    task = create_task(
-        value('task'), value('robot'), value('gripper'), base=value('base'),
-        timestep_s=value('timestep'), gravity_compensation=value('gravity_compensation'),
-        seed=value('seed'), cameras=described_cameras(value('cameras')),
-        randomization=value('randomization') or None,
-        **{name: found for name, found in chosen.items() if found})
+    chosen = {name: value(name) for name in ('idn', 'prefix', 'tactile') if value(name)}
+    task = create_task(value('task'), value('robot'), value('gripper'), base=value('base'),
+                       **_settings(value), **chosen)
     _check_rates(task.world, value('publish_rate'))
     robots = task.world.robots
     scopes = [Scope(robot.name_in_world) for robot in robots] if len(robots) > 1 else [Scope()]
     return Composition(scopes, task.world, steps, task)
+
+
+def _settings(value: Callable[[str], Any]) -> dict[str, Any]:
+    """Return what parameters set of any world; what they do not set is left to the world."""
+    noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
+    chosen = {'lidars': described_lidars(value('lidars')),
+              'initialization_noise': noise if noise['magnitude'] else None,
+              'randomization': value('randomization')}
+    return {'timestep_s': value('timestep'), 'gravity_compensation': value('gravity_compensation'),
+            'seed': value('seed'), 'cameras': described_cameras(value('cameras')),
+            **{name: found for name, found in chosen.items() if found}}
 
 
 def _check_rates(world: World, publish_rate: float) -> None:
