@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 import json
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from rclpy.publisher import Publisher
@@ -19,7 +18,7 @@ from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
 from manip_sim.ros.lazy_publishers import create_publisher
-from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation import SimulatedRobot
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
@@ -45,27 +44,21 @@ class DescriptionPublisher:
     """
     Latched publishers of ``robot_description`` of each robot.
 
-    :param world: the world of the robots
-    :param simulation: of it
-    :param robots: by their scope
-    :param plugin: hardware component of a ``<ros2_control>`` tag for the present control modes,
-        which names the topics as they are called after remapping; empty for no tag
-    :param lockstep: whether the physics waits for commands
-    :param rates_hz: of the sensors with fewer messages than control periods [Hz]
+    A ``<ros2_control>`` tag for the present control modes names the topics as they are called
+    after remapping.
+
+    :param world: the world of the robots, as it is at the start
     """
 
-    def __init__(self, node: SimNode, world: World, simulation: Simulation,
-                 robots: Mapping[Scope, SimulatedRobot], plugin: str = '',
-                 lockstep: bool = False,
-                 rates_hz: Mapping[str, float] = MappingProxyType({})) -> None:
+    def __init__(self, node: SimNode, world: World) -> None:
         self._node = node
         self._world = world
-        self._simulation = simulation
-        self._plugin, self._lockstep, self._rates_hz = plugin, lockstep, rates_hz
+        self._simulation = node.simulation
+        self._has_tag = node.declared.value('ros2_control_tag')
         self._robots: dict[Scope, SimulatedRobot] = {}
         self._publishers: dict[Scope, Publisher] = {}
         self._hardware: dict[str, Hardware] = {}
-        for scope, robot in robots.items():
+        for scope, robot in node.robots.items():
             self._add(scope, robot)
 
     def _add(self, scope: Scope, robot: SimulatedRobot) -> None:
@@ -73,10 +66,12 @@ class DescriptionPublisher:
         self._robots[scope] = robot
         self._publishers[scope] = create_publisher(
             node, replace(row, name=scope.topic(row.name)))
-        if self._plugin:
+        if self._has_tag:
+            value = node.declared.value
             self._hardware[robot.name] = hardware_of(
-                self._simulation, robot, scope, self._plugin, self._lockstep,
-                node.resolve_topic_name, node.get_fully_qualified_name(), self._rates_hz)
+                self._simulation, robot, scope, value('ros2_control_plugin'),
+                value('stepping') == 'lockstep', node.resolve_topic_name,
+                node.get_fully_qualified_name(), node.instruments.rates_hz)
 
     def publish(self) -> None:
         """

@@ -35,8 +35,7 @@ from manip_sim.ros.camera_publishers import offer_cameras
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
-from manip_sim.ros.episode_publishers import EpisodePublisher
-from manip_sim.ros.episode_publishers import TaskPublisher
+from manip_sim.ros.episode_publishers import EpisodePublisher, TaskPublisher
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
 from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.journal_publisher import JournalPublisher
@@ -177,27 +176,24 @@ class SimNode(Node):
         return served
 
     def _show_world(self, world: World) -> None:
-        value = self.declared.value
         self.surroundings = SurroundingsTopics(self)
-        model = ModelPublisher(self, world)
+        model = ModelPublisher(self)
         self.instruments = InstrumentPublishers(self)
         for scope in self.robots:
             self.publish_truth_by(scope, partial(self.instruments.publish_truth, scope))
         for shown in (self.surroundings, self.instruments):
             self.thread.observe(shown.publish, look=shown.look)
         self.scene = SceneTopics(self)
-        if value('publish_clock'):
+        if self.declared.value('publish_clock'):
             clock = ClockPublisher(self)
             self.thread.observe(clock.publish, look=clock.look)
-        self._followers = [model.follow, self.instruments.follow, self.surroundings.follow,
-                           self.scene.follow]
+        self._followers = [
+            lambda simulation: model.publish(simulation.world), self.instruments.follow,
+            self.surroundings.follow, self.scene.follow]
         self.dynamics = DynamicsPublisher(self)
-        self.descriptions = DescriptionPublisher(
-            self, world, self.simulation, self.robots,
-            value('ros2_control_plugin') if value('ros2_control_tag') else '',
-            value('stepping') == 'lockstep', self.instruments.rates_hz)
-        self._at_start: list[ModelPublisher | DescriptionPublisher | DynamicsPublisher] = [
-            model, self.descriptions, self.dynamics]
+        self.descriptions = DescriptionPublisher(self, world)
+        self._at_start: list[Callable[[], None]] = [
+            partial(model.publish, world), self.descriptions.publish, self.dynamics.publish]
 
     def publish_truth_by(self, scope: Scope, tell: Callable[[], None], images: bool = False
                          ) -> None:
@@ -320,8 +316,8 @@ class SimNode(Node):
         if self._command_thread is not None:
             self._command_thread.start()
         # The first state should not wait for these, which take longer.
-        for publisher in self._at_start:
-            publisher.publish()
+        for publish in self._at_start:
+            publish()
         self._introduce()
 
     def destroy_node(self) -> None:

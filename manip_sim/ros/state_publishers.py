@@ -178,27 +178,18 @@ class ModelPublisher:
 
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
-
-    :param world: the model, as it is at the start
     """
 
-    def __init__(self, node: Node, world: World) -> None:
-        self._world = world
+    def __init__(self, node: Node) -> None:
         self._mjcf = create_publisher(node, BY_NAME['~/mjcf'])
         self._archive = create_publisher(node, BY_NAME['~/mjcf_archive'])
 
-    def publish(self) -> None:
+    def publish(self, world: World) -> None:
         """
-        Publish the model as it is at the start.
+        Publish the model.
 
         :raises ModelError: if a file cannot be read
         """
-        self._publish(self._world)
-
-    def follow(self, simulation: Simulation) -> None:
-        self._publish(simulation.world)
-
-    def _publish(self, world: World) -> None:
         xml, archive = world.to_xml_and_archive()
         self._mjcf.publish(String(data=xml))
         self._archive.publish(UInt8MultiArray(data=array('B', archive)))

@@ -38,7 +38,7 @@ def offer_transforms(node: SimNode, frames: Callable[[Simulation], FrameTree]
     if TFMessage is None:
         node.notes.append(missing_note('tf2_msgs', '/tf and /tf_static'))
         return None
-    return TransformPublisher(*create_outputs(node), frames, node.frame_prefix)
+    return TransformPublisher(node, frames)
 
 
 def create_outputs(node: SimNode) -> tuple[Output, Output]:
@@ -50,18 +50,12 @@ class TransformPublisher:
     """
     A publisher of the transforms of frames; frames may come and go with objects.
 
-    :param moving: output for ``/tf``
-    :param static: output for ``/tf_static``
     :param frames: returns the tree of a simulation
-    :param prefix: prefix of the names of all frames
     """
 
-    def __init__(self, moving: Output, static: Output, frames: Callable[[Simulation], FrameTree],
-                 prefix: str = '') -> None:
-        self._moving = moving
-        self._static = static
-        self._frames = frames
-        self._prefix = prefix
+    def __init__(self, node: SimNode, frames: Callable[[Simulation], FrameTree]) -> None:
+        self._moving, self._static = create_outputs(node)
+        self._frames, self._prefix = frames, node.frame_prefix
         self._present: tuple[FrameTree, SerializedMessage] | None = None
 
     def follow(self, simulation: Simulation) -> None:

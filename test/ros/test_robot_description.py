@@ -168,9 +168,11 @@ def test_what_a_urdf_leaves_out_is_said_with_the_name_of_the_robot(scope, note, 
     monkeypatch.setattr(robot_description, 'urdfs_of', lambda *_: {
         'robot0': SimpleNamespace(xml='<robot/>', notes=['no a', 'no b'])})
     published, notes = [], []
-    node = SimpleNamespace(notes=notes, create_publisher=lambda kind, topic, qos: SimpleNamespace(
-        publish=lambda message: published.append((topic, message.data))))
-    robot_description.DescriptionPublisher(
-        node, None, None, {Scope(scope): SimpleNamespace(name='robot0')}).publish()
+    node = SimpleNamespace(
+        notes=notes, simulation=None, robots={Scope(scope): SimpleNamespace(name='robot0')},
+        declared=SimpleNamespace(value=lambda name: False),
+        create_publisher=lambda kind, topic, qos: SimpleNamespace(
+            publish=lambda message: published.append((topic, message.data))))
+    robot_description.DescriptionPublisher(node, None).publish()
     assert notes == [note]
     assert published == [(f'{scope}/robot_description'.lstrip('/'), '<robot/>')]
