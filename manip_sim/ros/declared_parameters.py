@@ -41,7 +41,7 @@ class Parameters:
         self._set_timeouts: set[str] = set()
         self._following: set[str] = set()
         node.add_pre_set_parameters_callback(lambda parameters: self._with_timeouts(
-            self._with_coupled(self._integers_to_doubles(parameters))))
+            self._with_coupled([self._as_declared(parameter) for parameter in parameters])))
         node.add_on_set_parameters_callback(self._validate)
 
     def declare(self, specs: Sequence[ParameterSpec]) -> None:
@@ -171,9 +171,6 @@ class Parameters:
         if spec is None or value is parameter.value:
             return parameter
         return Parameter(parameter.name, Parameter.Type[spec.type.upper()], value)
-
-    def _integers_to_doubles(self, parameters: list[Parameter]) -> list[Parameter]:
-        return [self._as_declared(parameter) for parameter in parameters]
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:

@@ -149,18 +149,12 @@ class Diagnostics:
         if not self._cameras.names:
             return
         failed = self._cameras.failed
-        status = _status(name, one_line(str(failed or 'images')),
-                         self._cameras.statistics(elapsed_s))
-        if failed is not None:
-            status.level = DiagnosticStatus.WARN
-        yield status
+        yield _status(name, one_line(str(failed or 'images')),
+                      self._cameras.statistics(elapsed_s), failed is not None)
 
     def _others(self, name: str) -> DiagnosticStatus:
         conflicts = self._neighbours.conflicts()
-        status = _status(name, '; '.join(conflicts) or 'no conflict', {})
-        if conflicts:
-            status.level = DiagnosticStatus.WARN
-        return status
+        return _status(name, '; '.join(conflicts) or 'no conflict', {}, bool(conflicts))
 
     def _report(self, status: DiagnosticStatus) -> None:
         if status.level == DiagnosticStatus.OK:
@@ -238,7 +232,9 @@ _WARNINGS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
              mujoco.mjtWarning.mjWARN_CONTACTFULL)
 
 
-def _status(name: str, message: str, values: dict[str, object]) -> DiagnosticStatus:
+def _status(name: str, message: str, values: dict[str, object], warns: bool = False
+            ) -> DiagnosticStatus:
     return DiagnosticStatus(
-        level=DiagnosticStatus.OK, name=name, message=message, hardware_id='mujoco',
+        level=DiagnosticStatus.WARN if warns else DiagnosticStatus.OK, name=name,
+        message=message, hardware_id='mujoco',
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])

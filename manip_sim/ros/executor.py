@@ -49,9 +49,6 @@ class GuardedExecutor(SingleThreadedExecutor):
         self._ending = True
         self.wake()
 
-    def _is_ending(self) -> bool:
-        return self._ending
-
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Wait for one callback and run it, as :meth:`run_one`."""
         self.run_one(timeout_sec)
@@ -64,7 +61,7 @@ class GuardedExecutor(SingleThreadedExecutor):
         :returns: whether there was one
         """
         try:
-            task, entity, _ = self.wait_for_ready_callbacks(timeout_s, None, self._is_ending)
+            task, entity, _ = self.wait_for_ready_callbacks(timeout_s, None, lambda: self._ending)
         except (ConditionReachedException, ShutdownException, TimeoutException):
             return False
         task()

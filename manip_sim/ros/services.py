@@ -40,23 +40,20 @@ class SimulationServices:
                  'external wrenches read zero now'),
                 ('~/save_state', partial(thread.change, 'save'), ''),
                 ('~/restore_state', thread.restore, '')):
-            node.create_service(Trigger, name, self._trigger(function, done))
+            node.create_service(Trigger, name, partial(_answer, function, done))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._take_commands()
         already = 'already ' if self._thread.paused == request.data else ''
-        return _answer(response, lambda: self._thread.pause(request.data),
-                       already + ('paused' if request.data else 'running'))
+        return _answer(lambda: self._thread.pause(request.data),
+                       already + ('paused' if request.data else 'running'), request, response)
 
     def _step(self) -> None:
         self._take_commands()
         self._thread.step()
 
-    def _trigger(self, function: Callable[[], str | None], done: str) -> Callable[[Any, Any], Any]:
-        return lambda _, response: _answer(response, function, done)
 
-
-def _answer(response: Any, function: Callable[[], str | None], done: str) -> Any:
+def _answer(function: Callable[[], str | None], done: str, _: Any, response: Any) -> Any:
     """Call a function, and return what it returned or did, or why it failed."""
     try:
         response.message = function() or done

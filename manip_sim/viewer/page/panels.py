@@ -155,13 +155,11 @@ class CameraPanel:
         for name, folder in self._folders.items():
             with folder:
                 box = gui.add_checkbox('Show', False, hint=f'the images of {plain(name)}')
-            self._couple(name, box, events)
+            box.on_update(lambda _, name=name, box=box: events.add(
+                lambda: self._tick(name, bool(box.value))))
         if not self._folders:
             PlainText(gui, [Line('The node has no cameras. Start it with, for example, '
                                  '-p "cameras:=[birdview]".')])
-
-    def _couple(self, name: str, box: Any, events: Events) -> None:
-        box.on_update(lambda _: events.add(lambda: self._tick(name, bool(box.value))))
 
     def _tick(self, name: str, wanted: bool) -> None:
         self._watch(name, wanted)

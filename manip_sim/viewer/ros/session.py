@@ -61,7 +61,8 @@ class Session:
         self._states.on_statuses = self._diagnosed
         self._sender: CommandSender | None = None
         if commands:
-            self._sender = CommandSender(node, simulation, self._states.frames, self._complain)
+            self._sender = CommandSender(node, simulation, self._states.frames,
+                                         lambda text: self._page.show_trouble(text))
             self._sender.paused = self._set_paused
         self._cameras: set[str] = set()
         self._page = Page(server, self._sender, self._watch, dark, poses)
@@ -76,9 +77,6 @@ class Session:
 
     def _watch(self, camera: str, wanted: bool) -> None:
         (self._cameras.add if wanted else self._cameras.discard)(camera)
-
-    def _complain(self, text: str) -> None:
-        self._page.show_trouble(text)
 
     def _set_paused(self, paused: bool) -> None:
         self._paused = paused
