@@ -26,6 +26,12 @@ from manip_sim.sensing.settings import QUANTITIES
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
 _BASE_TIMEOUT_S = 0.5
+#: What stops a part: quantity, condition, unit of what is measured at a tool, and greatest value.
+_REFLEXES = (
+    ('velocity', 'a joint exceeds this multiple of its velocity limit', '', 100.0),
+    ('effort', 'a joint exceeds this multiple of its effort limit', '', 1.0),
+    ('force', 'the external force on the tool exceeds this value', 'N', 1e5),
+    ('torque', 'the external torque on the tool exceeds this value', 'N m', 1e5))
 STEPPING = ('realtime', 'free', 'lockstep')
 
 
@@ -326,25 +332,12 @@ def reflex_parameters(scope: Scope, parts: Sequence[str], arms: Sequence[str]
     :param parts: the parts with driven joints, see :func:`commanded_parts`
     :param arms: those with a gripper, and so with an external wrench
     """
-    end = '; the part then rejects commands until ~/reset_reflex. 0 switches it off.'
-    specs = []
-    for part in parts:
-        specs += [
-            ParameterSpec(f'reflex.{part}.velocity', 0.0, 'Stop if a joint exceeds this '
-                          f'multiple of its velocity limit{end}', live=True, minimum=0.0,
-                          maximum=100.0),
-            ParameterSpec(f'reflex.{part}.effort', 0.0, 'Stop if a joint exceeds this '
-                          f'multiple of its effort limit{end}', live=True, minimum=0.0,
-                          maximum=1.0)]
-        if part in arms or (part == 'arm' and len(arms) == 1):
-            specs += [
-                ParameterSpec(f'reflex.{part}.force', 0.0, 'Stop if the external force on the '
-                              f'tool exceeds this value{end}', 'N', live=True, minimum=0.0,
-                              maximum=1e5),
-                ParameterSpec(f'reflex.{part}.torque', 0.0, 'Stop if the external torque on the '
-                              f'tool exceeds this value{end}', 'N m', live=True, minimum=0.0,
-                              maximum=1e5)]
-    return [spec.within(scope) for spec in specs]
+    return [ParameterSpec(
+        f'reflex.{part}.{quantity}', 0.0, f'Stop if {condition}; the part then rejects commands '
+        'until ~/reset_reflex. 0 switches it off.', unit, live=True, minimum=0.0,
+        maximum=most).within(scope)
+        for part in parts for quantity, condition, unit, most in _REFLEXES
+        if not unit or part in arms or (part == 'arm' and len(arms) == 1)]
 
 
 def sensing_parameters(scope: Scope) -> list[ParameterSpec]:
