@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 from array import array
-import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
-from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
 from manip_sim.arrays import FloatArray
@@ -19,18 +18,16 @@ from manip_sim.interface.world_topics import topics_of_lidars, truths
 from manip_sim.models.lidar_models import LidarModel
 from manip_sim.ros.lazy_publishers import create_output, Output
 from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.point_clouds import point_cloud
 from manip_sim.sensing.lidars import Lidar
 from manip_sim.simulation import Simulation
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
 
-#: x, y, z, the number of the ring and two bytes to fill up [bytes].
-_POINT = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('ring', '<u2'), ('', '<u2')])
-_FIELDS = [PointField(name=name, offset=offset, datatype=kind, count=1)
-           for name, offset, kind in (
-               ('x', 0, PointField.FLOAT32), ('y', 4, PointField.FLOAT32),
-               ('z', 8, PointField.FLOAT32), ('ring', 12, PointField.UINT16))]
+#: x, y, z, the number of the ring and two bytes to fill up.
+_POINT = np.dtype({'names': [*'xyz', 'ring'], 'formats': [*[np.float32] * 3, np.uint16],
+                   'itemsize': 16})
 
 
 def laser_scan(head: Header, lidar: Lidar, ranges: FloatArray, period_s: float) -> LaserScan:
@@ -48,7 +45,7 @@ def laser_scan(head: Header, lidar: Lidar, ranges: FloatArray, period_s: float) 
         ranges=array('f', ranges.astype(np.float32).tobytes()))
 
 
-def point_cloud(head: Header, lidar: Lidar, ranges: FloatArray) -> PointCloud2:
+def ring_cloud(head: Header, lidar: Lidar, ranges: FloatArray) -> PointCloud2:
     """
     Return the points of a lidar with several rings, NaN where there is none; a row is a ring.
 
@@ -60,11 +57,7 @@ def point_cloud(head: Header, lidar: Lidar, ranges: FloatArray) -> PointCloud2:
     for axis, name in enumerate('xyz'):
         points[name] = found * lidar.directions[..., axis]
     points['ring'] = np.arange(rings)[:, np.newaxis]
-    message = PointCloud2(
-        header=head, height=rings, width=samples, fields=_FIELDS, point_step=_POINT.itemsize,
-        row_step=_POINT.itemsize * samples, is_bigendian=sys.byteorder == 'big', is_dense=False)
-    message.data = array('B', points.tobytes())
-    return message
+    return point_cloud(head, points)
 
 
 class LidarPublisher:
@@ -82,35 +75,32 @@ class LidarPublisher:
         self.every = periods_per_message(1.0 / node.thread.period_s, found.rate_hz)
         self._rows = topics_of_lidars({found.name: found.rays.rings > 1})
         self.topic = self._rows[0].name
-        self._measured = create_output(node, self._rows[0])
-        self._exact: Output | None = None
+        #: By the method of the lidars that returns their ranges.
+        self._outputs = {'measured': create_output(node, self._rows[0])}
         node.thread.observe(self._publish, self.every, self._has_subscribers)
 
     def publish_truth(self) -> None:
-        if self._exact is None:
+        if 'exact' not in self._outputs:
             (row,) = truths(self._rows)
             self._node.table.append(row)
-            self._exact = create_output(self._node, row)
+            self._outputs = {**self._outputs, 'exact': create_output(self._node, row)}
 
     def _has_subscribers(self) -> bool:
-        return self._measured.has_subscribers or (
-            self._exact is not None and self._exact.has_subscribers)
+        return any(output.has_subscribers for output in self._outputs.values())
 
     def _publish(self, simulation: Simulation) -> None:
         if not self._thread.is_due(self.every):
             return
-        lidars = simulation.lidars
-        if self._measured.wanted:
-            self._send(self._measured, simulation, lidars.measured(self._name))
-        if self._exact is not None and self._exact.wanted:
-            self._send(self._exact, simulation, lidars.exact(self._name))
+        for ranges, output in self._outputs.items():
+            if output.wanted:
+                self._send(output, simulation, getattr(simulation.lidars, ranges)(self._name))
 
     def _send(self, output: Output, simulation: Simulation, ranges: FloatArray) -> None:
         head = Header(stamp=stamp_of(simulation.time_ns), frame_id=self._frame_id)
         lidar = simulation.lidars[self._name]
         output.publish(
             laser_scan(head, lidar, ranges, self.every * self._thread.period_s)
-            if lidar.rays.rings == 1 else point_cloud(head, lidar, ranges))
+            if lidar.rays.rings == 1 else ring_cloud(head, lidar, ranges))
 
 
 def offer_lidars(node: SimNode, lidars: list[LidarModel]) -> None:
