@@ -28,6 +28,7 @@ from manip_sim.models.mechanism import actuated_joints, moved_joints
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.physics.parts import Part
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -61,7 +62,7 @@ def actuator_rows(model: mujoco.MjModel, part_of: Mapping[str, str]) -> list[Row
 
 
 def _limits(limited: Any, ranges: Any, index: int) -> list[float] | None:
-    return [float(value) for value in ranges[index]] if limited[index] else None
+    return _range(ranges[index]) if limited[index] else None
 
 
 def _servo_type(model: mujoco.MjModel, index: int) -> str:
@@ -93,11 +94,7 @@ def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
 def frame_rows(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel) -> list[Row]:
     """Return the bodies of a robot and the sites with a role, with their poses in ``world``."""
     rows = []
-    below = np.zeros(model.nbody, dtype=bool)
-    below[model.body(robot.root_body).id] = True
-    for body in range(1, model.nbody):
-        below[body] |= below[model.body_parentid[body]]
-    for body in np.flatnonzero(below).tolist():
+    for body in subtree(model, int(model.body(robot.root_body).id)):
         rows.append({
             'name': model.body(body).name, 'kind': 'body',
             'parent': model.body(int(model.body_parentid[body])).name,
@@ -245,10 +242,11 @@ def _joints(simulated: Any, robot: SimulatedRobot, model: mujoco.MjModel, names:
     for name, start in zip(robot.joint_names, robot.state().position):
         joint = int(model.joint(name).id)
         hinge = int(model.jnt_type[joint]) == _HINGE
+        velocity = float(declared_velocity(model, joint))
         row = {'name': name, 'part': part_of[name], 'type': 'hinge' if hinge else 'slide',
                'unit': 'rad' if hinge else 'm', 'start': float(start),
-               'position': _range(model.jnt_range[joint]) if model.jnt_limited[joint] else None,
-               'velocity': _declared_velocity(model, joint),
+               'position': _limits(model.jnt_limited, model.jnt_range, joint),
+               'velocity': velocity if np.isfinite(velocity) else None,
                'effort': _effort(model, joint, drivers.get(joint, [])),
                'driven_by': [model.actuator(a).name for a in drivers.get(joint, [])],
                'coupled': joint in moved and joint not in drivers}
@@ -271,16 +269,11 @@ def _limits_of_driven(simulated: Any, robot: SimulatedRobot) -> dict[str, Row]:
     return limits
 
 
-def _declared_velocity(model: mujoco.MjModel, joint: int) -> float | None:
-    declared = float(declared_velocity(model, joint))
-    return declared if np.isfinite(declared) else None
-
-
 def _effort(model: mujoco.MjModel, joint: int, actuators: list[int]) -> list[float] | None:
     if len(actuators) == 1 and actuated_joints(model, actuators[0]) == [joint]:
         found = effort_range(model, np.array([joint]), np.array(actuators))[0]
         return _range(found) if np.isfinite(found).all() else None
-    return _range(model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else None
+    return _limits(model.jnt_actfrclimited, model.jnt_actfrcrange, joint)
 
 
 def _range(limits: Any) -> list[float]:

@@ -192,11 +192,7 @@ class World:
         yield self.arena
         yield from self.objects
         for robot in self.robots:
-            yield robot
-            if robot.base is not None:
-                yield robot.base
-            if isinstance(robot, ManipulatorModel):
-                yield from robot.grippers.values()
+            yield from (robot, *robot.models)
 
     def with_objects(self, objects: Iterable[ObjectModel]) -> World:
         """

@@ -18,12 +18,10 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.objects import Description
-from manip_sim.models.quaternion import wxyz_to_xyzw
-from manip_sim.physics.poses import Pose, Twist
 from manip_sim.quoting import quoted
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.grasping import bodies_of_gripper, held_only_by, speed, touching
-from manip_sim.tasks.placing import add_goal, draw, draw_yaw, move_mocap, nearness
+from manip_sim.tasks.placing import add_goal, draw, draw_yaw, move_mocap, nearness, place
 from manip_sim.tasks.task import Task
 from manip_sim.tasks.task_description import (
     Condition, Contact, Described, Distance, END_EFFECTOR, GRIPPER, Held, InBox, JointInRange,
@@ -152,9 +150,7 @@ class DescribedTask(Task, registered=False):
             if simulation.model.body(key).mocapid[0] >= 0:
                 move_mocap(simulation, key, drawn[key], quat)
             else:
-                simulation.entities.place(
-                    simulation.data, key, Pose(drawn[key], wxyz_to_xyzw(quat)),
-                    Twist(np.zeros(3), np.zeros(3)))
+                place(simulation, key, drawn[key], quat)
 
     def _apart(self, points: list[FloatArray]) -> bool:
         least = self._described.about.apart

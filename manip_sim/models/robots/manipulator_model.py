@@ -132,11 +132,6 @@ class ManipulatorModel(RobotModel):
         return self._grippers
 
     @property
-    def models(self) -> list[MujocoXMLModel]:
-        """All parts that are mounted on the robot: the base, then the grippers."""
-        return [*super().models, *self._grippers.values()]
-
-    @property
     def cameras(self) -> list[str]:
         """All cameras of the robot, its base and its grippers."""
         own = super().cameras

@@ -111,7 +111,7 @@ class RobotModel(Subsystems, ABC):
     @property
     def models(self) -> list[MujocoXMLModel]:
         """All parts that are mounted on the robot: the base, then the grippers."""
-        return [] if self._base is None else [self._base]
+        return [part for part, _ in self._mounted()]
 
     def add_base(self, base: RobotBaseModel) -> None:
         """

@@ -97,16 +97,6 @@ class KinematicTree:
         self._link_names.add(name)
         return name
 
-    def add_link(self, link: Link, joint: Joint) -> None:
-        """
-        Add a link and the joint to its parent.
-
-        :param link: a link whose name was reserved by :meth:`take_name`
-        :param joint: between its parent and it
-        """
-        self.links.append(link)
-        self.joints.append(joint)
-
     def add_fixed(self, link: Link, parent: str, position: FloatArray, rotation: FloatArray
                   ) -> None:
         """
@@ -121,7 +111,8 @@ class KinematicTree:
         while name in self._joint_names:
             name += '_'
         self._joint_names.add(name)
-        self.add_link(link, Joint(name, 'fixed', parent, link.name, position, rotation))
+        self.links.append(link)
+        self.joints.append(Joint(name, 'fixed', parent, link.name, position, rotation))
 
 
 def robot_tree(model: mujoco.MjModel, robot: RobotModel, lidars: Iterable[str] = ()
@@ -215,7 +206,8 @@ def _add_body(model: mujoco.MjModel, tree: KinematicTree, body: int) -> None:
         last = number == len(moves) and not after.any()
         child = name if last else tree.take_name(f'{_joint_name(model, joint)}_link', '_')
         axis = None if kind == 'floating' else model.jnt_axis[joint]
-        tree.add_link(Link(child, body if last else None), Joint(
+        tree.links.append(Link(child, body if last else None))
+        tree.joints.append(Joint(
             _joint_name(model, joint), kind, parent, child, position + rotation @ before,
             rotation @ turn, joint, axis))
         parent, position, rotation = child, after, np.eye(3)
