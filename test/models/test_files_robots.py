@@ -17,6 +17,7 @@ from manip_sim.models import compose, compose_robot, load_robot
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.found_places import free_name
 from manip_sim.models.files.model_file import read_model
+from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.simulation import Simulation
@@ -409,7 +410,8 @@ def test_what_stands_beside_the_robot_and_has_shapes_or_joints_stays(tmp_path):
       <body name="door" pos="2 0 0"><joint name="hinge"/>
         <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body>
       <body name="marker" pos="3 0 0"/><body name="base" """
-    spec = read_model(write(tmp_path / 'arm.xml', ARM.replace('<body name="base"', beside))).spec
+    file = write(tmp_path / 'arm.xml', ARM.replace('<body name="base"', beside))
+    spec = read_model(file, Description()).spec
     assert {'table', 'door', 'base'} <= {body.name for body in spec.bodies}
     assert spec.body('marker') is None
 

@@ -135,10 +135,7 @@ class FileGripper(HandFromFile, registered=False):
 
     def _read(self) -> Any:
         declared = self._description
-        keyframe = declared.start if isinstance(declared.start, str) else None
-        model_file = read_model(self.file, _KEYFRAMES, keyframe,
-                                xacro_args=declared.xacro_values,
-                                expects_meshes=declared.meshes is None)
+        model_file = read_model(self.file, declared, _KEYFRAMES)
         self.inferred = model_file.inferred
         if model_file.mocap is not None:
             self.inferred += model_file.mocap.left_out()

@@ -20,6 +20,7 @@ from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
 from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
+from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.loading import compile_alone, load_spec, name_unnamed_elements
@@ -145,23 +146,21 @@ class ModelFile:
     is_urdf: bool = False
 
 
-def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
-               servos: bool = True, xacro_args: Mapping[str, str] | None = None,
-               expects_meshes: bool = True, files: Files | None = None) -> ModelFile:
+def read_model(file: Path, description: Description, keyframes: Sequence[str] = ('home',),
+               servos: bool = True, files: Files | None = None) -> ModelFile:
     """
     Read a robot, hand or base.
 
     :param keyframes: the first of these that exists is the start, else the only keyframe of the
-        file, else what :func:`choose_pose` returns
-    :param wanted: a keyframe to take instead
+        file, else what :func:`choose_pose` returns, unless the description names a keyframe
     :param servos: give joints position servos if the file has no actuators
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
-    :raises UnknownNameError: if it lacks the keyframe in ``wanted``
+    :raises UnknownNameError: if it lacks the keyframe of the description
     """
-    urdf = is_urdf(file, files)
+    urdf, expects_meshes = is_urdf(file, files), description.meshes is None
     notes: list[str] = []
     if urdf:
-        spec, notes = load_urdf(file, xacro_args, expects_meshes, files)
+        spec, notes = load_urdf(file, description.xacro_values, expects_meshes, files)
     elif files is None:
         spec, notes = _load_mjcf(file, expects_meshes)
     else:
@@ -174,6 +173,8 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
         lighter = lighten(spec, model)
         model = compile_alone(spec, str(file)) if lighter else model
         notes += [*lighter, *masses_from_shapes(spec, model)]
+    start = getattr(description, 'start', None)
+    wanted = start if isinstance(start, str) else None
     key = _choose_key(model, keyframes, wanted, file)
     if key is None:
         qpos, why = choose_pose(model)
@@ -182,22 +183,22 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
         qpos = model.key_qpos[key]
         notes += [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
     mocap = find_mocap_bodies(spec, model, key)
-    start, named = positions_of(model, qpos), keyframes_of(model)
+    places, named = positions_of(model, qpos), keyframes_of(model)
     notes += _place_root(spec, model, qpos)
     for old in list(spec.keys):
         spec.delete(old)
-    if servos and not model.nu and start:
+    if servos and not model.nu and places:
         notes += add_servos(spec, BodyTree(model))
         model = compile_alone(spec, str(file))
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
-    if any(spec.joint(name) is None for name in start):
+    if any(spec.joint(name) is None for name in places):
         model = compile_alone(spec, str(file))
-        start = {name: place for name, place in start.items() if spec.joint(name) is not None}
-        named = {key: {name: place for name, place in places.items() if name in start}
-                 for key, places in named.items()}
-    return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named, mocap, urdf)
+        places = {name: place for name, place in places.items() if spec.joint(name) is not None}
+        named = {key: {name: place for name, place in there.items() if name in places}
+                 for key, there in named.items()}
+    return ModelFile(file, spec, BodyTree(model), places, [*notes, *changes], named, mocap, urdf)
 
 
 def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:

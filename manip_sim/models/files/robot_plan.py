@@ -26,7 +26,6 @@ from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
 from manip_sim.models.regular_files import Files
 
-_KEYFRAMES = ('home',)
 #: Why a hand alone ends an arm, and how far above the floor its fingers stay [m].
 _ALONE, _CLEARANCE_M = 'the file is a hand alone', 0.05
 
@@ -70,9 +69,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     :raises ModelError: if the file or what the description says of it cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """
-    keyframe = description.start if isinstance(description.start, str) else None
-    model_file = read_model(file, _KEYFRAMES, keyframe, xacro_args=description.xacro_values,
-                            expects_meshes=description.meshes is None, files=files)
+    model_file = read_model(file, description, files=files)
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = start_pose(model_file, description.start, where)
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
