@@ -21,7 +21,6 @@ from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation
 from manip_sim.tasks.pictures import CameraLike, Pictures
-from manip_sim.validation import whole_number
 
 #: Seeds that are drawn are below this.
 SEEDS = 2**31
@@ -161,11 +160,6 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if self._window is not None:
             self._window.close()
         self._film = self._window = None
-
-
-def checked_count(count: Any) -> int:
-    """Return a number of environments."""
-    return whole_number(count, 1, 'num_envs')
 
 
 def action_space(episode: Episode) -> gymnasium.spaces.Box:

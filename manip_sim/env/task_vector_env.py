@@ -14,13 +14,14 @@ from gymnasium.vector.utils import batch_space
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from manip_sim.env.task_env import action_space, checked_count, observation_space, SEEDS
+from manip_sim.env.task_env import action_space, observation_space, SEEDS
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation
 from manip_sim.tasks.pictures import CameraLike, Pictures
+from manip_sim.validation import whole_number
 from manip_sim.worlds import Worlds
 
 _Result = tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]
@@ -71,7 +72,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
                           image_size, composition, noise)
         made = setting.create_task()
-        self.worlds = Worlds(made.world, checked_count(num_envs), threads)
+        self.worlds = Worlds(made.world, whole_number(num_envs, 1, 'num_envs'), threads)
         pictures = setting.create_pictures(self.worlds.simulations[0], made)
         self._episodes = [setting.create_episode(made, simulation, pictures)
                           for simulation in self.worlds.simulations]

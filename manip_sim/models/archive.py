@@ -23,7 +23,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MAX_ASSET_BYTES
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.regular_files import read_file
-from manip_sim.models.sandbox import try_to_compile
+from manip_sim.models.sandbox import compile_held, try_to_do
 from manip_sim.models.xml_check import check_xml
 from manip_sim.models.xml_limits import product
 from manip_sim.quoting import quoted
@@ -152,7 +152,8 @@ def load_archive(data: bytes) -> mujoco.MjModel:
         if not is_light:
             check_xml(Path(folder, _MODEL))
             xml = contents.pop(_MODEL).decode()
-            try_to_compile('the model of the archive', xml, {}, contents, _MAX_CPU_S)
+            try_to_do('the model of the archive', compile_held, xml, {}, contents,
+                      max_cpu_s=_MAX_CPU_S)
         return compile_spec(load_spec(Path(folder, _MODEL)), 'the model of the archive')
 
 

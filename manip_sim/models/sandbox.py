@@ -33,21 +33,6 @@ _passed: dict[bytes, None] = {}
 _running: set[subprocess.Popen[bytes]] = set()
 
 
-def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
-                   assets: Mapping[str, bytes], max_cpu_s: int | None = None) -> None:
-    """
-    Compile a model in another process; return if that can be done here, too.
-
-    What passed once is not tried again.
-
-    :param models: files of other models that it names
-    :param assets: files of meshes and images that it names
-    :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`
-    :raises ModelError: if it does not compile, or not within the limits
-    """
-    try_to_do(name, compile_held, xml, dict(models), dict(assets), max_cpu_s=max_cpu_s)
-
-
 def compile_held(xml: str, models: Mapping[str, bytes], assets: Mapping[str, bytes]) -> None:
     """Compile a model."""
     from manip_sim.models.loading import compile_spec, spec_from_string

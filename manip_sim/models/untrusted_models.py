@@ -23,7 +23,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES, places, references
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files
-from manip_sim.models.sandbox import try_to_compile
+from manip_sim.models.sandbox import compile_held, try_to_do
 from manip_sim.models.xml_check import AssetFolders, XmlModel
 from manip_sim.models.xml_limits import Budget, Limits
 from manip_sim.quoting import one_line, quoted
@@ -76,7 +76,7 @@ class HeldModel:
         :raises ModelError: if it is no model, or compiling it takes too long or too much memory
         """
         if not self.is_light:
-            try_to_compile(self.name, self.xml, self.models, self.assets)
+            try_to_do(self.name, compile_held, self.xml, self.models, self.assets)
         return self.load_tried()
 
     def load_tried(self) -> mujoco.MjSpec:

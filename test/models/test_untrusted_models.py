@@ -119,7 +119,7 @@ def below(tmp_path):
 @pytest.fixture
 def tried_here(monkeypatch):
     """Compile in this process, where nothing else keeps MuJoCo from opening files."""
-    monkeypatch.setattr(untrusted_models, 'try_to_compile', lambda *_: None)
+    monkeypatch.setattr(untrusted_models, 'try_to_do', lambda *_: None)
 
 
 def doors(text, below):
@@ -432,7 +432,7 @@ def test_memory_that_an_object_asks_for_is_left_out():
     (mjcf('<asset><texture type="2d" builtin="flat" width="9" height="9"/></asset>'), False)])
 def test_what_compiles_quickly_for_sure_is_not_tried_before(text, light, monkeypatch):
     tried = []
-    monkeypatch.setattr(untrusted_models, 'try_to_compile', lambda *work: tried.append(work))
+    monkeypatch.setattr(untrusted_models, 'try_to_do', lambda *work: tried.append(work))
     text_model(text).load()
     assert bool(tried) != light
 
@@ -449,7 +449,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
 
 
 def try_it(text):
-    sandbox.try_to_compile('it', text, {}, {})
+    sandbox.try_to_do('it', sandbox.compile_held, text, {}, {})
 
 
 def test_a_trial_tells_what_mujoco_says():
