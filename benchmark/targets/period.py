@@ -65,7 +65,7 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
     except ImportError:
         return None
     from manip_sim.interface.topics import Scope
-    from manip_sim.ros.log import RejectionLog
+    from manip_sim.ros.rejection_log import RejectionLog
     from manip_sim.ros.state_publishers import StatePublishers
     rclpy.init()
     stack.callback(rclpy.shutdown)

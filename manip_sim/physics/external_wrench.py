@@ -1,7 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the world exerts on a tool: the mean over a control period, filtered and tared."""
+"""
+What the world exerts on a tool: the mean over a control period, filtered and tared.
+
+The tare of its noise is in :mod:`manip_sim.sensing.robot_sensing`.
+"""
 
 from __future__ import annotations
 

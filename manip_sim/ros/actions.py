@@ -20,8 +20,8 @@ from manip_sim.errors import SimulationEnded
 from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.ros.command_subscribers import CommandSubscribers
-from manip_sim.ros.log import kind_of
 from manip_sim.ros.optional_packages import import_optional, missing_note
+from manip_sim.ros.rejection_log import kind_of
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.runtime.goals import Ending, Goal, GoalError
 from manip_sim.simulation import SimulatedRobot

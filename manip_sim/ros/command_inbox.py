@@ -24,7 +24,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
 from manip_sim.rclpy_internals import InUse, RCLError, WaitSet
-from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.runtime.inbox import Inbox
 
 #: The releases of rclpy, those of ROS 2 Jazzy, whose wait sets are known.

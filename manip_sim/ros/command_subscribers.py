@@ -29,9 +29,9 @@ from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.lazy_publishers import message_class
-from manip_sim.ros.log import kind_of
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.reading import read_command, trajectory_fields
+from manip_sim.ros.rejection_log import kind_of
 from manip_sim.simulation import SimulatedRobot
 
 if TYPE_CHECKING:

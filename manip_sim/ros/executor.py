@@ -13,7 +13,7 @@ from rclpy.executors import (
     await_or_execute, ConditionReachedException, ExternalShutdownException, InvalidHandle,
     ShutdownException, SingleThreadedExecutor, TimeoutException)
 
-from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.rejection_log import RejectionLog
 
 
 class GuardedExecutor(SingleThreadedExecutor):

@@ -21,8 +21,8 @@ from rclpy.serialization import serialize_message
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import Topic
 from manip_sim.rclpy_internals import publish_bytes, RCLError
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.publishing_thread import PublishingThread
+from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
 

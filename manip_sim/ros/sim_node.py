@@ -40,9 +40,9 @@ from manip_sim.ros.instrument_publishers import InstrumentPublishers
 from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.journal_publisher import JournalPublisher
 from manip_sim.ros.lidar_publishers import offer_lidars
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.overrides import check_qos_names, check_qos_values
 from manip_sim.ros.publishing_thread import PublishingThread
+from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
 from manip_sim.ros.scene import check_frame_prefix, SceneTopics
 from manip_sim.ros.sensor_publishers import offer_sensors

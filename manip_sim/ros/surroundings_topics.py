@@ -26,8 +26,8 @@ from manip_sim.ros import messages
 from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscription
 from manip_sim.ros.lazy_publishers import (
     create_output, message_class, Output, Publication, Publications)
-from manip_sim.ros.log import kind_of
 from manip_sim.ros.reading import read_command
+from manip_sim.ros.rejection_log import kind_of
 from manip_sim.simulation import Simulation
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keep commands until the next control period; newer ones replace older ones."""
+"""Keep commands until the next control period, which in lock-step they bring about."""
 
 from __future__ import annotations
 

@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.sensing.channels import Channel
 from manip_sim.sensing.instruments import Present
 from manip_sim.sensing.randomness import generator
 from manip_sim.sensing.robot_sensing import RobotSensing
+from manip_sim.sensing.sensor_noise import Channel
 from manip_sim.sensing.settings import SensingSettings
 
 #: By how much the field of view may miss a full turn, which would have its first ray twice [rad].

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.sensing.channels import Channel, WrenchChannel
 from manip_sim.sensing.delays import Delay, Measurements
+from manip_sim.sensing.sensor_noise import Channel, WrenchChannel
 from manip_sim.sensing.settings import SensingSettings
 
 #: Returns exact numbers of the present instant, a copy.

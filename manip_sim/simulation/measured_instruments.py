@@ -10,9 +10,9 @@ from functools import partial
 
 from manip_sim.arrays import FloatArray
 from manip_sim.physics.physics import Physics
-from manip_sim.sensing.channels import file_noise, InstrumentChannel
 from manip_sim.sensing.instruments import Instrument, Sensors
 from manip_sim.sensing.robot_sensing import RobotSensing
+from manip_sim.sensing.sensor_noise import file_noise, InstrumentChannel
 from manip_sim.simulation.robot import SimulatedRobot
 
 #: What the names of the channels of instruments begin with.

@@ -17,8 +17,8 @@ from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import end_effector, EndEffectorReader, READINGS
 from manip_sim.physics.parts import atomic_parts, find_places, Part
 from manip_sim.physics.physics import Physics
-from manip_sim.sensing.channels import JointChannel, WrenchChannel
 from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing
+from manip_sim.sensing.sensor_noise import JointChannel, WrenchChannel
 from manip_sim.simulation.state import State
 
 

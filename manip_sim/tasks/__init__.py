@@ -13,9 +13,9 @@ from manip_sim.models.sources import names_in_folders
 from manip_sim.tasks import (  # noqa: F401
     cubes, drawer_opening, handing_over, peg_insertion, reaching, wiping)
 from manip_sim.tasks.episode import Episode, start
+from manip_sim.tasks.episode_actions import ACTIONS, PoseActions
 from manip_sim.tasks.expert import Expert
 from manip_sim.tasks.latency import Latency
-from manip_sim.tasks.normalized_actions import ACTIONS, PoseActions
 from manip_sim.tasks.setting import Setting
 from manip_sim.tasks.task import create_task, read_description, Task, TASKS
 

@@ -18,9 +18,9 @@ from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.sensing.delays import InTransit
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.randomized import Drawn
+from manip_sim.tasks.episode_actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY, whole_steps
-from manip_sim.tasks.normalized_actions import create_actions
 from manip_sim.tasks.observation import Observation, Observer
 from manip_sim.tasks.pictures import Pictures
 from manip_sim.tasks.task import Task

@@ -16,8 +16,8 @@ from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers import GripperModel
 from manip_sim.simulation import Simulation
+from manip_sim.tasks.episode_actions import ArmAction, PoseActions, STEP_M
 from manip_sim.tasks.grasping import bodies_of_gripper, pressure
-from manip_sim.tasks.normalized_actions import ArmAction, PoseActions, STEP_M
 
 #: An end effector has arrived if it is within this of its goal [m], and turned so: the cosine.
 _ARRIVED_M, _TURNED = 0.006, 0.998

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.control.cartesian import displacements
-from manip_sim.control.cartesian.displacements import displace, Displacements
-from manip_sim.control.cartesian.inverse_kinematics import (
+from manip_sim.control.cartesian import inverse_kinematics
+from manip_sim.control.cartesian.end_effector_velocities import (
     approach, follow_twist, JointState, stop)
+from manip_sim.control.cartesian.inverse_kinematics import displace, Displacements
 from manip_sim.control.cartesian.singularities import bend, rate_without_bend
 from manip_sim.physics.robot_frames import RobotFrames
 
@@ -205,8 +205,8 @@ def test_a_rate_is_lowered_exactly_where_the_end_effector_would_have_to_bend_too
 
 
 def test_displacements_without_bounds_are_those_of_the_bounded_search(monkeypatch):
-    draw, bounded, searches = np.random.default_rng(1), displacements._bounded, []
-    monkeypatch.setattr(displacements, '_bounded',
+    draw, bounded, searches = np.random.default_rng(1), inverse_kinematics._bounded, []
+    monkeypatch.setattr(inverse_kinematics, '_bounded',
                         lambda *of: searches.append(of) or bounded(*of))
     plain, taken = Displacements._unbounded, 0
     for _ in range(200):

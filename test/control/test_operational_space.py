@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.operational_space import WantedMotions
+from manip_sim.control.cartesian.operational_space_law import WantedMotions
 from manip_sim.models.quaternion import matrix_of_vector, rotation_vector
 
 

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from manip_sim.ros import command_inbox
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import CommandSubscription
-from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.rejection_log import RejectionLog
 
 COMMAND = JointState(name=['robot0_joint1'], position=[0.1])
 

@@ -11,9 +11,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.physics.poses import Pose
 from manip_sim.ros import markers
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.markers import FORCE_SCALE, MarkerPublisher, TORQUE_SCALE
 from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.ros.rejection_log import RejectionLog
 
 WEIGHT_N = 0.1 * 9.81
 

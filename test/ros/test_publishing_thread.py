@@ -16,8 +16,8 @@ from rosgraph_msgs.msg import Clock
 
 from manip_sim.rclpy_internals import publish_bytes, RCLError
 from manip_sim.ros.lazy_publishers import Output
-from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.publishing_thread import PublishingThread
+from manip_sim.ros.rejection_log import RejectionLog
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 READER = """

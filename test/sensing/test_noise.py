@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.sensing.channels import JointChannel, WrenchChannel
 from manip_sim.sensing.randomness import generator, NormalRows
+from manip_sim.sensing.sensor_noise import JointChannel, WrenchChannel
 from manip_sim.sensing.settings import QUANTITIES, SensingSettings, TORQUE_PER_FORCE_M
 
 COUNT = 100_000

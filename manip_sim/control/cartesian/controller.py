@@ -17,7 +17,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.inverse_kinematics import (
+from manip_sim.control.cartesian.end_effector_velocities import (
     approach, follow_twist, JointState, STILL, stop)
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.operational_space_controller import (

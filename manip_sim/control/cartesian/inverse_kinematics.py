@@ -2,261 +2,324 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Differential inverse kinematics: joint velocities that bring an end effector nearer to its target.
+Inverse kinematics: joint displacements, within their ranges, that bring an end effector nearer.
 
-How fast to go along the displacements of :mod:`displacements`. Nothing here knows of commands.
+A Gauss-Newton step (least squares with bounds on the joints) where all of the motion is possible.
+What is not possible, beyond the reach or near a singularity, is treated as a constant force on the
+end effector: its stiffness, the second derivative of the kinematics, makes the step a Newton step
+towards the place where the end effector is nearest, so the joints come to rest there. Nothing here
+knows of time.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-import math
+from collections.abc import Callable, Iterable, Sequence
+import functools
+from typing import NamedTuple
 
+import mujoco
+from mujoco import (
+    mju_cholFactor, mju_cholSolve, mju_mulMatMat, mju_mulMatTMat, mju_mulMatTVec, mju_mulMatVec,
+    mju_norm)
 import numpy as np
 
-from manip_sim.algebra import dot, length, product
+from manip_sim.algebra import (
+    dot, factorized, LEAST_PIVOT, length, product, transposed_product, with_diagonal)
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.cartesian.displacements import displace
-from manip_sim.control.cartesian.singularities import rate_without_bend
-from manip_sim.control.motion_profiles import braking_velocity
+from manip_sim.control.cartesian.singularities import is_singular, SINGULAR
+from manip_sim.control.motion_profiles import within
 
-#: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
-_LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
-#: Share of the acceleration limits that braking may use: the path is not straight in joint space.
-_BRAKING = 0.5
-#: Final rate of the approach, times the interval: critical damping of x[n+1] = x[n] - T
-#: (v[n] + v[n+1]) / 2 with v[n+1] = k x[n] is at k T = 6 - 4 sqrt(2).
-_APPROACH = 6.0 - 4.0 * math.sqrt(2.0)
-_MAX_RATE = 40.0
-#: Rate at which a redundant arm goes towards its posture [1/s], when the end effector rests and
-#: while it moves faster than this share of the velocity limits, so that its way is straight.
-_POSTURE_RATE, _POSTURE_RATE_MOVING, _MOVING_PACE = 3.0, 1.0, 0.1
-#: A twist is slowed down so that no joint comes to its limit sooner than this [s].
-_HORIZON_S = 0.1
-#: Joints may accelerate this many times as much as a pose that moves needs, where that is more
-#: than their limits.
-_STREAM_ACCELERATION = 2.0
-#: Less than this share of the velocity limits makes no difference.
-_LESS = 0.01
-#: The velocity of a pose that rests.
-STILL = np.zeros(6)
+#: What needs larger displacements of a joint is not possible here [rad].
+_LARGEST = 1.0
+#: Keeps the least squares regular; it is compensated, so the solution is exact.
+_REGULAR = 1e-9
+#: Weight of the posture beside that of the task, and in addition for each metre or radian of the
+#: task that is not possible, so that an arm does not rest where it can hardly come back.
+_POSTURE, _POSTURE_RATE = 1e-6, 0.005
+#: Damping of what is not possible, at most and for each metre or radian of it [m^2].
+_DAMPING, _DAMPING_RATE = 1.6e-3, 0.02
+#: A part of the task smaller than this, as a share, counts as possible.
+_NEGLIGIBLE = 1e-6
+#: An end effector rests if a step brings it nearer by less than this for each radian [m/rad], and
+#: until one does by so many times as much: where it may rest does not change from step to step ...
+_WORTH, _WORTH_AGAIN = 2e-3, 2.0
+#: ... unless it is farthest there, as its distance bends down this much [m/rad^2], or the squared
+#: distance bends up so much that the nearest place is near [m^2/rad^2].
+_FARTHEST, _CLEAR = -0.05, 0.1
+#: With less progress than this, as a share, the posture matters less.
+_PROGRESS = 0.1
+#: Iterations for the sign of a matrix, and what is added so that it is positive in any case.
+_SIGN_ITERATIONS, _SIGN_ERROR = 10, 0.005
 
 
-@dataclass(frozen=True)
-class JointState:
+class Displacement(NamedTuple):
     """
-    Setpoints and limits of the joints of an arm, all of shape (n,).
+    Displacements of the joints of an arm.
 
-    :ivar position: where the present velocities bring the joints in the interval [rad]
-    :ivar velocity: at present [rad/s]
-    :ivar low: lowest position, may be infinite [rad]
-    :ivar high: highest position [rad]
-    :ivar velocity_limit: [rad/s]
-    :ivar acceleration_limit: [rad/s^2]
-    :ivar posture: positions that a redundant arm tends to [rad]
-    """
-
-    position: FloatArray
-    velocity: FloatArray
-    low: FloatArray
-    high: FloatArray
-    velocity_limit: FloatArray
-    acceleration_limit: FloatArray
-    posture: FloatArray
-
-
-@dataclass(frozen=True)
-class Solution:
-    """
-    Joint velocities at the end of an interval.
-
-    :ivar velocity: [rad/s], shape (n,)
-    :ivar pace: of the motion for the task, as a share of the velocity limits
-    :ivar progress: share of the wanted motion that the joints can make
+    :ivar step: for the task [rad], shape (n,)
+    :ivar drift: of a redundant arm towards its posture, which leaves the end effector where it is
+        [rad], shape (n,)
     :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
-    :ivar singular: whether a motion is wanted in a direction in which the end effector can hardly
-        move
-    :ivar slowed: whether joint limits slow a twist down, or keep the end effector from going along
-        with a pose that moves
-    :ivar rests: whether the end effector is as near to a pose as it can come
-    :ivar acceleration_limit: of the joints, if the motion needs more than their own
-        [rad/s^2], shape (n,)
+    :ivar factor: Cholesky factor of the second derivative of what the step makes smaller, with the
+        weight of the posture, shape (n, n)
+    :ivar rests: whether the end effector is as near as it can come, so that there is no step
+    :ivar jacobian: of the end effector, shape (6, n)
+    :ivar task: wanted motion of the end effector, shape (6,)
+    :ivar easy: whether nothing singular can be wanted, as the step is small for it
     """
 
-    velocity: FloatArray
-    pace: float
-    progress: float
+    step: FloatArray
+    drift: FloatArray
     held: BoolArray
-    singular: bool
-    slowed: bool = False
-    rests: bool = False
-    acceleration_limit: FloatArray | None = None
+    factor: FloatArray
+    rests: bool
+    jacobian: FloatArray
+    task: FloatArray
+    easy: bool = False
+
+    @property
+    def singular(self) -> bool:
+        """Whether a motion is wanted in a direction in which the end effector can hardly move."""
+        return not self.easy and is_singular(self.jacobian, self.task)
 
 
-def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interval_s: float,
-             linear_velocity: float, angular_velocity: float, before: FloatArray = STILL,
-             twist: FloatArray = STILL, smooth: float = 0.0, rested: bool = False) -> Solution:
+class Displacements:
     """
-    Return the velocities that bring the end effector to a pose and let it rest there.
+    Displacements of the joints of one arm, or of several of as many joints, each a row.
 
-    All joints arrive together: the end effector moves straight and turns about one axis, as fast
-    as joint velocity and acceleration limits and those of the end effector allow.
+    For several, fewer calls are needed than one by one, with the same bits. For one arm, arrays
+    have no axis of rows.
 
-    :param jacobian: of position and rotation of the end effector, shape (6, n)
-    :param error: translation [m] and rotation vector [rad] to the pose, shape (6,), from where the
-        present velocities bring the end effector in the interval
-    :param interval_s: interval that the velocities are for [s]
-    :param linear_velocity: limit for the end effector [m/s]
-    :param angular_velocity: limit for the end effector [rad/s]
-    :param before: velocity of the pose now [m/s, rad/s], shape (6,)
-    :param twist: velocity of the pose at the end of the interval, with which the end effector
-        shall go along [m/s, rad/s], shape (6,)
-    :param smooth: share of the change between these two that the joints may follow beyond their
-        acceleration limits
-    :param rested: whether the end effector was as near as it can come before
+    :param jacobians: of position and rotation of the end effectors, shape (rows, 6, n), the joints
+        in their order from the base to the end effector
+    :param tasks: wanted translations [m] and rotation vectors [rad], shape (rows, 6)
+    :param low: lowest displacements within the ranges of the joints [rad], shape (rows, n)
+    :param high: highest displacements [rad], shape (rows, n)
+    :param away: displacements to the postures [rad], shape (rows, n)
+    :param rested: whether each end effector rested before
+    :ivar step: as of :class:`Displacement`, shape (rows, n); ``drift`` too
+    :ivar rests: of each end effector
     """
-    along, relative, follows = np.zeros(len(joints.velocity)), joints, False
-    if before is not STILL or twist is not STILL:
-        along, own = (displace(
-            jacobian, _HORIZON_S * motion, *_room(joints), np.zeros(len(along))).step / _HORIZON_S
-            for motion in (twist, before))
-        needed = np.abs(along - own) / interval_s
-        limit = np.maximum(joints.acceleration_limit, _STREAM_ACCELERATION * smooth * needed)
-        joints = replace(joints, acceleration_limit=limit)
-        follows = bool((needed < limit).all())
-        relative = replace(joints, velocity=joints.velocity - own,
-                           acceleration_limit=limit - needed if follows else limit)
-    part = min(1.0, _LARGEST_STEP / max(length(error[:3]), 1e-12),
-               _LARGEST_TURN / max(length(error[3:]), 1e-12))
-    found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position,
-                     rested)
-    moved = product(jacobian, found.step)
-    rate = min(_rate(found.step, relative, interval_s),
-               max(linear_velocity - length(twist[:3]), 0.0) / max(length(moved[:3]), 1e-12),
-               max(angular_velocity - length(twist[3:]), 0.0) / max(length(moved[3:]), 1e-12))
-    rate = rate_without_bend(jacobian, found.step, joints.acceleration_limit, rate)
-    velocity = along + rate * found.step
-    pace = _pace(velocity, joints)
-    velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)
-    if found.rests and before is STILL and twist is STILL:
-        possible = _slowed_evenly(joints, interval_s)
-    elif follows:
-        possible = along + _evenly(velocity - along, relative, interval_s)
-    else:
-        possible = _evenly(velocity, joints, interval_s)
-    return Solution(possible, pace, _progress(moved, part * error), found.held, found.singular,
-                    pace > 1.0 + 1e-6 or _pace(possible - velocity, joints) > _LESS, found.rests,
-                    joints.acceleration_limit)
+
+    def __init__(self, jacobians: FloatArray, tasks: FloatArray, low: FloatArray,
+                 high: FloatArray, away: FloatArray, rested: Sequence[bool]) -> None:
+        self._one, self._jacobians, self._tasks = tasks.ndim == 1, jacobians, tasks
+        self._rows: Callable[..., Iterable[tuple[FloatArray, ...]]] = _only if self._one else zip
+        self.rests = [False] * len(rested)
+        #: The displacements where not all of a task is possible, or a bound is met.
+        self._bounded: dict[int, Displacement] = {}
+        squares, pulls, wanted, outside = self._unbounded(low, high, away)
+        if not outside:
+            return
+        for row, (jacobian, task, square, pull, sought, lowest, highest, posture, *results) in (
+                enumerate(self._rows(jacobians, tasks, squares, pulls, wanted, low, high, away,
+                                     self.step, self.drift, self._factors))):
+            if row in outside:
+                one = self._bounded[row] = _bounded(
+                    jacobian, task, square, self._whole[row], pull, sought, lowest, highest,
+                    posture, rested[row])
+                for result, found in zip(results, (one.step, one.drift, one.factor)):
+                    result[:] = found
+                self.rests[row] = one.rests
+
+    def _unbounded(self, low: FloatArray, high: FloatArray, away: FloatArray
+                   ) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
+        """
+        Find the displacements as if all of the tasks were possible and no bound were met.
+
+        Where that is so, they are those of :func:`_bounded`, found in a tenth of the time.
+
+        :returns: squares of the Jacobians, the tasks and their solutions in joints, and the rows
+            where it is not so
+        """
+        shape, tasks = away.shape, self._tasks
+        squares, pulls, wanted = np.empty((*shape, shape[-1])), np.empty(shape), np.empty(shape)
+        for square, pull, jacobian, task in self._rows(squares, pulls, self._jacobians, tasks):
+            mju_mulMatTMat(square, jacobian, jacobian)
+            mju_mulMatTVec(pull, jacobian, task)
+        regular_diagonal, posture_diagonal = _diagonals(shape[-1])
+        regulars, factors = squares + regular_diagonal, squares + posture_diagonal
+        made, step, first, drift = (
+            np.empty(tasks.shape), np.empty(shape), np.empty(shape), np.empty(shape))
+        self._far, self._whole = [], []
+        for regular, factor, sought, pull, jacobian, task, moved in self._rows(
+                regulars, factors, wanted, pulls, self._jacobians, tasks, made):
+            mju_cholFactor(regular, LEAST_PIVOT)
+            mju_cholFactor(factor, LEAST_PIVOT)
+            mju_cholSolve(sought, regular, pull)
+            mju_mulMatVec(moved, jacobian, sought)
+            self._far.append(mju_norm(sought))
+            self._whole.append(mju_norm(task))
+        missed = tasks - made
+        exact = _REGULAR * wanted
+        exact += pulls
+        missing = []
+        for regular, factor, pull, way, free, posture, error in self._rows(
+                regulars, factors, exact, step, first, away, missed):
+            mju_cholSolve(way, regular, pull)
+            mju_cholSolve(free, factor, posture)
+            missing.append(mju_norm(error))
+        first *= _POSTURE
+        for factor, vector, free in self._rows(factors, first, drift):
+            mju_cholSolve(free, factor, vector)
+        drift *= _POSTURE
+        self.step, self.drift, self._factors = step, drift, factors
+        ends = np.empty((3, *shape))
+        ends[:] = step
+        ends[1] += first
+        ends[2] += drift
+        over = (ends < low) | (ends > high)
+        outside = [
+            row for row, (far, whole, error) in enumerate(zip(self._far, self._whole, missing))
+            if not (far <= _LARGEST and error <= _NEGLIGIBLE * whole)]
+        if np.count_nonzero(over):
+            met = np.flatnonzero(over.any(axis=(0, -1)))
+            outside = sorted({*outside, *met.tolist()})
+        return squares, pulls, wanted, outside
+
+    def slack(self, velocity: FloatArray) -> FloatArray:
+        """
+        Return the part of joint velocities that makes no difference to the tasks.
+
+        :param velocity: shape (rows, n); the result too
+        """
+        result = np.empty(velocity.shape)
+        for free, factor, own in self._rows(result, self._factors, velocity):
+            mju_cholSolve(free, factor, own)
+        result *= _POSTURE
+        return result
+
+    def row(self, row: int = 0) -> Displacement:
+        """Return the displacements of one arm."""
+        if row in self._bounded:
+            return self._bounded[row]
+        step, drift, factor, jacobian, task = [
+            of if self._one else of[row]
+            for of in (self.step, self.drift, self._factors, self._jacobians, self._tasks)]
+        # Half of the task in a direction of hardly any motion would need more.
+        return Displacement(
+            step, drift, np.zeros(len(step), dtype=bool), factor, False, jacobian, task,
+            easy=self._far[row] * SINGULAR <= 0.4 * self._whole[row])
 
 
-def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float
-                 ) -> Solution:
+def _only(*arrays: FloatArray) -> tuple[tuple[FloatArray, ...]]:
+    """Return the arrays of one arm as those of its only row."""
+    return arrays,
+
+
+@functools.cache
+def _diagonals(size: int) -> tuple[FloatArray, FloatArray]:
+    """Return what is added to matrices so that they are regular, and for the posture, (n, n)."""
+    return _REGULAR * np.eye(size), _POSTURE * np.eye(size)
+
+
+def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: FloatArray,
+             away: FloatArray, rested: bool = False) -> Displacement:
     """
-    Return the velocities that move the end effector with a twist, or slower where joints limit it.
+    Return the displacements for a task, and those in what it leaves free towards the posture.
 
-    A joint that comes near the end of its range brakes before, and the others do what they can.
-
-    :param jacobian: of position and rotation of the end effector, shape (6, n)
-    :param twist: linear [m/s] and angular [rad/s], shape (6,)
-    :param interval_s: interval that the velocities are for [s]
+    :param jacobian: of position and rotation of the end effector, shape (6, n), the joints in
+        their order from the base to the end effector
+    :param task: wanted translation [m] and rotation vector [rad], shape (6,)
+    :param low: lowest displacements within the ranges of the joints [rad], shape (n,)
+    :param high: highest displacements [rad], shape (n,)
+    :param away: displacements to the posture [rad], shape (n,)
+    :param rested: whether the end effector rested before
     """
-    low, high = _room(joints)
-    slowest, fastest = (_HORIZON_S * braking_velocity(
-        end, _BRAKING * joints.acceleration_limit, interval_s) for end in (low, high))
-    found = displace(jacobian, _HORIZON_S * twist, np.maximum(low, slowest),
-                     np.minimum(high, fastest), joints.posture - joints.position)
-    velocity = found.step / _HORIZON_S
-    pace = _pace(velocity, joints)
-    velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)
-    return Solution(_evenly(velocity, joints, interval_s), pace,
-                    _progress(product(jacobian, found.step), _HORIZON_S * twist), found.held,
-                    found.singular,
-                    slowed=pace > 1.0 + 1e-6)
+    return Displacements(jacobian, task, low, high, away, [rested]).row()
 
 
-def _pace(velocity: FloatArray, joints: JointState) -> float:
-    """Return the largest velocity as a share of its limit."""
-    return float(max((np.abs(velocity) / joints.velocity_limit).tolist()))
-
-
-def _progress(made: FloatArray, wanted: FloatArray) -> float:
-    return dot(made, wanted) / max(dot(wanted, wanted), 1e-18)
-
-
-def stop(joints: JointState, interval_s: float) -> FloatArray:
-    """Return the velocities that bring each joint to rest soonest [rad/s], shape (n,)."""
-    return _reached(np.zeros(len(joints.velocity)), joints, interval_s)
-
-
-def _room(joints: JointState) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest and the highest displacements within the ranges of the joints."""
-    return joints.low - joints.position, joints.high - joints.position
-
-
-def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
+def _bounded(jacobian: FloatArray, task: FloatArray, square: FloatArray, whole: float,
+             pull: FloatArray, wanted: FloatArray, low: FloatArray, high: FloatArray,
+             away: FloatArray, rested: bool) -> Displacement:
     """
-    Return how fast to go along a displacement, as a share of it per second.
+    Return the displacements for a task where something keeps the joints from it.
 
-    The displacement begins where the present velocities bring the joints in the interval.
+    :param square: of the Jacobian
+    :param whole: length of the task, ``pull`` and ``wanted`` it and its solution in joints
     """
-    size = np.maximum(np.abs(step), 1e-12)
-    present = dot(joints.velocity, step) / dot(size, size)
-    # Braking from v at the end of the interval takes v^2 / (2 a), and until then the mean of the
-    # two velocities counts; together they make the whole displacement from the present.
-    whole = 1.0 + present * interval_s
-    possible = float(min((joints.acceleration_limit / size).tolist()))
-    limit = _BRAKING * possible
-    change = limit * interval_s / 2.0
-    root = change**2 + 2.0 * limit * (whole - present * interval_s / 2.0)
-    braking = math.sqrt(max(root, 0.0)) - change
-    # All joints gain speed evenly, so that the path is straight from the beginning.
-    return min(max(braking, 0.0), max(present, 0.0) + possible * interval_s,
-               max(whole, 0.0) * min(_APPROACH / interval_s, _MAX_RATE),
-               float(min((joints.velocity_limit / size).tolist())))
+    stiffness, weight = square, _POSTURE
+    step = _minimum(with_diagonal(square, _REGULAR), pull, within(low, -_LARGEST, _LARGEST),
+                    within(high, -_LARGEST, _LARGEST))
+    missed = task - product(jacobian, step)
+    size = length(missed)
+    possible = size <= _NEGLIGIBLE * whole
+    if not possible:
+        bent = _curvature(jacobian, missed)
+        stiffness = with_diagonal(square + _positive_part(bent),
+                                  min(_DAMPING, _DAMPING_RATE * size))
+        weight += _POSTURE_RATE * size
+    step = _minimum(with_diagonal(stiffness, _REGULAR), pull + _REGULAR * step, low, high)
+    held = ((step <= low) & (wanted < low)) | ((step >= high) & (wanted > high))
+    drift, weighted, lowest, highest = (
+        away, with_diagonal(stiffness, weight), low - step, high - step)
+    for _ in range(2):  # The first one still moves the end effector by a millionth.
+        drift = _minimum(weighted, weight * drift, lowest, highest)
+    rests = False
+    if not possible:
+        nearer, moved = dot(pull, step), length(step)
+        drift = min(max(nearer / max(whole**2, 1e-18) / _PROGRESS, 0.0), 1.0)**2 * drift
+        # The posture must not hold up the motion for the task: the arm would hardly move.
+        drift = within(drift - min(dot(drift, step), 0.0) / max(moved**2, 1e-18) * step,
+                       lowest, highest)
+        second = dot(step, product(square + bent, step))
+        again = _WORTH_AGAIN if rested else 1.0
+        rests = nearer <= again * _WORTH * whole * moved and (
+            again * _FARTHEST * whole * moved**2 <= second <= again * _CLEAR * moved**2)
+        if rests:
+            step, drift = np.zeros(len(step)), np.zeros(len(step))
+    return Displacement(step, drift, held, factorized(stiffness, _POSTURE), rests, jacobian, task)
 
 
-def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> FloatArray:
-    """Add the motion towards the posture for which the velocity limits leave room."""
-    moving = min(_pace(velocity, joints) / _MOVING_PACE, 1.0)
-    wanted = (_POSTURE_RATE + moving * (_POSTURE_RATE_MOVING - _POSTURE_RATE)) * drift
-    room = joints.velocity_limit - np.abs(velocity)
-    share = float(min((room / np.maximum(np.abs(wanted), 1e-12)).tolist()))
-    return velocity + min(max(share, 0.0), 1.0) * wanted
+def _minimum(matrix: FloatArray, vector: FloatArray, low: FloatArray, high: FloatArray
+             ) -> FloatArray:
+    """Return where x matrix x / 2 - vector x is smallest within bounds."""
+    count = len(vector)
+    result = np.zeros(count)
+    mujoco.mju_boxQP(result, np.empty((count, count + 7)), None, matrix, -vector, low, high)
+    return result
 
 
-def _evenly(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
+def _curvature(jacobian: FloatArray, force: FloatArray) -> FloatArray:
     """
-    Limit changes of velocity, if possible by one factor for all joints, so that the way is kept.
+    Return minus the second derivative of the pose along a force, shape (n, n).
 
-    Otherwise joints that speed up share one factor for the change, and others are clamped.
+    A turn of one joint turns the axis of each joint beyond it, and the lever from there.
     """
-    lowest, highest = 0.0, math.inf
-    for new, old, limit in zip(velocity.tolist(), joints.velocity.tolist(),
-                               joints.acceleration_limit.tolist()):
-        change = limit * interval_s
-        if abs(new) > 1e-9:
-            middle, width = old / new, change / abs(new)
-            lowest, highest = max(lowest, middle - width), min(highest, middle + width)
-        elif abs(old) > change:
-            highest = -math.inf
-    if lowest <= highest:
-        return np.asarray(min(max(1.0, lowest), highest) * velocity)
-    change = joints.acceleration_limit * interval_s
-    gains = np.abs(velocity) > np.abs(joints.velocity)
-    changes = np.abs(velocity - joints.velocity)[gains]
-    share = float((change[gains] / np.maximum(changes, 1e-12)).min(initial=1.0))
-    return np.where(gains, joints.velocity + share * (velocity - joints.velocity),
-                    _reached(velocity, joints, interval_s))
+    linear, angular = jacobian[:3], jacobian[3:]
+    from_own, beyond = _upper(jacobian.shape[1])
+    upper = from_own * product(transposed_product(angular, _cross(force[:3])), linear)
+    axes = beyond * product(transposed_product(angular, _cross(force[3:])), angular)
+    axes /= 2.0
+    upper += axes
+    return np.asarray(upper + (beyond * upper).T)
 
 
-def _slowed_evenly(joints: JointState, interval_s: float) -> FloatArray:
-    """Return the velocities after braking by one factor for all joints, so the way is kept."""
-    size = np.maximum(np.abs(joints.velocity), 1e-12)
-    share = interval_s * float(min((joints.acceleration_limit / size).tolist()))
-    return np.asarray(max(1.0 - share, 0.0) * joints.velocity)
+@functools.cache
+def _upper(size: int) -> tuple[FloatArray, FloatArray]:
+    """Return ones on and above the diagonal, and above it alone, of shape (n, n)."""
+    ones = np.ones((size, size))
+    return np.triu(ones), np.triu(ones, 1)
 
 
-def _reached(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
-    """Return the nearest velocity that the acceleration limits allow in an interval."""
-    change = joints.acceleration_limit * interval_s
-    return np.asarray(np.clip(velocity, joints.velocity - change, joints.velocity + change))
+def _cross(vector: FloatArray) -> FloatArray:
+    """Return the matrix of the cross product from the left with a vector, shape (3, 3)."""
+    x, y, z = vector.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _positive_part(matrix: FloatArray) -> FloatArray:
+    """Return a symmetric matrix without its negative eigenvalues, and a little more."""
+    scale = length(matrix.ravel()) + 1e-30
+    # Newton and Schulz: the sign of the matrix, whose product with the matrix is its magnitude.
+    sign = matrix / scale
+    square, cube = np.empty((2, *matrix.shape))
+    for _ in range(_SIGN_ITERATIONS):
+        mju_mulMatMat(square, sign, sign)
+        mju_mulMatMat(cube, sign, square)
+        cube *= 0.5
+        sign *= 1.5
+        sign -= cube
+    magnitude = product(sign, matrix)
+    magnitude = (magnitude + magnitude.T) / 2.0
+    return np.asarray((matrix + magnitude) / 2.0 + _SIGN_ERROR * scale * np.eye(len(matrix)))

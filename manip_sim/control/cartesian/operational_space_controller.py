@@ -14,8 +14,8 @@ import numpy as np
 from manip_sim.algebra import dot, product
 from manip_sim.arrays import as_slice, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.displacements import Displacement
-from manip_sim.control.cartesian.operational_space import WantedMotions
+from manip_sim.control.cartesian.inverse_kinematics import Displacement
+from manip_sim.control.cartesian.operational_space_law import WantedMotions
 from manip_sim.control.cartesian.targets import Target, pose_error
 from manip_sim.control.servos import Servos
 from manip_sim.physics.physics import Physics

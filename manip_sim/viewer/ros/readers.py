@@ -13,8 +13,8 @@ from rclpy.node import Node
 
 from manip_sim.errors import ManipSimError
 from manip_sim.ros.executor import GuardedExecutor
-from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.reading import read_message
+from manip_sim.ros.rejection_log import kind_of, RejectionLog
 
 #: More than any message but images and models needs [bytes].
 _MAX_BYTES = 2**20

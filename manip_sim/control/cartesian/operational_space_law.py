@@ -20,7 +20,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.displacements import Displacements
+from manip_sim.control.cartesian.inverse_kinematics import Displacements
 
 #: Stiffness towards the posture in the null space [1/s^2], critically damped; that of robosuite.
 _POSTURE = 10.0
