@@ -54,6 +54,9 @@ class MujocoXMLModel:
     #: Positions of scalar joints by keyframe and name in the file [rad or m].
     _keyframes: Mapping[str, Mapping[str, float]] = MappingProxyType({})
     _own_model: mujoco.MjModel
+    #: What the prefix begins with, before the idn.
+    _prefix_word = ''
+    _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     _horizontal_radius: float = 0.0
     #: Whether others have the spec, so that it may be edited at any time.
     _spec_is_shared = False
@@ -137,7 +140,7 @@ class MujocoXMLModel:
     @property
     def top_offset(self) -> FloatArray:
         """Position of what stands on the part [m], shape (3,), a copy: zeros unless declared."""
-        return np.zeros(3)
+        return np.array(self._top_offset)
 
     @property
     def horizontal_radius(self) -> float:
@@ -261,12 +264,7 @@ class MujocoXMLModel:
     @property
     def naming_prefix(self) -> str:
         """What each name of this part begins with in the compiled model."""
-        return self._given_prefix or self._prefix_of_idn
-
-    @property
-    def _prefix_of_idn(self) -> str:
-        """The prefix unless another is given."""
-        return f'{self.idn}_'
+        return self._given_prefix or f'{self._prefix_word}{self.idn}_'
 
     def set_naming_prefix(self, prefix: str) -> None:
         """

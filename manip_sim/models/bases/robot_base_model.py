@@ -7,9 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from manip_sim.arrays import FloatArray
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
 
@@ -19,22 +16,16 @@ class RobotBaseModel(MujocoXMLModel):
     What a robot stands on; a subclass of one of the kinds below declares its offsets.
 
     :attr:`bottom_offset`, the position of the root body in the file, is the position of the floor
-    in the frame of the base.
+    in the frame of the base; the robot stands at :attr:`top_offset`.
     """
 
     #: The subsystem of joints whose names contain no keyword.
     subsystem_of_others = 'arm'
-    _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         if registered:
             BASES.register(cls)
-
-    @property
-    def top_offset(self) -> FloatArray:
-        """Where the robot stands, in the frame of the base [m], shape (3,), a copy."""
-        return np.array(self._top_offset)
 
 
 BASES: Registry[RobotBaseModel] = Registry('base', RobotBaseModel)
@@ -47,9 +38,7 @@ class MountModel(RobotBaseModel, registered=False):
     Prefix ``fixed_mount{idn}_``.
     """
 
-    @property
-    def _prefix_of_idn(self) -> str:
-        return f'fixed_mount{self.idn}_'
+    _prefix_word = 'fixed_mount'
 
 
 class MobileBaseModel(RobotBaseModel, registered=False):
@@ -59,11 +48,8 @@ class MobileBaseModel(RobotBaseModel, registered=False):
     Prefix ``mobilebase{idn}_``.
     """
 
+    _prefix_word = 'mobilebase'
     #: The body that the robot is mounted on.
     support_body = 'support'
     #: Whether it drives sideways; else twists along y are clamped to zero.
     sideways: bool = True
-
-    @property
-    def _prefix_of_idn(self) -> str:
-        return f'mobilebase{self.idn}_'

@@ -42,7 +42,8 @@ class FileBase(RobotBaseModel, registered=False):
     def __init__(self, model_file: ModelFile, top: FloatArray, idn: int | str = 0,
                  loose: Collection[str] = ()) -> None:
         self._model_file, self._loose_actuators = model_file, loose
-        self._top = top
+        x, y, z = top.tolist()
+        self._top_offset = (x, y, z)
         self.inferred = model_file.inferred
         if model_file.mocap is not None:
             self.inferred += model_file.mocap.left_out()
@@ -60,11 +61,6 @@ class FileBase(RobotBaseModel, registered=False):
     def name(self) -> str:
         """Name of the file and idn."""
         return f'{stem_of(self.file)}{self.idn}'
-
-    @property
-    def top_offset(self) -> FloatArray:
-        """Where the robot stands, in the frame of the base [m], shape (3,), a copy."""
-        return self._top.copy()
 
 
 class FileMount(FileBase, MountModel, registered=False):

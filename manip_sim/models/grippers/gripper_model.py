@@ -45,6 +45,7 @@ class GripperModel(MujocoXMLModel, ABC):
     :raises UnknownNameError: if the file has no body ``eef`` or lacks a declared name
     """
 
+    _prefix_word = 'gripper'
     #: Change of the command in one call of :meth:`format_action`, of a range of 2.
     speed = 0.0
 
@@ -88,10 +89,6 @@ class GripperModel(MujocoXMLModel, ABC):
     def _mount_body(self, spec: mujoco.MjSpec) -> mujoco.MjsBody:
         self._spec = spec
         return self._root()
-
-    @property
-    def _prefix_of_idn(self) -> str:
-        return f'gripper{self.idn}_'
 
     @property
     def bottom_offset(self) -> FloatArray:

@@ -50,11 +50,11 @@ class RobotModel(Subsystems, ABC):
     :ivar held_files: the files whose contents its spec holds, by their names in the spec
     """
 
+    _prefix_word = 'robot'
     held_files: Mapping[str, Path] = MappingProxyType({})
     #: Point that stands on a base or the floor, in the frame of the root [m]; None: it is the
     #: origin of the file's world.
     _foot_offset: tuple[float, float, float] | None = None
-    _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -148,11 +148,6 @@ class RobotModel(Subsystems, ABC):
         if self._base is None:
             return self.foot_offset
         return self.foot_offset + self._base.bottom_offset - self._base.top_offset
-
-    @property
-    def top_offset(self) -> FloatArray:
-        """Nominal place of the top above the root, as in robosuite [m], shape (3,), a copy."""
-        return np.array(self._top_offset)
 
     @property
     def horizontal_radius(self) -> float:
@@ -280,10 +275,6 @@ class RobotModel(Subsystems, ABC):
         return own
 
     # ------------------------------------------------------------------ what a robot declares
-
-    @property
-    def _prefix_of_idn(self) -> str:
-        return f'robot{self.idn}_'
 
     @property
     def name_in_world(self) -> str:
