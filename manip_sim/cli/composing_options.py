@@ -103,15 +103,13 @@ def arena_parameters(name: str) -> dict[str, Any]:
     return {parameter.name: parameter.default for parameter in arenas.arena_parameters(name)}
 
 
-def _as(default: Any, name: str, text: str) -> Any:
+def _as(default: bool | float, name: str, text: str) -> bool | float:
     """Return a text converted to the type of a default."""
     if isinstance(default, bool):
         if text.lower() not in _BOOL:
             raise ModelError(f'{name} must be true or false, got {quoted(text)}')
         return _BOOL[text.lower()]
-    if isinstance(default, (int, float)):
-        try:
-            return type(default)(text)
-        except ValueError as error:
-            raise ModelError(f'{name} must be a number, got {quoted(text)}') from error
-    return text
+    try:
+        return float(text)
+    except ValueError as error:
+        raise ModelError(f'{name} must be a number, got {quoted(text)}') from error

@@ -19,11 +19,10 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.grippers.tactile import add_tactile_sensors
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
+from manip_sim.models.quaternion import NO_TURN, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.registry import Registry
 from manip_sim.validation import finite_numbers, unit_quaternion
 
-_IDENTITY_WXYZ = (1.0, 0.0, 0.0, 0.0)
 _AXIS_SITE_OFFSET_M = 0.1
 
 GripperT = TypeVar('GripperT', bound='GripperModel')
@@ -127,7 +126,7 @@ class GripperModel(MujocoXMLModel, ABC):
         """
         data = mujoco.MjData(self._own_model)
         mujoco.mj_kinematics(self._own_model, data)
-        return wxyz_to_xyzw(relative_quat_wxyz(_IDENTITY_WXYZ, data.body(self._eef_body).xquat))
+        return wxyz_to_xyzw(relative_quat_wxyz(NO_TURN, data.body(self._eef_body).xquat))
 
     def set_mount_pose(self, pos: ArrayLike | None = None,
                        quat_wxyz: ArrayLike | None = None) -> None:
