@@ -49,6 +49,10 @@ class GuardedExecutor(SingleThreadedExecutor):
         self._ending = True
         self.wake()
 
+    def _is_ending(self) -> bool:
+        # Not a function made for each call: rclpy would forget what is ready if it were another.
+        return self._ending
+
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Wait for one callback and run it, as :meth:`run_one`."""
         self.run_one(timeout_sec)
@@ -61,7 +65,7 @@ class GuardedExecutor(SingleThreadedExecutor):
         :returns: whether there was one
         """
         try:
-            task, entity, _ = self.wait_for_ready_callbacks(timeout_s, None, lambda: self._ending)
+            task, entity, _ = self.wait_for_ready_callbacks(timeout_s, None, self._is_ending)
         except (ConditionReachedException, ShutdownException, TimeoutException):
             return False
         task()
