@@ -237,20 +237,15 @@ def stream_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]
 
     :param parts: the parts with driven joints, see :func:`commanded_parts`
     """
-    specs = []
-    for part in parts:
-        specs += [
-            ParameterSpec(f'stream_interval.{part}', STREAM_INTERVAL_S,
-                          f'Longest interval between messages of a stream for the {part}, which '
-                          'is followed smoothly with a delay of 1.5 intervals; messages with '
-                          'longer intervals are steps.', 's', live=True, minimum=0.001,
-                          maximum=5.0),
-            ParameterSpec(f'stream_hold.{part}', 0.0,
-                          f'How long the {part} continues at the velocity of a stream after a '
-                          'message was due, before it brakes and moves to the last goal; 0 means '
-                          'two message intervals.', 's', live=True, minimum=0.0,
-                          maximum=10.0)]
-    return [spec.within(scope) for spec in specs]
+    return [spec.within(scope) for part in parts for spec in (
+        ParameterSpec(f'stream_interval.{part}', STREAM_INTERVAL_S,
+                      f'Longest interval between messages of a stream for the {part}, which is '
+                      'followed smoothly with a delay of 1.5 intervals; messages with longer '
+                      'intervals are steps.', 's', live=True, minimum=0.001, maximum=5.0),
+        ParameterSpec(f'stream_hold.{part}', 0.0,
+                      f'How long the {part} continues at the velocity of a stream after a '
+                      'message was due, before it brakes and moves to the last goal; 0 means '
+                      'two message intervals.', 's', live=True, minimum=0.0, maximum=10.0))]
 
 
 def camera_parameters(camera: str, default: ImageSettings) -> list[ParameterSpec]:

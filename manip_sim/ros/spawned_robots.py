@@ -29,7 +29,7 @@ from manip_sim.quoting import quoted, shown
 from manip_sim.ros.background import in_background, Rounds
 from manip_sim.ros.introduction import inferred
 from manip_sim.ros.standard_answers import Rejection, ResultCode, SpawnCode
-from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot, RobotsPlan
+from manip_sim.simulation.robot_spawning import plan_without_robot, RobotsPlan
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
@@ -155,14 +155,6 @@ class SpawnedRobots:
         return {*simulation.robots, *simulation.entities.names,
                 *(row.name.partition('/')[0] for row in node.table if '/' in row.name),
                 *(name.partition('.')[0] for name in node.declared.names if '.' in name)}
-
-    def plan(self, robot: RobotModel) -> RobotsPlan:
-        """
-        Return the plan of the world with a robot; for any thread.
-
-        :raises ModelError: if the robot cannot be in the world
-        """
-        return plan_with_robot(self._simulation, robot)
 
     def come(self, name: str, plan: RobotsPlan) -> None:
         """

@@ -30,10 +30,10 @@ from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import numbers_of, WORLD
 from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
-from manip_sim.ros.standard_answers import Rejection, result_filled, ResultCode, SpawnCode
+from manip_sim.ros.standard_answers import answering_later, Rejection, ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.robot_spawning import RobotsPlan
+from manip_sim.simulation.robot_spawning import plan_with_robot, RobotsPlan
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
 #: Formats of files and texts.
@@ -73,14 +73,10 @@ class SpawningServices:
         for service_type, name, answer in (
                 (types.SpawnEntity, 'spawn_entity', self._spawn),
                 (types.DeleteEntity, 'delete_entity', self._delete)):
-            node.create_service(service_type, f'~/{name}', answer, callback_group=group)
+            node.create_service(service_type, f'~/{name}', answering_later(answer),
+                                callback_group=group)
 
-    async def _spawn(self, request: Any, response: Any) -> Any:
-        with result_filled(response.result):
-            response.entity_name = await self._add(request)
-        return response
-
-    async def _add(self, request: Any) -> str:
+    async def _spawn(self, request: Any, response: Any) -> None:
         namespace, pose = request.entity_namespace.strip('/'), _pose(request.initial_pose)
         with _parsing():
             is_quick, create = _prepared(request, self._files)
@@ -99,7 +95,7 @@ class SpawningServices:
         else:
             text = None if request.uri else request.resource_string.strip()
             self._take_over(plan, 'spawn', name, text, *place)
-        return name
+        response.entity_name = name
 
     def _plan_object(self, item: ObjectModel, request: Any, namespace: str,
                      place: tuple[list[float], list[float]]) -> tuple[str, WorldPlan]:
@@ -116,7 +112,7 @@ class SpawningServices:
         if namespace not in ('', name):
             raise Rejection(SpawnCode.NAMESPACE_INVALID, f'the namespace of a robot is its name, '
                             f'{quoted(name)}: leave entity_namespace empty')
-        return name, self._robots.plan(item.create(name, pose))
+        return name, plan_with_robot(self._simulation, item.create(name, pose))
 
     def _free_name(self, wanted: str, may_rename: bool) -> str:
         taken = self._simulation.entities.names
@@ -135,13 +131,8 @@ class SpawningServices:
             raise Rejection(SpawnCode.NAME_INVALID, str(error)) from error
         return wanted
 
-    async def _delete(self, request: Any, response: Any) -> Any:
-        with result_filled(response.result):
-            await self._remove(request.entity)
-        return response
-
-    async def _remove(self, name: str) -> None:
-        plan = self._simulation.plan
+    async def _delete(self, request: Any, _: Any) -> None:
+        name, plan = request.entity, self._simulation.plan
         if name in self._robots.names:
             await self._robots.go(name)
             return

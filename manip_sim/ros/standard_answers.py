@@ -10,7 +10,7 @@ them with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 from typing import Any
@@ -133,5 +133,14 @@ def answering(fill: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
     def answer(request: Any, response: Any) -> Any:
         with result_filled(response.result):
             fill(request, response)
+        return response
+    return answer
+
+
+def answering_later(fill: Callable[[Any, Any], Awaitable[None]]) -> Callable[[Any, Any], Any]:
+    """Return the callback of a service as :func:`answering`, for what is awaited."""
+    async def answer(request: Any, response: Any) -> Any:
+        with result_filled(response.result):
+            await fill(request, response)
         return response
     return answer

@@ -21,7 +21,7 @@ from manip_sim.ros.posix_ere import PosixExpression
 from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_answers import (
-    answering, BoundsType, Category, Feature, Rejection, result_filled, ResultCode, ScopeCode,
+    answering, answering_later, BoundsType, Category, Feature, Rejection, ResultCode, ScopeCode,
     SetEntityCode, SetStateCode, StateCode)
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ class SimulationInterfaces:
                             self._features)
         # A request for many steps takes long, so it does not hold up the others.
         groups = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
-        node.create_service(types.StepSimulation, '~/step_simulation', self._step,
-                            callback_group=groups[0])
+        node.create_service(types.StepSimulation, '~/step_simulation',
+                            answering_later(self._step), callback_group=groups[0])
         for service_type, name, fill in (
                 (types.GetSimulationState, 'get_simulation_state', self._get_state),
                 (types.SetSimulationState, 'set_simulation_state', self._set_state),
@@ -109,12 +109,8 @@ class SimulationInterfaces:
             self._thread.reset(restart_time=True)
         self._stopped = target == StateCode.STATE_STOPPED
 
-    async def _step(self, request: Any, response: Any) -> Any:
-        with result_filled(response.result):
-            await self._advance(request.steps)
-        return response
-
-    async def _advance(self, steps: int) -> None:
+    async def _step(self, request: Any, _: Any) -> None:
+        steps: int = request.steps
         if steps == 0:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
         if self._state() == StateCode.STATE_STOPPED:
