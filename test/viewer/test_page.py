@@ -353,7 +353,8 @@ def test_contacts_and_wrenches_are_drawn_while_their_boxes_are_ticked(server):
     for contacts.value, wrenches.value in ((True, True), (True, False), (False, True),
                                            (False, False)):
         page.update(1.0, latest, False)
-        drawn.append((page._overlays._points is not None, sorted(page._overlays._arrows)))
+        shown = {*page._overlays._shown}
+        drawn.append(('contacts' in shown, sorted(shown - {'contacts'})))
     assert drawn == [
         (True, ['contact_forces', 'force', 'torque']), (True, ['contact_forces']),
         (False, ['force', 'torque']), (False, [])]

@@ -108,11 +108,11 @@ def test_an_arrow_goes_from_the_point_that_is_held_to_the_mouse(page):
     drag(page, 'cube', 'start', (0.02, 0.0, 0.85), (0.0, 0.0, 1.2))
     update(page, 2.0, height=0.825)
     update(page, 3.0, height=0.925)
-    arrow, handle = page._overlays._arrows['pull']
+    arrow, handle = page._overlays._shown['pull']
     np.testing.assert_allclose(arrow, [[[0.02, 0.0, 0.95], [0.0, 0.0, 1.2]]], atol=1e-6)
     drag(page, 'cube', 'end')
     update(page, 4.0)
-    assert 'pull' not in page._overlays._arrows
+    assert 'pull' not in page._overlays._shown
 
 
 def test_a_body_that_goes_as_its_drag_begins_has_no_arrow(page):
@@ -121,7 +121,7 @@ def test_a_body_that_goes_as_its_drag_begins_has_no_arrow(page):
     page.show_model(compose('Panda').compile(), Latest())
     page.update(1.0, Latest(), False)
     assert page._pulling._drag is not None
-    assert 'pull' not in page._overlays._arrows
+    assert 'pull' not in page._overlays._shown
 
 
 def test_nothing_is_pulled_without_the_tick_or_in_a_past_picture_or_to_nowhere(page, sent):
