@@ -121,7 +121,8 @@ def trials(process):
         try:
             parent = status.read_text().rpartition(')')[2].split()[1]
             # As soon as it is a program of its own.
-            if parent == str(process.pid) and b'trial' in (status.parent / 'cmdline').read_bytes():
+            program = (status.parent / 'cmdline').read_bytes()
+            if parent == str(process.pid) and b'sandbox' in program:
                 found.append(int(status.parent.name))
         except OSError:  # It has just ended.
             continue
