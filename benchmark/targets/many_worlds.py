@@ -34,6 +34,10 @@ LIMITS = {(1, 1): {'stream': 2.0, 'osc': 3.0, 'rest': 1.1},
           (64, 2): {'stream': 1.5, 'osc': 2.0, 'rest': 1.1}}
 _WORDS = {'stream': 'a stream of positions', 'osc': 'OSC at 20 Hz', 'rest': 'at rest'}
 _ROUND_S = 0.3
+#: Periods before the first round: only after up to 0.7 s a stream is planned for whole periods.
+_SETTLED = 40
+#: After as many chunks the bare physics begins again: without control, arms would run away.
+_CHUNKS = 5
 
 
 def panda_worlds(count: int, threads: int | None = None) -> Worlds:
@@ -90,15 +94,19 @@ class Bare:
         self._datas = [mujoco.MjData(self._model) for _ in worlds.simulations]
         self._threads = worlds.threads
         self._pool = ThreadPoolExecutor(max(self._threads - 1, 1))
-        self.start()
+        self._left = 0
 
     def start(self) -> None:
         """Take the states of the worlds, which stay where they are."""
+        self._left = _CHUNKS
         for data, simulation in zip(self._datas, self._worlds.simulations):
             mujoco.mj_copyData(data, self._model, simulation.data)
 
     def step(self, steps: int) -> None:
-        """Run steps in all worlds."""
+        """Run a chunk of steps in all worlds."""
+        if not self._left:
+            self.start()
+        self._left -= 1
         shares = [self._datas[begin::self._threads] for begin in range(self._threads)]
         others = [self._pool.submit(self._run, share, steps) for share in shares[1:] if share]
         self._run(shares[0], steps)
@@ -124,7 +132,8 @@ def rates(worlds: Worlds, kind: str, settings: Settings) -> tuple[list[float], l
     period, steps = KINDS[kind](worlds)
     bare = Bare(worlds)
     ours, base = [], []
-    period()
+    for _ in range(_SETTLED):
+        period()
     for _ in range(settings.rounds):
         ours.append(steps * len(worlds) * _per_s(period, settings))
         bare.start()
