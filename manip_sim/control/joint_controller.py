@@ -34,9 +34,8 @@ class JointController(ControlledJoints):
     """
     Position, velocity and effort control of all driven joints of a robot.
 
-    A command owns the joints it names until a newer one names them; so commands for one part, or
-    one joint, never disturb another. A joint in effort mode holds its position until it gets its
-    first effort.
+    A command owns the joints it names until a newer one names them. A joint in effort mode holds
+    its position until it gets its first effort.
 
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; those of one arm and of both arms may overlap
