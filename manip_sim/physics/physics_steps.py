@@ -49,7 +49,7 @@ class PhysicsSteps:
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
     :ivar contacts_change: whether contacts came or went in the last period
-    :ivar was_untouched: whether nothing touched a tool in the steps at rest that were run last
+    :ivar was_untouched: whether the last period was run by :meth:`run_untouched`
     """
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
@@ -173,8 +173,9 @@ class PhysicsSteps:
         """
         Run a whole period, if nothing can have touched a tool in it.
 
-        That is so if nothing did before and the number of contacts never changes. Otherwise the
-        present state is that of the beginning of the period.
+        That is so if nothing did before, the number of contacts never grows, and it is the same at
+        the end. Otherwise the present state is that of the beginning of the period. What is not
+        seen is a touch in exactly those steps of a period in which another contact is gone.
 
         :param steps: number of physics steps
         :param controls: of all actuators in each step, shape (steps, nu); None for those that

@@ -27,7 +27,8 @@ def reachable(left):
             left += item.values()
         elif isinstance(item, (list, tuple, set, frozenset)):
             left += item
-        elif type(item).__module__.startswith('manip_sim.simulation'):
+        elif type(item).__module__.startswith(
+                ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.simulation.')):
             left += getattr(item, '__dict__', {}).values()
     return found.values()
 

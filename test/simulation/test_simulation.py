@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim import simulation as package
+from manip_sim import control, physics, simulation
 from manip_sim.control.commands import Command
 from manip_sim.errors import CommandError, DivergenceError, ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot
@@ -24,15 +24,15 @@ from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 
 #: Classes of data that change: all others are handed from thread to thread as they are.
-CHANGING = {'commands.CommandHandle', 'cartesian.reports.CartesianReport',
-            'cartesian.targets.Target'}
+CHANGING = {'control.commands.CommandHandle', 'control.cartesian.reports.CartesianReport',
+            'control.cartesian.targets.Target'}
 
 
 def data_classes():
-    """Return the classes of data of the package, by module and name."""
-    modules = [importlib.import_module(found.name)
-               for found in pkgutil.walk_packages(package.__path__, f'{package.__name__}.')]
-    return {f'{module.__name__.removeprefix(package.__name__)[1:]}.{name}': found
+    """Return the classes of data of what happens, by module and name."""
+    modules = [importlib.import_module(found.name) for room in (control, physics, simulation)
+               for found in pkgutil.walk_packages(room.__path__, f'{room.__name__}.')]
+    return {f'{module.__name__.removeprefix("manip_sim.")}.{name}': found
             for module in modules for name, found in vars(module).items()
             if dataclasses.is_dataclass(found) and found.__module__ == module.__name__}
 
