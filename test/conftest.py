@@ -244,9 +244,9 @@ def gripper_file(mjcf):
 
 
 @pytest.fixture
-def hand_class():
-    """Return the class of a hand that moves all its commands by one action; takes a file."""
-    class Hand(GripperModel):
+def fingers_class():
+    """Return the class of a gripper that moves all its commands by one action; takes a file."""
+    class OneActionGripper(GripperModel):
         speed = 0.2
 
         def __init__(self, fname, idn=0):
@@ -264,13 +264,13 @@ def hand_class():
         def init_qpos(self):
             return [0.02, 0.02]
 
-    return Hand
+    return OneActionGripper
 
 
 @pytest.fixture
-def hand_sim(one_joint_arm, hand_class, mjcf):
+def fingers_sim(one_joint_arm, fingers_class, mjcf):
     """
-    Return a function that makes a simulation of a hand with two sliding fingers.
+    Return a function that makes a simulation of a gripper with two sliding fingers.
 
     The fingers ``left`` and ``right`` go from 0, closed, to 0.04 m at 0.05 m/s.
     """
@@ -283,9 +283,9 @@ def hand_sim(one_joint_arm, hand_class, mjcf):
               <geom name="{side}_pad" type="box" size="0.01 0.005 0.01" mass="0.02"
                 contype="0" conaffinity="0"/>
             </body>""" for side, sign in (('left', ''), ('right', '-')))
-        gripper = hand_class(mjcf(
+        gripper = fingers_class(mjcf(
             f'<body name="palm"><geom size="0.01" mass="0.2"/>{fingers}<body name="eef"/></body>',
-            f'{sections}{equality}<actuator>{actuators}</actuator>', name='hand'))
+            f'{sections}{equality}<actuator>{actuators}</actuator>', name='gripper'))
         robot = one_joint_arm()
         robot.add_gripper(gripper)
         if before is not None:

@@ -28,7 +28,7 @@ def first(count, *changed):
     ('manip_sim/models/files/urdf.py', 'test_files_urdf.py'),
     ('manip_sim/models/world.py', 'test_world.py'),
     ('manip_sim/runtime/pacing.py', 'test_pacing.py'),
-    ('manip_sim/ros/actions.py', 'test_goal_server.py'),
+    ('manip_sim/ros/action_servers.py', 'test_goal_server.py'),
     ('manip_sim/ros/diagnostics.py', 'test_diagnostics.py'),
     ('manip_sim/viewer/page/panels.py', 'test_panels.py'),
     ('manip_sim/cli/tables.py', 'test_cli_tables.py'),

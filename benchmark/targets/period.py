@@ -64,7 +64,7 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
         import rclpy
     except ImportError:
         return None
-    from manip_sim.interface.topics import Scope
+    from manip_sim.interface.scope import Scope
     from manip_sim.ros.rejection_log import RejectionLog
     from manip_sim.ros.state_publishers import StatePublishers
     rclpy.init()

@@ -18,9 +18,10 @@ from manip_sim.cli.listing import origin
 from manip_sim.control.modes import EFFORT, POSITION
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.scope import Scope
 from manip_sim.interface.sensors import offered_topics
 from manip_sim.interface.served_instruments import served_instruments
-from manip_sim.interface.topics import Scope, SERVICES
+from manip_sim.interface.topics import SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world
 from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.declared_limits import declared_velocity

@@ -19,7 +19,7 @@ from manip_sim.interface.parameters import (
     composition_parameters, keyframe_parameter, mode_parameters, MODEL_PATH, node_parameters,
     periods_per_image, place_parameters, reflex_parameters, sensing_parameters, steps_per_period,
     stream_parameters, timeout_parameters, wrench_parameters)
-from manip_sim.interface.topics import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
 from manip_sim.models.camera_choice import (

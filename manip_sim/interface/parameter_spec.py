@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from manip_sim.errors import describe_choices, ModelError
-from manip_sim.interface.topics import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.models.composing import read_gripper
 from manip_sim.models.sources import find_source, is_path
 from manip_sim.quoting import quoted

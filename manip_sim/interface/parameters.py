@@ -12,7 +12,7 @@ from manip_sim.control.message_clock import STREAM_INTERVAL_S
 from manip_sim.control.modes import default_mode, MODES
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec
-from manip_sim.interface.topics import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.models.arenas import arena_names, arena_parameters
 from manip_sim.models.arenas.arena import ArenaParameter
 from manip_sim.models.bases import base_names

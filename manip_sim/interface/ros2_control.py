@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+from manip_sim.interface.scope import Scope
 from manip_sim.interface.served_instruments import served_instruments
-from manip_sim.interface.topics import Scope
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN, TOPIC_PLUGIN
 from manip_sim.simulation import SimulatedRobot, Simulation
 

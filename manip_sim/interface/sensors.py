@@ -16,7 +16,8 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.interface.topics import PUBLISHED, Scope, Topic
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import PUBLISHED, Topic
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.sensing.randomness import generator
 from manip_sim.simulation import SimulatedRobot, Simulation

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Optional
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.interface.parameters import periods_per_image
-from manip_sim.interface.topics import Scope, Topic
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Topic
 from manip_sim.interface.world_topics import topics_of_sensors, truths
 from manip_sim.models.cameras import MAX_RATE_HZ, MIN_RATE_HZ
 from manip_sim.models.strict_yaml import parse_yaml

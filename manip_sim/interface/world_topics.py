@@ -11,9 +11,10 @@ from itertools import groupby
 from types import MappingProxyType
 
 from manip_sim.control.surroundings import Surroundings
+from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import (
-    Action, ACTIONS, ARM, BY_NAME, CAMERA, GRIPPER, LIDAR, MEASURED, OBJECT, PART, Scope, SENSOR,
-    TOKEN, Topic, TOPICS)
+    Action, ACTIONS, ARM, BY_NAME, CAMERA, GRIPPER, LIDAR, MEASURED, OBJECT, PART, SENSOR, TOKEN,
+    Topic, TOPICS)
 from manip_sim.physics.parts import Part
 
 #: What rows need that are of the world, not of a robot.

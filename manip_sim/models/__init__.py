@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from manip_sim.models.arenas import Arena, arena_names, arena_parameters, create_arena
 from manip_sim.models.composing import compose, compose_robot
-from manip_sim.models.objects import create_object, ObjectModel
+from manip_sim.models.object_creation import create_object, ObjectModel
 from manip_sim.models.sources import set_model_path
 from manip_sim.models.world import World
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import pkgutil
 from typing import Any, Generic, TypeVar
 
-from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.entry_points import Offer, offers
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.sources import find_source, names_in_folders
 
 T = TypeVar('T')

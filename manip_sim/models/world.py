@@ -21,7 +21,8 @@ from manip_sim.models.initialization_noise import checked_seed, InitializationNo
 from manip_sim.models.lidar_models import create_lidar, LidarLike
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
+from manip_sim.models.object_creation import (
+    check_object_names, create_objects, Description, ObjectModel)
 from manip_sim.models.placements import check_placed
 from manip_sim.models.randomization import Randomization, RandomizationLike
 from manip_sim.models.robots import ManipulatorModel, RobotModel

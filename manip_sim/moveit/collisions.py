@@ -12,11 +12,11 @@ import mujoco
 import numpy as np
 
 from manip_sim.models import World
+from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.moveit.srdf import GroupState
-from manip_sim.models.couplings import JointCouplings
 
 #: Of random configurations; the seed is fixed, so that the same robot has the same file.
 _SAMPLES, _SEED = 5000, 0

@@ -14,7 +14,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers import GripperModel
 from manip_sim.physics.external_wrench import ExternalWrench
 from manip_sim.physics.physics import Physics
-from manip_sim.physics.poses import Pose, Twist
+from manip_sim.physics.poses_and_twists import Pose, Twist
 
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
 #: What can be read of a gripper.

@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.quaternion import wxyz_to_xyzw
-from manip_sim.physics.poses import Pose
+from manip_sim.physics.poses_and_twists import Pose
 
 
 @dataclass(frozen=True)

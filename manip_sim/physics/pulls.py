@@ -17,7 +17,7 @@ from manip_sim.clamping import finite_numbers
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import Physics
-from manip_sim.physics.poses import MAX_DISTANCE_M
+from manip_sim.physics.poses_and_twists import MAX_DISTANCE_M
 from manip_sim.quoting import quoted
 
 #: How long a pull lasts after it was last asked for, in simulation time [s].

@@ -15,7 +15,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.ros.messages import nanoseconds_of, stamp_of
 from manip_sim.ros.reading import trajectory_fields
-from manip_sim.runtime.goals import Goal, GoalCode, GoalError
+from manip_sim.runtime.action_goals import ActionGoal, GoalCode, GoalError
 from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
 from manip_sim.runtime.tolerances import JointTolerance
 from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
@@ -43,7 +43,7 @@ class ActionMessages(ABC):
         self._now_ns = now_ns
 
     @abstractmethod
-    def goal_of(self, request: Any) -> Goal:
+    def goal_of(self, request: Any) -> ActionGoal:
         """
         Return the goal of a request.
 

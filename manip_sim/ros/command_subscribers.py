@@ -24,7 +24,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.control.commands import Command, JointTrajectory as TrajectoryCommand, NoCommand
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox

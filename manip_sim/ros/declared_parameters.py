@@ -18,7 +18,7 @@ from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import check_names
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.parameters import default_timeout
-from manip_sim.interface.topics import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.physics.parts import Part
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 

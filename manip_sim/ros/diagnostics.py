@@ -21,7 +21,7 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import one_line
 from manip_sim.ros.camera_publishers import Cameras
-from manip_sim.ros.cartesian import counts_of, reports_of
+from manip_sim.ros.cartesian_topics import counts_of, reports_of
 from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours

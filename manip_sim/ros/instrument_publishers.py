@@ -18,9 +18,9 @@ from sensor_msgs.msg import Imu, MagneticField, Range
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from manip_sim.arrays import FloatArray
+from manip_sim.interface.scope import Scope
 from manip_sim.interface.served_instruments import (
     SensorSettings, served_instruments, ServedInstrument)
-from manip_sim.interface.topics import Scope
 from manip_sim.ros.lazy_publishers import create_output, Publication, Publications
 from manip_sim.ros.messages import stamped
 from manip_sim.sensing.instruments import (

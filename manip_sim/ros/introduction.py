@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from manip_sim.control.modes import MODES, POSITION
-from manip_sim.interface.topics import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.models.missing_meshes import inferred_by_model, LostShape
 from manip_sim.models.robots import RobotModel

@@ -14,7 +14,8 @@ import numpy as np
 from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import BY_NAME, Scope
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros.lazy_publishers import create_output
 from manip_sim.ros.messages import filled, stamp_of, WORLD
 from manip_sim.ros.optional_packages import import_optional

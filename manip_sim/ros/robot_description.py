@@ -14,7 +14,8 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from manip_sim.interface.ros2_control import hardware_of
-from manip_sim.interface.topics import BY_NAME, Scope
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
 from manip_sim.ros.lazy_publishers import create_publisher

@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.topics import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.frame_tree import FrameTree
 from manip_sim.physics.odometry import OdometryReader

@@ -12,8 +12,8 @@ from typing import Any, TYPE_CHECKING
 from rclpy.parameter import Parameter
 
 from manip_sim.interface.parameters import commanded_parts, reflex_parameters
-from manip_sim.interface.topics import Scope
-from manip_sim.ros.cartesian import CartesianSubscribers
+from manip_sim.interface.scope import Scope
+from manip_sim.ros.cartesian_topics import CartesianSubscribers
 from manip_sim.ros.command_subscribers import CommandSubscribers
 from manip_sim.ros.state_publishers import StatePublishers
 from manip_sim.sensing.settings import QUANTITIES

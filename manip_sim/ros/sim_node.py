@@ -22,14 +22,15 @@ from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
     compose_world, declare_cameras, declare_parts, spawn_files)
 from manip_sim.interface.ros2_control import STALLS
-from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import (
     topics_of_objects, topics_of_surroundings, topics_of_world)
 from manip_sim.models import World
 from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
-from manip_sim.ros.actions import ActionServers, offer_actions
+from manip_sim.ros.action_servers import ActionServers, offer_actions
 from manip_sim.ros.arguments import without_source
 from manip_sim.ros.camera_publishers import offer_cameras
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox

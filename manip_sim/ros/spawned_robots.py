@@ -12,7 +12,7 @@ from typing import Any, TYPE_CHECKING
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.interface.composition import check_robot_name, declare_parts
-from manip_sim.interface.topics import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.interface.world_topics import topics_of_world
 from manip_sim.models import compose_robot
 from manip_sim.models.bases import base_names
@@ -24,7 +24,7 @@ from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
-from manip_sim.physics.poses import Pose
+from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted, shown
 from manip_sim.ros.background import in_background, Rounds
 from manip_sim.ros.introduction import inferred

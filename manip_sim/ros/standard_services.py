@@ -12,7 +12,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from manip_sim.errors import CommandError
 from manip_sim.models.regular_files import FilesBelow
-from manip_sim.physics.poses import Pose, Twist
+from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import Rounds
 from manip_sim.ros.messages import filled, numbers_of, stamp_of, WORLD

@@ -19,7 +19,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.controlled_joints import ControllerState
-from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, Topic
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, Topic
 from manip_sim.interface.world_topics import topics_of, truths
 from manip_sim.models import World
 from manip_sim.ros import messages

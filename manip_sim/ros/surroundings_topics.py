@@ -20,7 +20,7 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.topics import BY_NAME, PUBLISHED, TOKEN, Topic
 from manip_sim.interface.world_topics import topics_of_objects, topics_of_surroundings
 from manip_sim.physics.entities import Entities
-from manip_sim.physics.poses import Pose
+from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscription

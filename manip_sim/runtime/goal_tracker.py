@@ -9,7 +9,7 @@ from collections.abc import Callable
 import threading
 
 from manip_sim.errors import SimulationEnded
-from manip_sim.runtime.goals import Ending, Goal
+from manip_sim.runtime.action_goals import Ending, ActionGoal
 from manip_sim.runtime.simulation_thread import SimulationThread
 from manip_sim.simulation import Simulation
 
@@ -26,11 +26,11 @@ class GoalTracker:
     :ivar goals: those that have not ended, oldest first
     """
 
-    def __init__(self, thread: SimulationThread, ended: Callable[[Goal], None]) -> None:
+    def __init__(self, thread: SimulationThread, ended: Callable[[ActionGoal], None]) -> None:
         self._thread = thread
         self._ended = ended
         self._lock = threading.Lock()
-        self.goals: tuple[Goal, ...] = ()
+        self.goals: tuple[ActionGoal, ...] = ()
         thread.observe(self.observe, look=lambda: bool(self.goals))
         thread.changes.commands.keep_busy(self.busy_parts)
 
@@ -39,14 +39,14 @@ class GoalTracker:
         return frozenset().union(*(goal.busy_parts for goal in self.goals
                                    if goal.robot.name == robot))
 
-    def start(self, goal: Goal) -> None:
+    def start(self, goal: ActionGoal) -> None:
         """Submit the command of a goal and watch it from now on."""
         with self._lock:
             self.goals = (*self.goals, goal)
         self._thread.observers.look_again()
         self._thread.submit([goal.command], robot=goal.robot.name)
 
-    def cancel(self, goal: Goal) -> bool:
+    def cancel(self, goal: ActionGoal) -> bool:
         """
         End a goal at the request of its client.
 

@@ -14,7 +14,7 @@ from manip_sim.clamping import clamp
 from manip_sim.control.commands import GripperGrasp, Status
 from manip_sim.control.joint_command_parser import check_names
 from manip_sim.errors import CommandError
-from manip_sim.runtime.goals import Goal, GoalCode, GoalError
+from manip_sim.runtime.action_goals import ActionGoal, GoalCode, GoalError
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
 
@@ -66,7 +66,7 @@ class GripperView:
     stalled: bool = False
 
 
-class GripperGoal(Goal):
+class GripperGoal(ActionGoal):
     """
     A position of a gripper; to be stopped before it by an object is a success too.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.quoting import quoted
-from manip_sim.runtime.goals import GoalCode, GoalError
+from manip_sim.runtime.action_goals import GoalCode, GoalError
 
 #: The value that erases a tolerance: the error is not limited.
 ERASE = -1.0

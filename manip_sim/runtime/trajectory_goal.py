@@ -15,7 +15,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.control.commands import JointTrajectory, Status
 from manip_sim.control.joint_command_parser import check_names
 from manip_sim.errors import CommandError
-from manip_sim.runtime.goals import Goal, GoalCode, GoalError
+from manip_sim.runtime.action_goals import ActionGoal, GoalCode, GoalError
 from manip_sim.runtime.tolerances import ERASE, JointTolerance, Tolerances
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
@@ -71,7 +71,7 @@ class TrajectoryView:
     velocity: FloatArray
 
 
-class TrajectoryGoal(Goal):
+class TrajectoryGoal(ActionGoal):
     """
     A trajectory for joints, which have to stand still at its end.
 

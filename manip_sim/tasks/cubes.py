@@ -13,7 +13,7 @@ import numpy as np
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena, create_arena
-from manip_sim.models.objects import Description
+from manip_sim.models.object_creation import Description
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert, Hold, pointing_down, sides
 from manip_sim.tasks.grasping import held_only_by, speed, touching

@@ -17,7 +17,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
-from manip_sim.models.objects import Description
+from manip_sim.models.object_creation import Description
 from manip_sim.quoting import quoted
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.grasping import bodies_of_gripper, held_only_by, speed, touching

@@ -18,7 +18,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.composing import compose_robot, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.grippers import GripperModel
-from manip_sim.models.objects import Description
+from manip_sim.models.object_creation import Description
 from manip_sim.models.world import World
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.tasks.expert import Expert, Hold, pointing_down

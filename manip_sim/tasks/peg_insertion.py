@@ -14,7 +14,7 @@ import numpy as np
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena
-from manip_sim.models.objects import Description
+from manip_sim.models.object_creation import Description
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert, pointing_down, sides
 from manip_sim.tasks.placing import (

@@ -17,7 +17,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.composing import compose, DEFAULT, Gripper, Grippers, Robot
-from manip_sim.models.objects import Description
+from manip_sim.models.object_creation import Description
 from manip_sim.models.randomization import Randomization
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names

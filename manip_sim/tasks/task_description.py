@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 from manip_sim.errors import describe_choices, ModelError
-from manip_sim.models.objects import create_object, ObjectModel
+from manip_sim.models.object_creation import create_object, ObjectModel
 from manip_sim.models.placed_descriptions import Coordinate
 from manip_sim.models.strict_descriptions import (
     BeforeValidator, checked, ConfigDict, Field, model_validator, Number, Strict, StrictBool)

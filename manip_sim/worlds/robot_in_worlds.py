@@ -17,7 +17,7 @@ from manip_sim.control.commands import Command, JointSetpoint
 from manip_sim.control.modes import POSITION
 from manip_sim.errors import CommandError
 from manip_sim.physics.end_effectors import EndEffector
-from manip_sim.physics.poses import Pose, Twist
+from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
 from manip_sim.worlds.rows import chosen, rows
 from manip_sim.worlds.stream_rows import Streams

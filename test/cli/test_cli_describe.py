@@ -149,11 +149,11 @@ def test_passive_joints_of_a_linkage_are_told_as_coupled(described):
     assert passive['effort'] is None
 
 
-def test_a_tendon_drives_all_its_joints(hand_sim):
+def test_a_tendon_drives_all_its_joints(fingers_sim):
     made = []
-    hand_sim('<position name="pull" tendon="t" kp="900" kv="9" ctrlrange="0 0.04"/>',
-             '<tendon><fixed name="t"><joint joint="left" coef="1"/><joint joint="right" '
-             'coef="1"/></fixed></tendon>', coupled=False, before=made.append)
+    fingers_sim('<position name="pull" tendon="t" kp="900" kv="9" ctrlrange="0 0.04"/>',
+                '<tendon><fixed name="t"><joint joint="left" coef="1"/><joint joint="right" '
+                'coef="1"/></fixed></tendon>', coupled=False, before=made.append)
     from manip_sim.cli.description import actuator_rows
     from manip_sim.models.mechanism import actuated_joints
     model = made[0].compile()

@@ -11,7 +11,7 @@ import pytest
 from manip_sim.models.arenas import arena_names
 from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.objects import create_object
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.resources import share_directory
 from manip_sim.tasks import task_names

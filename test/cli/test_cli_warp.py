@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.models import compose
 from manip_sim.models.robots import ROBOTS
 from manip_sim.simulation import Simulation
-from manip_sim.models import compose
 
 warp = pytest.importorskip('mujoco_warp', reason='mujoco_warp is not installed')
 

@@ -14,7 +14,7 @@ from manip_sim.control.cartesian import controller
 from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.grippers import PandaGripper
-from manip_sim.models.objects import create_object
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
 from manip_sim.physics.spawning import plan_with

@@ -13,7 +13,7 @@ import pytest
 from manip_sim.errors import ModelError
 from manip_sim.models import compose
 from manip_sim.models.arenas import TableArena
-from manip_sim.models.objects import create_object, create_objects, load_objects
+from manip_sim.models.object_creation import create_object, create_objects, load_objects
 from manip_sim.models.world import World
 
 BOX = {'name': 'brick', 'shape': 'box', 'size': [0.1, 0.2, 0.3], 'mass': 2.0}

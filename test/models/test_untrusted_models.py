@@ -18,7 +18,7 @@ import pytest
 from manip_sim.errors import ModelError
 from manip_sim.models import untrusted_models, sandbox, World
 from manip_sim.models.asset_files import check_content
-from manip_sim.models.objects import create_object, object_from_model
+from manip_sim.models.object_creation import create_object, object_from_model
 from manip_sim.models.regular_files import Files, FilesBelow, OneText, read_file
 from manip_sim.models.untrusted_models import hold_model, LIMITS
 

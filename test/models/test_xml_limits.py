@@ -6,7 +6,7 @@
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models.objects import create_object
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.untrusted_models import hold_model
 from manip_sim.models.xml_check import XmlModel

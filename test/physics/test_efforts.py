@@ -9,7 +9,7 @@ import pytest
 
 from sampling import Driven, whole_robot
 
-from manip_sim.models.objects import create_object
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
 from manip_sim.physics.spawning import plan_with, plan_without

@@ -9,7 +9,7 @@ import pytest
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.physics.entities import Entities
-from manip_sim.physics.poses import Pose, Twist
+from manip_sim.physics.poses_and_twists import Pose, Twist
 
 # The brick's centre of mass is beside its frame, so that the frame's origin is swung around.
 WORLD = """

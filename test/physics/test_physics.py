@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import pytest
 
 from manip_sim.models import compose
-from manip_sim.models.objects import create_object
+from manip_sim.models.object_creation import create_object
 from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 

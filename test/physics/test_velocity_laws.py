@@ -110,7 +110,7 @@ def test_a_saved_state_continues_to_the_last_bit(sim_of, mode):
 
 
 def test_a_spawned_object_leaves_the_laws_in_force(sim_of):
-    from manip_sim.models.objects import create_objects
+    from manip_sim.models.object_creation import create_objects
     from manip_sim.physics.spawning import plan_with
     simulation = sim_of(friction=FRICTION)
     (item,) = create_objects([{'name': 'box', 'shape': 'box', 'size': [0.1, 0.1, 0.1],

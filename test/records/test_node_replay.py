@@ -15,7 +15,7 @@ from manip_sim.cli.main import main
 from manip_sim.interface.composition import compose_world
 from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.models import compose_robot
-from manip_sim.models.objects import create_object
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.physics.spawning import plan_with
 from manip_sim.records.definitions import definition, full_name

@@ -16,8 +16,8 @@ from manip_sim.interface.world_topics import actions_of
 from manip_sim.models import compose
 from manip_sim.ros.action_messages import (
     GripperMessages, ParallelGripperMessages, TrajectoryMessages)
-from manip_sim.ros.actions import messages_of
-from manip_sim.runtime.goals import GoalCode, GoalError
+from manip_sim.ros.action_servers import messages_of
+from manip_sim.runtime.action_goals import GoalCode, GoalError
 from manip_sim.simulation import Simulation
 
 J1, J2 = 'robot0_joint1', 'robot0_joint2'

@@ -20,7 +20,7 @@ from control_msgs.action import (  # noqa: E402
     FollowJointTrajectory, GripperCommand, ParallelGripperCommand)
 from control_msgs.msg import JointTolerance  # noqa: E402
 
-from manip_sim.runtime.goals import GoalCode  # noqa: E402
+from manip_sim.runtime.action_goals import GoalCode  # noqa: E402
 
 J1 = 'robot0_joint1'
 FINGER = 'gripper0_right_finger_joint1'

@@ -20,8 +20,8 @@ from test_msgs.action import Fibonacci  # noqa: E402
 
 from manip_sim.ros import sim_node  # noqa: E402
 from manip_sim.ros.action_messages import ActionMessages  # noqa: E402
-from manip_sim.ros.actions import ActionServers  # noqa: E402
-from manip_sim.runtime.goals import GoalCode, GoalError  # noqa: E402
+from manip_sim.ros.action_servers import ActionServers  # noqa: E402
+from manip_sim.runtime.action_goals import GoalCode, GoalError  # noqa: E402
 from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest  # noqa: E402
 
 J1 = 'robot0_joint1'

@@ -15,7 +15,7 @@ from rclpy.parameter import parameter_dict_from_yaml_file
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from manip_sim.physics.poses import Pose
+from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.resources import share_directory
 
 EXAMPLE = 'manip_sim.examples'

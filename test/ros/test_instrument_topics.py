@@ -11,7 +11,7 @@ import pytest
 from sensor_msgs.msg import Imu, JointState, MagneticField, Range
 from std_msgs.msg import Float64MultiArray
 
-from manip_sim.models.objects import create_object
+from manip_sim.models.object_creation import create_object
 from manip_sim.physics.spawning import plan_with, plan_without
 
 OBJECT = """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
-from manip_sim.physics.poses import Pose
+from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros import markers
 from manip_sim.ros.markers import FORCE_SCALE, MarkerPublisher, TORQUE_SCALE
 from manip_sim.ros.messages import nanoseconds_of

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 import yaml
 
-from manip_sim.models.objects import create_object
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.urdf_writer import urdf_of
 from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.ros import planning_scene_publisher

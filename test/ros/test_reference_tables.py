@@ -10,8 +10,8 @@ import sys
 
 from rclpy.qos import QoSDurabilityPolicy
 
-from manip_sim.ros import planning_scene_publisher, transforms
 from manip_sim.interface.topics import ACTIONS
+from manip_sim.ros import planning_scene_publisher, transforms
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = '\n'.join((ROOT / 'docs' / 'reference' / page).read_text()

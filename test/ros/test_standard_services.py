@@ -21,11 +21,11 @@ from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros import spawning_services
-from manip_sim.ros.standard_services import EntityServices
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_answers import (
     BoundsType, Category, Feature, ResultCode, ScopeCode, SetEntityCode, SetStateCode, SpawnCode,
     StateCode)
+from manip_sim.ros.standard_services import EntityServices
 from manip_sim.ros.standard_services import SimulationInterfaces
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from manip_sim.models import World
-from manip_sim.models.objects import create_object
-from manip_sim.physics.poses import Pose
+from manip_sim.models.object_creation import create_object
+from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.physics.spawning import plan_with, plan_without
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.offscreen import OffscreenRenderer

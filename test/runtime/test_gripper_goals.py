@@ -12,7 +12,7 @@ import pytest
 from manip_sim.control.commands import Status
 from manip_sim.models import compose
 from manip_sim.models.grippers import gripper_names
-from manip_sim.runtime.goals import Ending, GoalCode, GoalError
+from manip_sim.runtime.action_goals import Ending, GoalCode, GoalError
 from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
 from manip_sim.simulation import Simulation
 
@@ -117,10 +117,11 @@ def test_fingers_that_are_not_named_close_as_far_as_the_first_one(panda):
         assert actor.where(left) == pytest.approx(other, abs=5e-4)
 
 
-def test_fingers_that_close_the_other_way_and_are_not_coupled_close_as_far(hand_sim, hand_class):
-    hand_class.format_action = lambda self, action: self._integrate(
+def test_fingers_that_close_the_other_way_and_are_not_coupled_close_as_far(
+        fingers_sim, fingers_class):
+    fingers_class.format_action = lambda self, action: self._integrate(
         np.array([-0.2, 0.2]) * np.sign(self._checked(action)))
-    actor = Actor(hand_sim(
+    actor = Actor(fingers_sim(
         '<position name="l" joint="left" kp="900" kv="9" ctrlrange="0 0.04"/>'
         '<position name="r" joint="right" kp="900" kv="9" ctrlrange="0 0.04"/>', coupled=False))
     actor.run(goal=actor.start(0.03))
@@ -211,11 +212,11 @@ def test_more_than_the_actuators_can_give_is_no_more(panda):
     np.testing.assert_array_equal(model.actuator_forcerange[ids], before)
 
 
-def test_actuators_without_a_limit_are_limited_for_a_goal_only(hand_sim):
-    simulation = hand_sim('<position name="l" joint="left" kp="900" kv="9" ctrlrange="0 0.04"/>'
-                          '<position name="r" joint="right" kp="900" kv="9" gear="2"'
-                          ' ctrlrange="0 0.08" forcelimited="false" forcerange="-1 1"/>',
-                          coupled=False)
+def test_actuators_without_a_limit_are_limited_for_a_goal_only(fingers_sim):
+    simulation = fingers_sim('<position name="l" joint="left" kp="900" kv="9" ctrlrange="0 0.04"/>'
+                             '<position name="r" joint="right" kp="900" kv="9" gear="2"'
+                             ' ctrlrange="0 0.08" forcelimited="false" forcerange="-1 1"/>',
+                             coupled=False)
     actor, ids = Actor(simulation), simulation.robot.parts[GRIPPER].actuator_ids
     actor.start(0.0, max_effort=4.0)
     # At the joint, behind a gear of two.
@@ -270,10 +271,10 @@ def test_cancelled_goal_does_not_drop_what_the_fingers_press(at_a_cube):
     assert at_a_cube.effort() <= pressed + 0.5
 
 
-def test_weak_servos_that_press_with_full_force_go_on_after_a_cancel(hand_sim):
+def test_weak_servos_that_press_with_full_force_go_on_after_a_cancel(fingers_sim):
     servo = ('<position name="{0}" joint="{0}" kp="200" kv="9" ctrlrange="0 0.04"'
              ' forcerange="-20 20"/>')
-    actor = Actor(hand_sim(servo.format('left') + servo.format('right')))
+    actor = Actor(fingers_sim(servo.format('left') + servo.format('right')))
     actor.run(goal=actor.start(0.04))
     goal = actor.start(0.0)
     # The fingers are stopped at 10 mm, where the stiffness alone would give 2 N.
@@ -315,8 +316,8 @@ def test_a_goal_is_reached_within_a_fiftieth_of_the_range(panda, offset):
 
 
 @pytest.mark.parametrize('offset', [-0.0101, -0.0099, 0.0099, 0.0101])
-def test_a_goal_of_a_joint_without_a_range_is_reached_within_a_hundredth(hand_sim, offset):
-    actor = Actor(hand_sim(
+def test_a_goal_of_a_joint_without_a_range_is_reached_within_a_hundredth(fingers_sim, offset):
+    actor = Actor(fingers_sim(
         '<position tendon="both" kp="900" kv="9" ctrlrange="0 0.08"/>',
         '<tendon><fixed name="both"><joint joint="left" coef="1"/><joint joint="right" coef="1"/>'
         '</fixed></tendon>'))

@@ -11,7 +11,7 @@ import pytest
 
 from manip_sim.control.commands import Status
 from manip_sim.errors import DivergenceError
-from manip_sim.runtime.goals import Ending, GoalCode, GoalError
+from manip_sim.runtime.action_goals import Ending, GoalCode, GoalError
 from manip_sim.runtime.tolerances import JointTolerance, Tolerances
 from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 

@@ -30,11 +30,11 @@ from usage import Usage
 
 from manip_sim.errors import SimulationEnded
 from manip_sim.models import compose
-from manip_sim.ros.actions import messages_of
+from manip_sim.ros.action_servers import messages_of
 from manip_sim.ros.standard_answers import ResultCode
 from manip_sim.runtime import SimulationThread
+from manip_sim.runtime.action_goals import ActionGoal, GoalError
 from manip_sim.runtime.goal_tracker import GoalTracker
-from manip_sim.runtime.goals import Goal, GoalError
 from manip_sim.simulation import Simulation
 
 _OBJECTS = 3
@@ -172,7 +172,7 @@ def actions(count: int, seed: int) -> Row:
     thread = SimulationThread(simulation, steps=5, stepping='free')
     ended = Counter[str]()
 
-    def count_end(goal: Goal) -> None:
+    def count_end(goal: ActionGoal) -> None:
         ended[goal.robot.name] += 1
     tracker = GoalTracker(thread, count_end)
     offered = list(messages_of(TYPES, simulation.robot, lambda: thread.progress.time_ns))

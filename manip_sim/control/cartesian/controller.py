@@ -34,7 +34,7 @@ from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.physics.physics import Physics
-from manip_sim.physics.poses import Pose
+from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.physics.robot_frames import Frame
 
 #: Longest interval between two solutions of the inverse kinematics [s].

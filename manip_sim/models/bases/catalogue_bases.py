@@ -6,17 +6,17 @@
 from __future__ import annotations
 
 from manip_sim.models.bases.robot_base_model import MobileBaseModel, MountModel
-from manip_sim.models.catalogue_part import CataloguePart, FromPart
+from manip_sim.models.catalogue_model import CatalogueModel, FromYaml
 
 
-class _CatalogueBase(CataloguePart):
+class _CatalogueBase(CatalogueModel):
     _kind = 'bases'
-    _top_offset = FromPart('top', (0.0, 0.0, 0.0))
-    _horizontal_radius = FromPart('radius', 0.0)
+    _top_offset = FromYaml('top', (0.0, 0.0, 0.0))
+    _horizontal_radius = FromYaml('radius', 0.0)
 
 
 class _CatalogueMobileBase(_CatalogueBase, MobileBaseModel, registered=False):
-    sideways = FromPart('sideways', True)
+    sideways = FromYaml('sideways', True)
 
 
 class NoActuationBase(_CatalogueMobileBase, folder='no_actuation_base'):

@@ -16,7 +16,7 @@ from manip_sim.models.arenas import Arena, create_arena, EmptyArena
 from manip_sim.models.files.model_file import keyframes_of
 from manip_sim.models.files.part_descriptions import ArenaDescription
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
-from manip_sim.models.objects import (
+from manip_sim.models.object_creation import (
     check_object_names, create_described, FixtureModel, load_objects, ObjectModel)
 from manip_sim.models.placements import check_placed, read_placements
 from manip_sim.models.robots.robot_model import RobotModel

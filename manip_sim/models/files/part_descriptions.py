@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union
 
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.regular_files import Files
 from manip_sim.models.strict_descriptions import (
     AfterValidator, Field, Strict, ValidationError)
-from manip_sim.models.regular_files import Files
 from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
 from manip_sim.quoting import quoted
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.catalogue_part import CataloguePart, FromPart
+from manip_sim.models.catalogue_model import CatalogueModel, FromYaml
 from manip_sim.models.grippers.gripper_model import GripperModel
 
 
@@ -20,7 +20,7 @@ class _Speed:
         return float(owner._action.get('speed', 0.0))
 
 
-class CatalogueGripper(CataloguePart, GripperModel, registered=False):
+class CatalogueGripper(CatalogueModel, GripperModel, registered=False):
     """
     A gripper from ``assets/grippers``; ``part.yaml`` says what its actions mean.
 
@@ -34,10 +34,10 @@ class CatalogueGripper(CataloguePart, GripperModel, registered=False):
     """
 
     _kind = 'grippers'
-    _important_geoms = FromPart('fingers', {})
-    _start = FromPart('start', {})
-    _action: Any = FromPart('action', {'steps': False})
-    _each_action = FromPart('each_action', {})
+    _important_geoms = FromYaml('fingers', {})
+    _start = FromYaml('start', {})
+    _action: Any = FromYaml('action', {'steps': False})
+    _each_action = FromYaml('each_action', {})
     speed = _Speed()
 
     def __init__(self, idn: int | str = 0) -> None:
@@ -97,7 +97,7 @@ class JacoThreeFingerGripper(CatalogueGripper, folder='jaco_three_finger_gripper
 class JacoThreeFingerDexterousGripper(JacoThreeFingerGripper):
     """Kinova hand that opens and closes each finger."""
 
-    _action = FromPart('each_action', {})
+    _action = FromYaml('each_action', {})
 
 
 class NullGripper(CatalogueGripper, folder='null_gripper'):
@@ -131,7 +131,7 @@ class RobotiqThreeFingerGripper(CatalogueGripper, folder='robotiq_three_finger_g
 class RobotiqThreeFingerDexterousGripper(RobotiqThreeFingerGripper):
     """Robotiq gripper whose three fingers and scissor move by steps, one by one."""
 
-    _action = FromPart('each_action', {})
+    _action = FromYaml('each_action', {})
 
 
 class SO101Gripper(CatalogueGripper, folder='so101_gripper'):

@@ -8,25 +8,25 @@ from __future__ import annotations
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.catalogue_part import CataloguePart, FromPart
+from manip_sim.models.catalogue_model import CatalogueModel, FromYaml
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement
 
 
-class CatalogueRobot(CataloguePart, ManipulatorModel, registered=False):
+class CatalogueRobot(CatalogueModel, ManipulatorModel, registered=False):
     """A robot with arms from ``assets/robots``."""
 
     _kind = 'robots'
-    _arms = FromPart('arms', {})
-    _base_name = FromPart('base', None)
-    _controllers = FromPart('controllers', {})
-    _start = FromPart('start', {})
-    _placement = FromPart('placement', {})
+    _arms = FromYaml('arms', {})
+    _base_name = FromYaml('base', None)
+    _controllers = FromYaml('controllers', {})
+    _start = FromYaml('start', {})
+    _placement = FromYaml('placement', {})
     #: From the middle of the near edge of a table, on the floor [m].
-    _table_placement = FromPart('table_placement', (0.0, 0.0, 0.0))
-    _foot_offset = FromPart('foot', None)
-    _top_offset = FromPart('top', (0.0, 0.0, 0.0))
-    _horizontal_radius = FromPart('radius', 0.0)
+    _table_placement = FromYaml('table_placement', (0.0, 0.0, 0.0))
+    _foot_offset = FromYaml('foot', None)
+    _top_offset = FromYaml('top', (0.0, 0.0, 0.0))
+    _horizontal_radius = FromYaml('radius', 0.0)
 
     def _of_arms(self, key: str) -> dict[str, str]:
         return {arm: described[key] for arm, described in self._arms.items() if key in described}
@@ -100,7 +100,7 @@ class Panda(CatalogueRobot, folder='panda'):
 class PandaOmron(Panda, folder='panda_omron'):
     """The Panda, by default on the Omron base."""
 
-    _torso_start = FromPart('torso_start', ())
+    _torso_start = FromYaml('torso_start', ())
 
     @property
     def init_torso_qpos(self) -> FloatArray:

@@ -15,18 +15,18 @@ from manip_sim.models.strict_yaml import read_yaml
 from manip_sim.resources import asset_path
 
 
-class FromPart:
+class FromYaml:
     """A class attribute that is read from ``part.yaml`` when it is first needed."""
 
     def __init__(self, key: str, default: Any) -> None:
         self.key = key
         self.default = default
 
-    def __get__(self, part: CataloguePart | None, owner: type[CataloguePart]) -> Any:
+    def __get__(self, part: CatalogueModel | None, owner: type[CatalogueModel]) -> Any:
         return owner.data().get(self.key, self.default) if owner._folder else self.default
 
 
-class CataloguePart(MujocoXMLModel):
+class CatalogueModel(MujocoXMLModel):
     """
     A part whose class is created with a ``folder`` of ``assets``; the numbers are in it.
 
@@ -42,7 +42,7 @@ class CataloguePart(MujocoXMLModel):
     #: What ``part.yaml`` says, of each class once it is read.
     _data: ClassVar[dict[str, Any]]
     #: The MJCF file, relative to the folder; by default it is named like the folder.
-    _model = FromPart('model', None)
+    _model = FromYaml('model', None)
 
     def __init_subclass__(cls, folder: str = '', **kwargs: Any) -> None:
         cls._folder = folder or cls._folder
@@ -69,7 +69,7 @@ class CataloguePart(MujocoXMLModel):
             cls._data = _read(
                 asset_path(cls._kind, cls._folder).with_name('part.yaml'),
                 {attribute.key for base in cls.__mro__ for attribute in vars(base).values()
-                 if isinstance(attribute, FromPart)})
+                 if isinstance(attribute, FromYaml)})
         return cls._data
 
 

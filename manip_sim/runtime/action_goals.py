@@ -66,7 +66,7 @@ class Outcome:
     reason: str
 
 
-class Goal(ABC):
+class ActionGoal(ABC):
     """
     A command that the simulation's thread watches; any thread may read its outcome and view.
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Hands with coupled fingers, tendons, motors and other actuators are driven right or rejected."""
+"""Grippers with couplings, tendons, motors and other actuators are driven right or rejected."""
 
 import mujoco
 import numpy as np
@@ -28,7 +28,7 @@ MOTORS = ('<motor name="left_motor" joint="left" ctrlrange="-3 3"/>'
 
 
 def fingers(simulation):
-    """Return where the fingers of a hand are [m], shape (2,)."""
+    """Return where the fingers of a gripper are [m], shape (2,)."""
     return np.array([simulation.data.joint(joint).qpos[0] for joint in (LEFT, RIGHT)])
 
 
@@ -85,23 +85,23 @@ def test_unnamed_finger_follows_the_one_that_it_is_coupled_to(one_joint_arm, run
 
 @pytest.mark.parametrize('forces', ['-inf 20', '-20 inf'])
 def test_a_servo_whose_force_has_no_limit_on_one_side_goes_and_presses_as_others_do(
-        forces, hand_sim, run):
-    simulation = hand_sim(SERVOS.replace('-20 20', forces))
+        forces, fingers_sim, run):
+    simulation = fingers_sim(SERVOS.replace('-20 20', forces))
     for goal in (0.03, 0.0, 0.04):
         command(simulation, left=goal)
         run(simulation, 1.5)
         np.testing.assert_allclose(fingers(simulation), goal, atol=5e-4)
 
 
-def test_fingers_that_nothing_couples_move_one_by_one(hand_sim, run):
-    simulation = hand_sim(SERVOS, coupled=False)
+def test_fingers_that_nothing_couples_move_one_by_one(fingers_sim, run):
+    simulation = fingers_sim(SERVOS, coupled=False)
     command(simulation, left=0.035)
     run(simulation, 1.5)
     np.testing.assert_allclose(fingers(simulation), [0.035, 0.02], atol=1e-4)
 
 
-def test_of_two_commands_in_one_period_for_coupled_fingers_the_newer_one_counts(hand_sim, run):
-    simulation = hand_sim(SERVOS)
+def test_of_two_commands_in_one_period_for_coupled_fingers_the_newer_one_counts(fingers_sim, run):
+    simulation = fingers_sim(SERVOS)
     command(simulation, left=0.035)
     command(simulation, right=0.01)
     run(simulation, 1.5)
@@ -109,12 +109,13 @@ def test_of_two_commands_in_one_period_for_coupled_fingers_the_newer_one_counts(
 
 
 @pytest.mark.parametrize('polynomial', ['0 0.5 0 0 0', '0.005 0.2 10 0 0'])
-def test_coupled_finger_follows_any_polynomial_both_ways(hand_sim, hand_class, run, polynomial):
+def test_coupled_finger_follows_any_polynomial_both_ways(
+        fingers_sim, fingers_class, run, polynomial):
     a, b, c = [float(number) for number in polynomial.split()[:3]]
     sections = (f'<equality><joint joint1="right" joint2="left" polycoef="{polynomial}"/>'
                 '</equality>')
-    hand_class.init_qpos = [0.02, a + b * 0.02 + c * 0.02**2]
-    simulation = hand_sim(SERVOS, sections, coupled=False)
+    fingers_class.init_qpos = [0.02, a + b * 0.02 + c * 0.02**2]
+    simulation = fingers_sim(SERVOS, sections, coupled=False)
     expected = [0.03, a + b * 0.03 + c * 0.03**2]
     command(simulation, left=expected[0])
     run(simulation, 1.5)
@@ -128,8 +129,8 @@ def test_coupled_finger_follows_any_polynomial_both_ways(hand_sim, hand_class, r
 
 @pytest.mark.parametrize('named', [{'left': 0.03}, {'right': 0.03},
                                    {'left': 0.03, 'right': 0.03}])
-def test_fingers_on_a_tendon_follow_joint_commands_at_their_speed(hand_sim, run, named):
-    simulation = hand_sim(TENDON_SERVO, TENDON)
+def test_fingers_on_a_tendon_follow_joint_commands_at_their_speed(fingers_sim, run, named):
+    simulation = fingers_sim(TENDON_SERVO, TENDON)
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
     assert simulation.robot.grippers[GRIPPER].joints.names == (LEFT, RIGHT)
     command(simulation, left=0.0)
@@ -141,10 +142,10 @@ def test_fingers_on_a_tendon_follow_joint_commands_at_their_speed(hand_sim, run,
     np.testing.assert_allclose(fingers(simulation), [0.03, 0.03], atol=2e-4)
 
 
-def test_coupled_setpoints_keep_their_ratio_on_the_way(hand_sim, hand_class):
-    hand_class.init_qpos = [0.02, 0.01]
-    simulation = hand_sim(SERVOS, '<equality><joint joint1="right" joint2="left" '
-                          'polycoef="0 0.5 0 0 0"/></equality>', coupled=False)
+def test_coupled_setpoints_keep_their_ratio_on_the_way(fingers_sim, fingers_class):
+    fingers_class.init_qpos = [0.02, 0.01]
+    simulation = fingers_sim(SERVOS, '<equality><joint joint1="right" joint2="left" '
+                             'polycoef="0 0.5 0 0 0"/></equality>', coupled=False)
     command(simulation, right=0.02)
     for _ in range(100):
         simulation.advance(5)
@@ -153,21 +154,21 @@ def test_coupled_setpoints_keep_their_ratio_on_the_way(hand_sim, hand_class):
     assert right == pytest.approx(0.02)
 
 
-def test_coupling_that_is_switched_off_does_not_count(hand_sim, run):
-    simulation = hand_sim(SERVOS, '<equality><joint joint1="right" joint2="left" '
-                          'active="false"/></equality>', coupled=False)
+def test_coupling_that_is_switched_off_does_not_count(fingers_sim, run):
+    simulation = fingers_sim(SERVOS, '<equality><joint joint1="right" joint2="left" '
+                             'active="false"/></equality>', coupled=False)
     command(simulation, left=0.035)
     run(simulation, 1.5)
     np.testing.assert_allclose(fingers(simulation), [0.035, 0.02], atol=1e-4)
 
 
-def test_coupling_counts_from_where_the_joints_are_in_the_file(hand_sim, hand_class, run):
+def test_coupling_counts_from_where_the_joints_are_in_the_file(fingers_sim, fingers_class, run):
     def refer(gripper):
         gripper.spec.joint('left').ref = 0.01
 
     # The left finger is at 0.01 where the right one is at 0.
-    hand_class.init_qpos = [0.03, 0.02]
-    simulation = hand_sim(SERVOS, before=refer)
+    fingers_class.init_qpos = [0.03, 0.02]
+    simulation = fingers_sim(SERVOS, before=refer)
     for named, expected in (({'left': 0.035}, [0.035, 0.025]), ({'right': 0.005}, [0.015, 0.005])):
         command(simulation, **named)
         run(simulation, 1.5)
@@ -175,18 +176,18 @@ def test_coupling_counts_from_where_the_joints_are_in_the_file(hand_sim, hand_cl
 
 
 def test_slow_actions_move_evenly_and_a_joint_command_after_them_at_full_speed(
-        hand_sim, hand_class, run):
+        fingers_sim, fingers_class, run):
     # 0.05 of a range of 2 is 1 mm of 0.04 m: at 20 Hz 0.02 m/s.
-    hand_class.speed = 0.05
-    simulation = hand_sim(SERVOS)
+    fingers_class.speed = 0.05
+    simulation = fingers_sim(SERVOS)
     act(simulation, -1.0)
     assert speeds_during(simulation, run, 0.7) == pytest.approx(0.02, rel=0.02)
     command(simulation, left=0.0)
     assert speeds_during(simulation, run, 0.3) == pytest.approx(0.05, rel=0.02)
 
 
-def test_fingers_on_a_tendon_follow_actions_at_their_speed(hand_sim, run):
-    simulation = hand_sim(TENDON_SERVO, TENDON)
+def test_fingers_on_a_tendon_follow_actions_at_their_speed(fingers_sim, run):
+    simulation = fingers_sim(TENDON_SERVO, TENDON)
     act(simulation, -1.0)
     run(simulation, 2.0)
     np.testing.assert_allclose(fingers(simulation), [0.04, 0.04], atol=1e-3)
@@ -195,47 +196,48 @@ def test_fingers_on_a_tendon_follow_actions_at_their_speed(hand_sim, run):
     np.testing.assert_allclose(fingers(simulation), [0.0, 0.0], atol=1e-3)
 
 
-def test_joints_on_a_tendon_take_joint_commands_beside_those_of_other_parts(hand_sim, run):
-    simulation = hand_sim(TENDON_SERVO, TENDON)
+def test_joints_on_a_tendon_take_joint_commands_beside_those_of_other_parts(fingers_sim, run):
+    simulation = fingers_sim(TENDON_SERVO, TENDON)
     for goal in simulation.robot.parse.joint_command([LEFT, 'robot0_joint1'], [0.03, 0.1]):
         simulation.robot.apply(goal)
     run(simulation, 1.5)
     np.testing.assert_allclose(fingers(simulation), [0.03, 0.03], atol=2e-4)
 
 
-def test_no_joint_of_an_uncoupled_tendon_is_faster_than_it_may_be(hand_sim, run):
+def test_no_joint_of_an_uncoupled_tendon_is_faster_than_it_may_be(fingers_sim, run):
     # One finger is held, so the other one has to do all of the way of the tendon.
     sections = TENDON + '<equality><joint joint1="right" polycoef="0.02 0 0 0 0"/></equality>'
-    simulation = hand_sim(TENDON_SERVO, sections, coupled=False)
+    simulation = fingers_sim(TENDON_SERVO, sections, coupled=False)
     command(simulation, left=0.035)
     assert speeds_during(simulation, run, 1.0) < 0.052
     assert fingers(simulation)[0] == pytest.approx(0.035, abs=1e-3)
 
 
-def test_a_finger_that_moves_less_than_its_partner_leaves_the_partner_at_its_speed(hand_sim, run):
+def test_a_finger_that_moves_less_than_its_partner_leaves_the_partner_at_its_speed(
+        fingers_sim, run):
     # The tendon is half of both: while the left finger moves by 1, it gets longer by 0.75.
     sections = TENDON + ('<equality><joint joint1="right" joint2="left" polycoef="0 0.5 0 0 0"/>'
                          '</equality>')
-    simulation = hand_sim(TENDON_SERVO, sections, coupled=False)
+    simulation = fingers_sim(TENDON_SERVO, sections, coupled=False)
     command(simulation, left=0.0)
     run(simulation, 2.0)
     command(simulation, left=0.03)
     assert speeds_during(simulation, run, 0.5) == pytest.approx(0.05, rel=0.02)
 
 
-def test_speed_limit_counts_at_the_joint_whatever_the_gear(hand_sim, run):
+def test_speed_limit_counts_at_the_joint_whatever_the_gear(fingers_sim, run):
     geared = ''.join(f'<position name="{side}" joint="{side}" kp="{1000 / gear**2}" '
                      f'kv="{20 / gear**2}" gear="{gear}" ctrlrange="{low} {high}"/>'
                      for side, gear, low, high in (('left', 3, 0, 0.12), ('right', -2, -0.08, 0)))
-    simulation = hand_sim(geared, coupled=False)
+    simulation = fingers_sim(geared, coupled=False)
     command(simulation, left=0.04, right=0.0)
     assert speeds_during(simulation, run, 0.3) == pytest.approx(0.05, rel=0.02)
     run(simulation, 1.0)
     np.testing.assert_allclose(fingers(simulation), [0.04, 0.0], atol=1e-3)
 
 
-def test_motors_take_actions_as_forces(hand_sim, run):
-    simulation = hand_sim(MOTORS)
+def test_motors_take_actions_as_forces(fingers_sim, run):
+    simulation = fingers_sim(MOTORS)
     act(simulation, 1.0)
     run(simulation, 1.0)
     actuators = simulation.robot.parts[GRIPPER].actuator_ids
@@ -251,8 +253,8 @@ def test_motors_take_actions_as_forces(hand_sim, run):
     ('<general name="spring" joint="left" gainprm="0" biastype="affine" biasprm="0 -100 0"'
      ' ctrlrange="0 0.04"/>',
      "actuator 'gripper0_spring' is no position servo, its control is a force")])
-def test_joint_command_to_what_is_no_position_servo_is_rejected(hand_sim, actuators, reason):
-    simulation = hand_sim(actuators)
+def test_joint_command_to_what_is_no_position_servo_is_rejected(fingers_sim, actuators, reason):
+    simulation = fingers_sim(actuators)
     with pytest.raises(CommandError, match=f"^right/gripper: joint '{LEFT}' takes no position, "
                                            f'{reason}: use actions$'):
         command(simulation, left=0.01)
@@ -260,9 +262,9 @@ def test_joint_command_to_what_is_no_position_servo_is_rejected(hand_sim, actuat
         simulation.robot.parse.joint_command([LEFT], [0.01])
 
 
-def test_a_start_that_violates_a_coupling_is_one_that_satisfies_it(hand_sim, hand_class):
-    hand_class.init_qpos = [0.03, 0.01]
-    simulation = hand_sim(SERVO.format('left'))
+def test_a_start_that_violates_a_coupling_is_one_that_satisfies_it(fingers_sim, fingers_class):
+    fingers_class.init_qpos = [0.03, 0.01]
+    simulation = fingers_sim(SERVO.format('left'))
     left, right = fingers(simulation)
     assert left == pytest.approx(right, abs=1e-5)
     assert 0.01 < left < 0.03
@@ -273,32 +275,32 @@ def test_a_start_that_violates_a_coupling_is_one_that_satisfies_it(hand_sim, han
 @pytest.mark.parametrize('second', [
     '<velocity name="damper" joint="left" kv="5" ctrlrange="-1 1"/>',
     '<position name="damper" joint="left" kp="5" ctrlrange="0 1"/>'])
-def test_two_actuators_on_one_joint_end_the_start(hand_sim, second):
+def test_two_actuators_on_one_joint_end_the_start(fingers_sim, second):
     with pytest.raises(ModelError, match=(
             "^actuators 'gripper0_left' and 'gripper0_damper' of right/gripper both drive joint "
             "'gripper0_left' and one of them is a position servo, which the other one disturbs: "
             'keep only one$')):
-        hand_sim(SERVO.format('left') + second)
+        fingers_sim(SERVO.format('left') + second)
 
 
-def test_two_actuators_on_one_joint_are_seen_behind_one_that_drives_none(hand_sim):
+def test_two_actuators_on_one_joint_are_seen_behind_one_that_drives_none(fingers_sim):
     with pytest.raises(ModelError, match="'gripper0_left' and 'gripper0_right' of right/gripper "
                                          "both drive joint 'gripper0_left'"):
-        hand_sim('<motor name="thruster" site="grip_site" ctrlrange="0 1"/>'
-                 + SERVO.format('left')
-                 + SERVO.format('right').replace('joint="right"', 'joint="left"'))
+        fingers_sim('<motor name="thruster" site="grip_site" ctrlrange="0 1"/>'
+                    + SERVO.format('left')
+                    + SERVO.format('right').replace('joint="right"', 'joint="left"'))
 
 
-def test_two_motors_on_one_joint_are_driven_one_by_one(hand_sim, run):
-    simulation = hand_sim('<motor name="pull" joint="left" ctrlrange="0 3"/>'
-                          '<motor name="push" joint="left" gear="-1" ctrlrange="0 1"/>')
+def test_two_motors_on_one_joint_are_driven_one_by_one(fingers_sim, run):
+    simulation = fingers_sim('<motor name="pull" joint="left" ctrlrange="0 3"/>'
+                             '<motor name="push" joint="left" gear="-1" ctrlrange="0 1"/>')
     act(simulation, -1.0)
     run(simulation, 1.0)
     assert fingers(simulation)[0] == pytest.approx(0.04, abs=1e-3)
 
 
-def test_servo_with_a_velocity_as_control_goes_to_positions(hand_sim, run):
-    simulation = hand_sim(''.join(
+def test_servo_with_a_velocity_as_control_goes_to_positions(fingers_sim, run):
+    simulation = fingers_sim(''.join(
         f'<intvelocity name="{side}" joint="{side}" kp="1000" kv="20" actrange="0 0.04" '
         'forcerange="-20 20" ctrlrange="-0.03 0.03"/>' for side in ('left', 'right')))
     run(simulation, 0.5)
@@ -315,8 +317,8 @@ def test_servo_with_a_velocity_as_control_goes_to_positions(hand_sim, run):
     assert not simulation.robot.grippers[GRIPPER].moving
 
 
-def test_servo_with_a_filter_of_its_own_keeps_it(hand_sim, run):
-    simulation = hand_sim(''.join(
+def test_servo_with_a_filter_of_its_own_keeps_it(fingers_sim, run):
+    simulation = fingers_sim(''.join(
         f'<position name="{side}" joint="{side}" kp="1000" kv="20" ctrlrange="0 0.04" '
         'timeconst="0.1"/>' for side in ('left', 'right')))
     kinds = simulation.model.actuator_dyntype[simulation.robot.parts[GRIPPER].actuator_ids]
@@ -328,22 +330,22 @@ def test_servo_with_a_filter_of_its_own_keeps_it(hand_sim, run):
     np.testing.assert_allclose(fingers(simulation), [0.035, 0.035], atol=1e-3)
 
 
-def test_actuator_without_a_control_range_takes_that_of_its_joint(hand_sim, run):
-    simulation = hand_sim('<position name="left" joint="left" kp="1000" kv="20"/>')
+def test_actuator_without_a_control_range_takes_that_of_its_joint(fingers_sim, run):
+    simulation = fingers_sim('<position name="left" joint="left" kp="1000" kv="20"/>')
     act(simulation, -1.0)
     run(simulation, 2.0)
     assert fingers(simulation)[0] == pytest.approx(0.04, abs=1e-3)
 
 
-def test_motor_without_a_control_range_ends_the_start(hand_sim):
+def test_motor_without_a_control_range_ends_the_start(fingers_sim):
     with pytest.raises(ModelError, match="^actuator 'gripper0_m' of right/gripper needs a control "
                                          r'range, to which actions in \[-1, 1\] are mapped$'):
-        hand_sim('<motor name="m" joint="left"/>')
+        fingers_sim('<motor name="m" joint="left"/>')
 
 
-def test_force_range_of_one_side_only_closes_and_does_not_open(hand_sim, run):
+def test_force_range_of_one_side_only_closes_and_does_not_open(fingers_sim, run):
     one_sided = SERVOS.replace('forcerange="-20 20"', 'forcerange="-20 0"')
-    simulation = hand_sim(one_sided)
+    simulation = fingers_sim(one_sided)
     act(simulation, 1.0)
     run(simulation, 2.0)
     np.testing.assert_allclose(fingers(simulation), [0.0, 0.0], atol=1e-3)
@@ -362,8 +364,8 @@ def block(simulation, width_m):
                                                     ('-5 20', 5.0)])
 @pytest.mark.parametrize('width_m', [0.003, 0.02, 0.05])
 def test_fingers_that_are_stopped_press_with_the_full_force_of_their_side(
-        hand_sim, run, force_range, force, width_m):
-    simulation = hand_sim(SERVOS.replace('-20 20', force_range))
+        fingers_sim, run, force_range, force, width_m):
+    simulation = fingers_sim(SERVOS.replace('-20 20', force_range))
     act(simulation, -1.0)
     run(simulation, 1.5)
     block(simulation, width_m)
@@ -379,13 +381,13 @@ def test_fingers_that_are_stopped_press_with_the_full_force_of_their_side(
     assert (fingers(simulation) - before > 0.0025).all()
 
 
-def test_force_limit_of_the_joint_counts_as_well(hand_sim, run):
+def test_force_limit_of_the_joint_counts_as_well(fingers_sim, run):
     def limit(gripper):
         for side in ('left', 'right'):
             gripper.spec.joint(side).actfrcrange = [-8.0, 30.0]
             gripper.spec.joint(side).actfrclimited = 1
 
-    simulation = hand_sim(SERVOS, before=limit)
+    simulation = fingers_sim(SERVOS, before=limit)
     block(simulation, 0.02)
     act(simulation, 1.0)
     run(simulation, 1.5)
@@ -394,8 +396,8 @@ def test_force_limit_of_the_joint_counts_as_well(hand_sim, run):
     np.testing.assert_allclose(lead, 8e-3 + fingers(simulation), rtol=1e-3)
 
 
-def test_joint_command_presses_no_more_than_its_error_asks_for(hand_sim, run):
-    simulation = hand_sim(SERVOS)
+def test_joint_command_presses_no_more_than_its_error_asks_for(fingers_sim, run):
+    simulation = fingers_sim(SERVOS)
     act(simulation, -1.0)
     run(simulation, 1.5)
     command(simulation, left=0.0)
@@ -411,15 +413,16 @@ def test_joint_command_presses_no_more_than_its_error_asks_for(hand_sim, run):
     (lambda action: [np.nan, 0.0], r'it returned \[nan, 0.0\]'),
     (lambda action: None, r'it returned the shape \(\)'),
     (lambda action: action['left'], r'it raised IndexError: .*')])
-def test_format_action_that_does_not_fit_ends_the_start(hand_sim, hand_class, returned, what):
-    hand_class.format_action = lambda self, action: returned(action)
+def test_format_action_that_does_not_fit_ends_the_start(
+        fingers_sim, fingers_class, returned, what):
+    fingers_class.format_action = lambda self, action: returned(action)
     with pytest.raises(ModelError, match=(
-            '^format_action of Hand must return 2 finite numbers, one for each actuator, but with '
-            f'an action of 1 zeros {what}$')):
-        hand_sim(SERVOS)
+            '^format_action of OneActionGripper must return 2 finite numbers, one for each '
+            f'actuator, but with an action of 1 zeros {what}$')):
+        fingers_sim(SERVOS)
 
 
-def test_check_at_the_start_changes_no_state_of_the_gripper(hand_sim, hand_class):
+def test_check_at_the_start_changes_no_state_of_the_gripper(fingers_sim, fingers_class):
     calls = []
 
     def counted(self, action):
@@ -428,9 +431,9 @@ def test_check_at_the_start_changes_no_state_of_the_gripper(hand_sim, hand_class
         calls.append(self.count)
         return np.zeros(2)
 
-    hand_class.format_action = counted
-    hand_class.start_at = lambda self, command: None
-    simulation = hand_sim(SERVOS)
+    fingers_class.format_action = counted
+    fingers_class.start_at = lambda self, command: None
+    simulation = fingers_sim(SERVOS)
     gripper = simulation.robot.robot_model.grippers['right']
     np.testing.assert_array_equal(gripper.current_action, [0.0, 0.0])
     assert calls == [1]
@@ -438,8 +441,8 @@ def test_check_at_the_start_changes_no_state_of_the_gripper(hand_sim, hand_class
 
 
 @pytest.mark.parametrize('bad', [[np.nan, np.nan], [0.0], [[0.0], [0.0]], 'nonsense'])
-def test_bad_return_at_run_time_holds_and_is_counted(hand_sim, hand_class, run, bad):
-    simulation = hand_sim(SERVOS)
+def test_bad_return_at_run_time_holds_and_is_counted(fingers_sim, fingers_class, run, bad):
+    simulation = fingers_sim(SERVOS)
     gripper = simulation.robot.robot_model.grippers['right']
     good = gripper.format_action
     act(simulation, -1.0)
@@ -459,8 +462,8 @@ def test_bad_return_at_run_time_holds_and_is_counted(hand_sim, hand_class, run, 
     assert simulation.robot.grippers[GRIPPER].faults == 14
 
 
-def test_gripper_that_raises_at_run_time_is_counted_and_held(hand_sim, run):
-    simulation = hand_sim(SERVOS)
+def test_gripper_that_raises_at_run_time_is_counted_and_held(fingers_sim, run):
+    simulation = fingers_sim(SERVOS)
 
     def raising(*args):
         raise RuntimeError('broken')
@@ -477,14 +480,15 @@ def test_gripper_that_raises_at_run_time_is_counted_and_held(hand_sim, run):
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
 
 
-def test_start_that_is_not_finite_ends_it(hand_sim, hand_class):
-    hand_class.init_qpos = [0.01, np.nan]
-    with pytest.raises(ModelError, match=r'^init_qpos of Hand0 must be finite, got nan at'):
-        hand_sim(SERVOS)
+def test_start_that_is_not_finite_ends_it(fingers_sim, fingers_class):
+    fingers_class.init_qpos = [0.01, np.nan]
+    with pytest.raises(
+            ModelError, match=r'^init_qpos of OneActionGripper0 must be finite, got nan'):
+        fingers_sim(SERVOS)
 
 
-def test_resting_fingers_need_no_ticks(hand_sim, run):
-    simulation = hand_sim(SERVOS)
+def test_resting_fingers_need_no_ticks(fingers_sim, run):
+    simulation = fingers_sim(SERVOS)
     drive = simulation.robot.grippers[GRIPPER]
     assert not drive.moving
     for action in (-1.0, 1.0):
@@ -513,8 +517,8 @@ def test_activation_leaves_the_forces_of_servos_as_they_are(name):
     np.testing.assert_allclose(simulation.data.actuator_force[ids], data.actuator_force[ids])
 
 
-def test_an_effort_at_a_finger_is_the_force_of_its_actuator_by_gear_and_tendon(hand_sim):
-    simulation = hand_sim(TENDON_SERVO.replace('tendon=', 'gear="3" tendon='), TENDON)
+def test_an_effort_at_a_finger_is_the_force_of_its_actuator_by_gear_and_tendon(fingers_sim):
+    simulation = fingers_sim(TENDON_SERVO.replace('tendon=', 'gear="3" tendon='), TENDON)
     actuators = simulation.robot.grippers[GRIPPER]._actuators
     limit = ForceLimit(simulation.physics, actuators)
     limit.set(6.0)

@@ -22,8 +22,8 @@ from manip_sim.ros.action_messages import (
 from manip_sim.ros.command_subscribers import CommandSubscribers
 from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.rejection_log import kind_of
+from manip_sim.runtime.action_goals import Ending, ActionGoal, GoalError
 from manip_sim.runtime.goal_tracker import GoalTracker
-from manip_sim.runtime.goals import Ending, Goal, GoalError
 from manip_sim.simulation import SimulatedRobot
 
 if TYPE_CHECKING:
@@ -58,8 +58,8 @@ class GoalServer:
         self._begun = begun
         self._name = commands.scope.topic(f'{messages.part}/{messages.name}')
         #: The last request that was accepted, with its goal, which is begun right afterwards.
-        self._accepted: tuple[Any, Goal] | None = None
-        self._running: dict[bytes, tuple[Goal, Any, Future]] = {}
+        self._accepted: tuple[Any, ActionGoal] | None = None
+        self._running: dict[bytes, tuple[ActionGoal, Any, Future]] = {}
         self._sent_ns: dict[bytes, int] = {}
         self._closed = False
         self._server = ActionServer(
@@ -121,7 +121,7 @@ class GoalServer:
     def destroy(self) -> None:
         self._server.destroy()
 
-    def report_end(self, goal: Goal) -> bool:
+    def report_end(self, goal: ActionGoal) -> bool:
         """
         Inform the client of a goal that has ended.
 
@@ -164,7 +164,7 @@ class ActionServers:
     def __init__(self, node: SimNode,
                  offer: Callable[[SimulatedRobot], Iterable[ActionMessages]]) -> None:
         self._node, self._offer = node, offer
-        self._ended: queue.SimpleQueue[Goal] = queue.SimpleQueue()
+        self._ended: queue.SimpleQueue[ActionGoal] = queue.SimpleQueue()
         self._guard = node.create_guard_condition(self._report_ends)
         self.tracker = GoalTracker(node.thread, self._has_ended)
         # The timer runs while there are goals.
@@ -194,7 +194,7 @@ class ActionServers:
                 server.destroy()
         self._servers = [server for server in self._servers if server.robot is not robot]
 
-    def _has_ended(self, goal: Goal) -> None:
+    def _has_ended(self, goal: ActionGoal) -> None:
         """Hand a goal over from the simulation's thread to the executor's."""
         self._ended.put(goal)
         self._guard.trigger()
