@@ -20,7 +20,7 @@ import mujoco
 
 from manip_sim.models import compose
 from manip_sim.models.object_creation import create_object, ObjectModel
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 from manip_sim.startup import use_one_blas_thread
 

@@ -44,8 +44,8 @@ def _run() -> int:
         print(f"sim_node: unknown argument '{ours[0]}': parameters such as '-p robot:=Panda' come "
               "after '--ros-args'; see --help", file=sys.stderr)
         return 2
-    from manip_sim.environment import check_ros_environment, missing_module
     from manip_sim.errors import ManipSimError
+    from manip_sim.ros_environment import check_ros_environment, missing_module
     try:
         check_ros_environment()
         import_mujoco()

@@ -58,8 +58,8 @@ MAY_IMPORT = {
 INTERNALS = 'rclpy_internals'
 WITH_RCLPY = ('ros', 'env/ros', 'examples', 'testing', 'viewer/ros', 'records/node_recorder.py',
               'experiments/ros_policy.py', f'{INTERNALS}.py')
-TOP_LEVEL = {'algebra', 'arrays', 'clamping', 'entry_points', 'environment', 'errors', 'patching',
-             'quoting', 'resources', 'startup', 'validation'}
+TOP_LEVEL = {'algebra', 'arrays', 'cdr_patching', 'clamping', 'entry_points', 'errors',
+             'quaternion', 'quoting', 'resources', 'ros_environment', 'startup', 'validation'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

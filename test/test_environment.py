@@ -10,8 +10,8 @@ import sys
 from hypothesis import given, settings, strategies
 import pytest
 
-from manip_sim.environment import check_ros_environment, missing_module
 from manip_sim.errors import ManipSimError
+from manip_sim.ros_environment import check_ros_environment, missing_module
 
 #: Run a program as if a module were not installed.
 WITHOUT = """

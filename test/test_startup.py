@@ -91,7 +91,7 @@ PICK, HAND = (('manip_sim.examples.__main__', name) for name in ('pick_cube', 'h
     (NODE, 'manip_sim.ros.process', signal.SIGHUP, 0),
     (PAGE, 'argparse', signal.SIGINT, 0), (PAGE, 'manip_sim.errors', signal.SIGHUP, 0),
     (PAGE, 'numpy', signal.SIGTERM, 0),
-    (PICK, 'manip_sim.environment', signal.SIGINT, 0), (PICK, 'mujoco', signal.SIGHUP, 0),
+    (PICK, 'manip_sim.ros_environment', signal.SIGINT, 0), (PICK, 'mujoco', signal.SIGHUP, 0),
     (HAND, 'manip_sim.examples.hand_over', signal.SIGINT, 0), (HAND, 'numpy', signal.SIGTERM, 0),
     # Who calls a command learns that it was interrupted.
     (COMMAND, 'manip_sim.cli.main', signal.SIGINT, -signal.SIGINT),

@@ -15,9 +15,9 @@ import sys
 import textwrap
 from typing import Any, NoReturn
 
+from manip_sim.cli.offered_verbs import GROUP, OfferedVerb
 from manip_sim.cli.option_types import (
     assignment, count, image_size, number, numbers, positive, whole)
-from manip_sim.cli.verb import GROUP, OfferedVerb
 from manip_sim.entry_points import offers
 from manip_sim.errors import ModelError
 from manip_sim.resources import package_version

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from manip_sim.cli.composing_options import compose_from
-from manip_sim.cli.description import describe
+from manip_sim.cli.composition_description import describe
 from manip_sim.cli.tables import number, span, table, terminal_width
 from manip_sim.errors import ModelError
 from manip_sim.models import World

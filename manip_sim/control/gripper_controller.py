@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.checked_gripper_actions import Formatter
 from manip_sim.control.commands import (
     Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, Status)
-from manip_sim.control.gripper_actions import Formatter
 from manip_sim.control.gripper_actuators import GripperActuators
 from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.control.gripper_joints import GripperJoints

@@ -16,10 +16,10 @@ from manip_sim.control.direct_controls import DirectControls
 from manip_sim.control.modes import EFFORT, POSITION
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.arenas import Arena
-from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.models.robots.subsystems import driven_joint
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
+from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 
 #: The part that the joints of the arena are, in topics and parameters.
 ARENA = 'arena'

@@ -47,8 +47,8 @@ def _run(name: str) -> int:
     import gc
     from importlib import import_module
 
-    from manip_sim.environment import check_ros_environment, missing_module
     from manip_sim.errors import ManipSimError
+    from manip_sim.ros_environment import check_ros_environment, missing_module
     try:
         check_ros_environment()
         import_mujoco()

@@ -14,8 +14,8 @@ import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
-from manip_sim.models.quaternion import NO_TURN
 from manip_sim.models.spec_edits import body_for
+from manip_sim.quaternion import NO_TURN
 
 MAX_PIXELS = 4096
 MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 10_000.0

@@ -14,8 +14,8 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
-from manip_sim.models.quaternion import NO_TURN
 from manip_sim.models.spec_edits import body_for
+from manip_sim.quaternion import NO_TURN
 from manip_sim.sensing.lidars import Rays
 
 #: Rays of one lidar at most, as many as the densest ones on the market have: 128 rings of 2048.

@@ -19,10 +19,10 @@ from manip_sim.models.cameras import (
 from manip_sim.models.lidar_models import MAX_NOISE_M, MAX_RANGE_M, MAX_RAYS, MAX_RINGS
 from manip_sim.models.object_model import (
     check_object_name, MAX_MASS_KG, MIN_MASS_KG, SIZES)
-from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.strict_descriptions import (
     BeforeValidator, checked, ConfigDict, Field, model_validator, Number, Strict, StrictBool,
     StrictInt)
+from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.quoting import counted, quoted, shown
 
 #: Greatest distance of an object or camera from the origin along an axis [m].

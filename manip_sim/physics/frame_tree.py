@@ -19,10 +19,10 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.models.urdf_writer.kinematic_tree import (
     build_tree, Joint, joints_of_body, KinematicTree, OPTICAL, ROOT_LINK)
 from manip_sim.physics.poses_and_twists import Pose
+from manip_sim.quaternion import wxyz_to_xyzw
 
 #: The root of the tree.
 WORLD = ROOT_LINK

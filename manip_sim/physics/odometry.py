@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.physics.poses_and_twists import Pose
+from manip_sim.quaternion import wxyz_to_xyzw
 
 
 @dataclass(frozen=True)

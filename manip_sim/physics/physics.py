@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import IntArray
-from manip_sim.physics.spawning import carry_over, in_common, LiveWorld, start_live, WorldPlan
+from manip_sim.physics.object_spawning import (
+    carry_over, in_common, LiveWorld, start_live, WorldPlan)
 #: All that MuJoCo integrates, with what its solvers start from.
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 

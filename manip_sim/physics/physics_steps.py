@@ -22,8 +22,8 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
+from manip_sim.physics.friction_laws import FrictionLaws
 from manip_sim.physics.physics import Physics, PHYSICS
-from manip_sim.physics.velocity_laws import VelocityLaws
 
 #: Runs steps in the calling thread, with other controls in each, in one call.
 _ROLLOUT = Rollout(nthread=0)
@@ -53,7 +53,7 @@ class PhysicsSteps:
     """
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
-                 tools: Sequence[ExternalWrench], laws: Sequence[VelocityLaws] = ()) -> None:
+                 tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws] = ()) -> None:
         self._physics = physics
         self._clock = clock
         self._efforts = efforts
@@ -65,7 +65,7 @@ class PhysicsSteps:
         for laws in self._laws:
             laws.look_at_joints()
 
-    def look_at_robots(self, tools: Sequence[ExternalWrench], laws: Sequence[VelocityLaws]
+    def look_at_robots(self, tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws]
                        ) -> None:
         """Take over the tools and laws of the robots that there are now."""
         self.tools, self._laws = tuple(tools), tuple(laws)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
 from manip_sim.quoting import quoted
-from manip_sim.records.gate import finite, image
 from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import ACTION, GOAL, REWARD, SUCCESS
+from manip_sim.records.untrusted_records import finite, image
 
 _IMAGE = re.compile(r'/(?P<camera>.+)/color/image_raw/compressed')
 

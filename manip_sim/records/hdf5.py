@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from manip_sim.errors import RecordError
 from manip_sim.records.episode_arrays import Frames
-from manip_sim.records.gate import model_xml
+from manip_sim.records.untrusted_records import model_xml
 
 #: robomimic's number for environments of gymnasium.
 _GYM = 2

@@ -22,10 +22,10 @@ from manip_sim.errors import RecordError
 from manip_sim.models.regular_files import opened
 from manip_sim.quoting import one_line, quoted
 from manip_sim.records.definitions import definition, full_name
-from manip_sim.records.gate import (
+from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE
+from manip_sim.records.untrusted_records import (
     BoundedFile, check_about, check_name, check_topic, CutOff, MAX_BYTES, MAX_RECORD,
     MESSAGE_BYTES, unpacked)
-from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE
 
 T = TypeVar('T')
 #: What is kept of nodes.

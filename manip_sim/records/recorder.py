@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import FloatArray
+from manip_sim.cdr_patching import PatchedBytes
 from manip_sim.errors import RecordError
 from manip_sim.interface.scope import Scope
-from manip_sim.patching import PatchedBytes
 from manip_sim.records.definitions import definition, full_name
 from manip_sim.records.record_file import RecordFile
 from manip_sim.resources import package_version

@@ -23,9 +23,9 @@ from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.models.sources import is_of_others, is_path
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import counted, one_line, quoted
-from manip_sim.records.gate import files_of
 from manip_sim.records.recorded import Record, RecordedEpisode
 from manip_sim.records.recorder import physics_state
+from manip_sim.records.untrusted_records import files_of
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.json_state import check_sum, decoded, restore_plain

@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 from rclpy.serialization import serialize_message
 
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.interface.sensors import Offered, offered_topics
+from manip_sim.interface.offered_sensors import Offered, offered_topics
 from manip_sim.quoting import one_line
 from manip_sim.ros.lazy_publishers import create_output, message_class
 from manip_sim.ros.messages import stamp_of

@@ -13,7 +13,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
 from manip_sim.arrays import FloatArray
-from manip_sim.patching import PatchedBytes
+from manip_sim.cdr_patching import PatchedBytes
 from manip_sim.ros.messages import stamp_of
 
 #: Bytes that name the encoding, and those of the length of a sequence or text.

@@ -38,7 +38,6 @@ from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.episode_publishers import EpisodePublisher, TaskPublisher
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
-from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.journal_publisher import JournalPublisher
 from manip_sim.ros.lidar_publishers import offer_lidars
 from manip_sim.ros.overrides import check_qos_names, check_qos_values
@@ -50,6 +49,7 @@ from manip_sim.ros.sensor_publishers import offer_sensors
 from manip_sim.ros.served_robot import ServedRobot
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import offer_simulation_interfaces
+from manip_sim.ros.startup_log import inferred, introduction
 from manip_sim.ros.state_publishers import ClockPublisher, ModelPublisher
 from manip_sim.ros.surroundings_topics import SurroundingsTopics
 from manip_sim.runtime import SimulationThread

@@ -27,8 +27,8 @@ from manip_sim.models.sources import is_path
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted, shown
 from manip_sim.ros.background import in_background, Rounds
-from manip_sim.ros.introduction import inferred
 from manip_sim.ros.standard_answers import Rejection, ResultCode, SpawnCode
+from manip_sim.ros.startup_log import inferred
 from manip_sim.simulation.robot_spawning import plan_without_robot, RobotsPlan
 
 if TYPE_CHECKING:

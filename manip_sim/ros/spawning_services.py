@@ -20,12 +20,12 @@ from manip_sim.models.files.urdf import is_moving_urdf
 from manip_sim.models.object_creation import (
     create_object, named_by_itself, object_from_model, object_from_text, ObjectModel, UNNAMED)
 from manip_sim.models.object_model import check_object_name
-from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml
 from manip_sim.models.untrusted_models import hold_model
+from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.physics.spawning import plan_with, plan_without, WorldPlan
+from manip_sim.quaternion import xyzw_to_wxyz
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import numbers_of, WORLD

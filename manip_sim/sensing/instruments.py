@@ -21,6 +21,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
+from manip_sim.quaternion import XYZW
 
 IMU, WRENCH, RANGE, MAGNETIC_FIELD, VALUES = KINDS = (
     'imu', 'wrench', 'range', 'magnetic_field', 'values')
@@ -34,8 +35,6 @@ _ROLES = {
     'accelerometer': (IMU, ACCELEROMETER), 'gyro': (IMU, GYRO), 'framequat': (IMU, ORIENTATION),
     'force': (WRENCH, slice(0, 3)), 'torque': (WRENCH, slice(3, 6)),
     'rangefinder': (RANGE, slice(0, 1)), 'magnetometer': (MAGNETIC_FIELD, slice(0, 3))}
-#: Quaternions in the order x, y, z, w, which MuJoCo has as w, x, y, z.
-_XYZW = [1, 2, 3, 0]
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ def _instrument(model: mujoco.MjModel, kind: str, group: list[int], taken: set[s
         else:
             places = _ROLES[sensor_type(model, sensor)][1]
             if places == ORIENTATION:
-                own = own[_XYZW]
+                own = own[XYZW]
         sources.append(own)
         targets.append(np.arange(places.start, places.stop))
     length = _IMU_LENGTH if kind == IMU else sum(map(len, targets))

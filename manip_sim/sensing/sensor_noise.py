@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.sensing.instruments import (
     ACCELEROMETER, GYRO, IMU, Instrument, ORIENTATION, RANGE, WRENCH)
 from manip_sim.sensing.randomness import NormalRows
@@ -161,8 +162,7 @@ class InstrumentChannel(Channel):
         if self._kind == IMU:
             values[ORIENTATION] = _turned(exact[ORIENTATION], noise[ORIENTATION][:3])
         elif self._types[0] in ('framequat', 'ballquat'):
-            wxyz = _turned(np.roll(exact, -1), noise[:3])
-            values = np.roll(wxyz, 1)
+            values = xyzw_to_wxyz(_turned(wxyz_to_xyzw(exact), noise[:3]))
         elif self._types[0] == 'touch':
             values = np.maximum(values, 0.0)
         return values
@@ -175,8 +175,8 @@ def _turned(quat_xyzw: FloatArray, by: FloatArray) -> FloatArray:
         return quat_xyzw
     small, product = np.empty(4), np.empty(4)
     mujoco.mju_axisAngle2Quat(small, by / angle, angle)
-    mujoco.mju_mulQuat(product, np.roll(quat_xyzw, 1), small)
-    return np.roll(product, -1)
+    mujoco.mju_mulQuat(product, xyzw_to_wxyz(quat_xyzw), small)
+    return wxyz_to_xyzw(product)
 
 
 def file_noise(model: mujoco.MjModel, found: Instrument) -> FloatArray:

@@ -5,8 +5,8 @@
 
 from manip_sim.physics.end_effectors import Wrench
 from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.robot_state import State
 from manip_sim.simulation.saved_state import SimulationState
 from manip_sim.simulation.simulation import Simulation
-from manip_sim.simulation.state import State
 
 __all__ = ['SimulatedRobot', 'Simulation', 'SimulationState', 'State', 'Wrench']

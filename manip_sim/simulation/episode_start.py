@@ -16,7 +16,7 @@ from manip_sim.physics.free_base import FreeRoots
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 from manip_sim.sensing.robot_sensing import RobotSensing
-from manip_sim.simulation.randomized import Randomized
+from manip_sim.simulation.drawn_randomization import Randomized
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
 #: How long the coupled joints of grippers are simulated so that they settle at their start [s].
@@ -53,7 +53,7 @@ class EpisodeStart:
         """
         self.randomized = Randomized(
             self.world.randomization, self._physics, sensing,
-            [name for robot in self.world.robots for name, law in robot.velocity_laws.items()
+            [name for robot in self.world.robots for name, law in robot.friction_laws.items()
              if np.isfinite(law.stribeck_velocity)])
 
     @property

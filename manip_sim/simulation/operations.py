@@ -12,8 +12,8 @@ from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.object_creation import object_from_text
 from manip_sim.models.object_model import check_object_name
 from manip_sim.models.regular_files import OneText
+from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose, Twist
-from manip_sim.physics.spawning import plan_with, plan_without, WorldPlan
 from manip_sim.quoting import quoted
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import SimulationState

@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.models.quaternion import matrix_of, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.models.urdf_writer.link_shapes import collides, geoms_of_body, unit_sphere
+from manip_sim.quaternion import matrix_of, relative_quat_wxyz, wxyz_to_xyzw
 
 BOX, SPHERE, CYLINDER, MESH = 'box', 'sphere', 'cylinder', 'mesh'
 #: Objects that have moved less are not published again [m], [rad].

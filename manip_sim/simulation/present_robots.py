@@ -14,8 +14,8 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.external_wrench import ExternalWrench
+from manip_sim.physics.friction_laws import FrictionLaws
 from manip_sim.physics.physics import Physics
-from manip_sim.physics.velocity_laws import VelocityLaws
 from manip_sim.simulation.robot import SimulatedRobot
 
 
@@ -35,7 +35,7 @@ class PresentRobots:
         self._physics, self._efforts, self._clock = physics, efforts, clock
         self.by_name: dict[str, SimulatedRobot] = {}
         self._adapts: dict[str, list[Callable[[], None]]] = {}
-        self._laws: dict[str, VelocityLaws] = {}
+        self._laws: dict[str, FrictionLaws] = {}
         for robot in robots:
             self._create(robot)
         self._at_start = frozenset(self.by_name)
@@ -44,8 +44,8 @@ class PresentRobots:
     def _create(self, robot: RobotModel) -> SimulatedRobot:
         with self._physics.collected() as adapts:
             made = SimulatedRobot(self._physics, robot, self._efforts, self._clock)
-            if robot.velocity_laws:
-                self._laws[made.name] = VelocityLaws(self._physics, robot.velocity_laws)
+            if robot.friction_laws:
+                self._laws[made.name] = FrictionLaws(self._physics, robot.friction_laws)
         self.by_name[made.name], self._adapts[made.name] = made, adapts
         return made
 
@@ -66,7 +66,7 @@ class PresentRobots:
                 for reader in robot.end_effectors.values()]
 
     @property
-    def laws(self) -> list[VelocityLaws]:
+    def laws(self) -> list[FrictionLaws]:
         """The laws of the joints, of the robots that have such."""
         return [*self._laws.values()]
 

@@ -25,9 +25,9 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.parts import atomic_parts, find_parts, Part
 from manip_sim.physics.physics import Physics
-from manip_sim.simulation.joint_dynamics import joint_dynamics, JointDynamics
+from manip_sim.simulation.dynamics_description import joint_dynamics, JointDynamics
 from manip_sim.simulation.robot_reader import RobotReader
-from manip_sim.simulation.state import State
+from manip_sim.simulation.robot_state import State
 from manip_sim.validation import positive_number
 
 
@@ -296,7 +296,7 @@ class SimulatedRobot:
     def dynamics(self) -> dict[str, JointDynamics]:
         """Return inertia, damping, friction and limits of all scalar joints, by name."""
         return joint_dynamics(self._physics.model, self.joints, self.joint_names,
-                              self.robot_model.velocity_laws)
+                              self.robot_model.friction_laws)
 
     def controller_state(self, part: str) -> ControllerState:
         """

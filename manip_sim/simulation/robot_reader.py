@@ -19,7 +19,7 @@ from manip_sim.physics.parts import atomic_parts, find_places, Part
 from manip_sim.physics.physics import Physics
 from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing
 from manip_sim.sensing.sensor_noise import JointChannel, WrenchChannel
-from manip_sim.simulation.state import State
+from manip_sim.simulation.robot_state import State
 
 
 @cache

@@ -17,13 +17,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TYPE_CHECKING
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.activation import (
-    add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.models.arenas import EmptyArena
 from manip_sim.models.gravity_compensation import compensate_free_robots
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.setpoint_activation import (
+    add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.models.world import World
-from manip_sim.physics.spawning import plan_world, WorldPlan
+from manip_sim.physics.object_spawning import plan_world, WorldPlan
 from manip_sim.physics.state_transfer import ElementMap
 from manip_sim.quoting import shown
 

@@ -19,17 +19,17 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.entities import Entities
 from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.object_spawning import plan_world, WorldPlan
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
-from manip_sim.physics.spawning import plan_world, WorldPlan
 from manip_sim.sensing.lidars import Lidars
 from manip_sim.simulation.control_period import ControlPeriods, Interval
 from manip_sim.simulation.control_state import Content
+from manip_sim.simulation.drawn_randomization import Drawn, Randomized
 from manip_sim.simulation.episode_start import EpisodeStart
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.present_robots import PresentRobots
-from manip_sim.simulation.randomized import Drawn, Randomized
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_spawning import (
     actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)

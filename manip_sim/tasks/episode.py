@@ -17,7 +17,7 @@ from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.sensing.delays import InTransit
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.randomized import Drawn
+from manip_sim.simulation.drawn_randomization import Drawn
 from manip_sim.tasks.episode_actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY, whole_steps

@@ -18,7 +18,7 @@ from manip_sim.clamping import finite_numbers
 from manip_sim.control.cartesian.kinematic_chains import find_chains, KinematicChain
 from manip_sim.control.commands import Command
 from manip_sim.errors import UnknownNameError
-from manip_sim.models.quaternion import rotation_vector
+from manip_sim.quaternion import rotation_vector
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: What an action may be: robosuite's OSC_POSE, or a goal for each joint.

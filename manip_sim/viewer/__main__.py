@@ -46,8 +46,8 @@ def _run() -> int:
     if left:
         return _fail(f"unknown argument '{left[0]}': ROS arguments such as '-r __ns:=/cell' come "
                      "after '--ros-args'; see --help", 2)
-    from manip_sim.environment import check_ros_environment, missing_module
     from manip_sim.errors import ManipSimError
+    from manip_sim.ros_environment import check_ros_environment, missing_module
     try:
         use_one_blas_thread()  # viser imports NumPy.
         if not options.record:

@@ -20,9 +20,9 @@ from manip_sim.errors import RecordError
 from manip_sim.quoting import counted
 from manip_sim.records.converting import records_in
 from manip_sim.records.definitions import full_name
-from manip_sim.records.gate import image
 from manip_sim.records.recorded import Record, Recorded, RecordedEpisode, RecordedWorld
 from manip_sim.records.recorder import ACTION, GOAL, REWARD, STATE_PARTS
+from manip_sim.records.untrusted_records import image
 from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.plain_text import Line, plain
 

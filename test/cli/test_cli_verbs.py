@@ -14,7 +14,7 @@ from manip_sim.models import compose_robot, create_arena, World
 from manip_sim.simulation import Simulation
 
 BEGIN = """
-from manip_sim.cli.verb import Verb
+from manip_sim.cli.offered_verbs import Verb
 from manip_sim.errors import ModelError
 class Fine(Verb):
     summary = 'do nothing'

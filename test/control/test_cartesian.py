@@ -17,7 +17,7 @@ from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
-from manip_sim.physics.spawning import plan_with
+from manip_sim.physics.object_spawning import plan_with
 from manip_sim.simulation import Simulation
 
 MODES = ['position', 'velocity', 'effort']

@@ -10,7 +10,7 @@ import pytest
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.cartesian.operational_space_law import WantedMotions
-from manip_sim.models.quaternion import matrix_of_vector, rotation_vector
+from manip_sim.quaternion import matrix_of_vector, rotation_vector
 
 
 def wanted_motion(jacobian, error, twist, settings, velocity_limit):

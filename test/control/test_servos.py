@@ -12,8 +12,8 @@ import pytest
 from sampling import Driven, sampled, whole_robot
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.models.activation import is_position_servo
 from manip_sim.models.robots import robot_names
+from manip_sim.models.setpoint_activation import is_position_servo
 from manip_sim.models.world import World
 from manip_sim.physics.actuator_properties import stiffness_and_damping
 from manip_sim.simulation import Simulation

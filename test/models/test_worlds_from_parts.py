@@ -291,7 +291,7 @@ def test_placements_may_also_be_in_the_file_of_the_randomization():
 
 
 def test_an_object_that_was_deleted_is_no_longer_placed(kitchen):
-    from manip_sim.physics.spawning import plan_without
+    from manip_sim.physics.object_spawning import plan_without
     simulation = Simulation(compose('Panda', arena=load_arena(KITCHEN / 'kitchen.yaml')))
     simulation.change_objects(plan_without(simulation.physics.plan, 'can'))
     simulation.reset(seed=3)

@@ -12,7 +12,7 @@ from sampling import Driven, whole_robot
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 
 #: How long joints swing in each mode [s], and how often they are commanded [Hz].

@@ -90,7 +90,7 @@ def test_without_compensation_the_arm_sags_and_the_floor_feels_the_same(standing
 
 def test_objects_that_come_do_not_change_that(standing, run):
     from manip_sim.models.object_creation import create_object
-    from manip_sim.physics.spawning import plan_with
+    from manip_sim.physics.object_spawning import plan_with
     simulation = standing()
     simulation.change_objects(plan_with(simulation.plan, create_object(
         {'name': 'far', 'shape': 'sphere', 'size': 0.05, 'mass': 1, 'position': [5, 0, 2]})))

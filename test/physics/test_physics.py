@@ -9,7 +9,7 @@ import pytest
 
 from manip_sim.models import compose
 from manip_sim.models.object_creation import create_object
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': [0.1], 'mass': 1.0, 'position': [3.0, 3.0, 5.0]}

@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st  # noqa: E402
 from manip_sim.errors import CommandError, UnknownNameError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.models.object_creation import create_object  # noqa: E402
-from manip_sim.physics.spawning import plan_with  # noqa: E402
+from manip_sim.physics.object_spawning import plan_with  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 
 #: The cube of the table weighs 0.1 kg.

@@ -24,8 +24,8 @@ for needed in ('mcap', 'mcap_ros2', 'rosbags'):
 
 from mcap.reader import NonSeekingReader  # noqa: E402
 
-from manip_sim.records.gate import _KEYS, check_about  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
+from manip_sim.records.untrusted_records import _KEYS, check_about  # noqa: E402
 
 WRITER = """
 import sys

@@ -17,7 +17,7 @@ from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.models import compose_robot
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
-from manip_sim.physics.spawning import plan_with
+from manip_sim.physics.object_spawning import plan_with
 from manip_sim.records.definitions import definition, full_name
 from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import NODE

@@ -24,7 +24,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from manip_sim.errors import ManipSimError
-from manip_sim.physics.spawning import plan_without
+from manip_sim.physics.object_spawning import plan_without
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.ros.lazy_publishers import Output
 from manip_sim.sensing.images import ImageNoise

@@ -12,7 +12,7 @@ from sensor_msgs.msg import Imu, JointState, MagneticField, Range
 from std_msgs.msg import Float64MultiArray
 
 from manip_sim.models.object_creation import create_object
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 
 OBJECT = """
 <mujoco>

@@ -14,7 +14,7 @@ import yaml
 
 from manip_sim.errors import ManipSimError
 from manip_sim.models.object_creation import create_object
-from manip_sim.physics.spawning import plan_with
+from manip_sim.physics.object_spawning import plan_with
 
 BALL = '{name: ball, shape: sphere, size: 0.1, mass: 0.2, position: [1.5, 0.0, 2.0]}'
 

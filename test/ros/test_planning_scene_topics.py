@@ -19,7 +19,7 @@ import yaml
 
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.urdf_writer import urdf_of
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.ros import planning_scene_publisher
 from manip_sim.simulation.planning_scene import BOX, MESH, Obstacle, Solid
 

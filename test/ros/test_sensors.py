@@ -31,7 +31,7 @@ BROKEN = {
 }
 SOURCE = """
 from dataclasses import replace
-from manip_sim.interface.sensors import Sensor, TopicSource
+from manip_sim.interface.offered_sensors import Sensor, TopicSource
 from manip_sim.interface.topics import PUBLISHED, Topic
 TOPIC = Topic('~/one', 'std_msgs/Float64', PUBLISHED, 'one')
 """

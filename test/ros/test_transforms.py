@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.models.object_creation import create_object
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.ros import transforms
 from manip_sim.ros.messages import nanoseconds_of, stamp_of
 from manip_sim.ros.serialized import SerializedMessage

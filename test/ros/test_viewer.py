@@ -21,7 +21,7 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from manip_sim.models.object_creation import create_object
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 

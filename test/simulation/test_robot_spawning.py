@@ -14,7 +14,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot, create_arena, World
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import robot_spawning, Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot
 

@@ -20,7 +20,7 @@ from manip_sim.control.commands import Status
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models import compose, create_object
 from manip_sim.models.robots import ROBOTS
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 
 NOISE = {'type': 'uniform', 'magnitude': 0.1}

@@ -10,7 +10,7 @@ import pytest
 
 from manip_sim.models import compose
 from manip_sim.models.object_creation import create_object
-from manip_sim.physics.spawning import plan_with, plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 
 FILES = Path(__file__).resolve().parents[1] / 'data/files'

@@ -21,7 +21,7 @@ from manip_sim.models.arenas import create_arena
 from manip_sim.models.composing import compose_robot
 from manip_sim.models.robots import ROBOTS
 from manip_sim.models.world import World
-from manip_sim.physics.spawning import plan_without
+from manip_sim.physics.object_spawning import plan_without
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
 from manip_sim.worlds.physics_threads import PhysicsThreads

@@ -19,10 +19,10 @@ from manip_sim.control.cartesian.cartesian_commands import (
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.joint_controller import JointController
 from manip_sim.errors import UnknownNameError
-from manip_sim.models.quaternion import matrix_of, xyzw_to_wxyz
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.physics.robot_frames import RobotFrames
+from manip_sim.quaternion import matrix_of, xyzw_to_wxyz
 
 
 class CartesianParser:

@@ -32,10 +32,10 @@ from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.errors import UnknownNameError
-from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.physics.robot_frames import Frame
+from manip_sim.quaternion import wxyz_to_xyzw
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012

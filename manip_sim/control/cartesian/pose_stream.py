@@ -13,7 +13,7 @@ from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.stream_estimation import StreamEstimator
-from manip_sim.models.quaternion import matrix_of_vector, rotation_vector
+from manip_sim.quaternion import matrix_of_vector, rotation_vector
 
 _ALL = np.arange(6)
 #: Less than this is no acceleration [m/s^2, rad/s^2].

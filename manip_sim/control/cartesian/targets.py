@@ -18,8 +18,8 @@ from manip_sim.control.cartesian.cartesian_commands import (
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.velocity_stream import VelocityStream
-from manip_sim.models.quaternion import matrix_of_vector, rotation_vector
 from manip_sim.physics.robot_frames import Frame, WORLD
+from manip_sim.quaternion import matrix_of_vector, rotation_vector
 
 #: How far a goal that a twist moves may be ahead of the end effector [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import UnknownNameError
-from manip_sim.models.quaternion import quat_wxyz_from_rpy
+from manip_sim.quaternion import quat_wxyz_from_rpy
 
 
 def quat_wxyz_of(orientation: ArrayLike) -> FloatArray:

@@ -19,7 +19,7 @@ from manip_sim.models.files.found_hands import FoundHand
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.part_descriptions import FrameDescription, HandDescription
 from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
-from manip_sim.models.quaternion import relative_quat_wxyz
+from manip_sim.quaternion import relative_quat_wxyz
 
 
 class HandFromFile(GripperModel, registered=False):

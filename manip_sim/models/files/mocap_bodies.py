@@ -15,8 +15,8 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.naming import TakenNames
-from manip_sim.models.quaternion import relative_quat_wxyz
 from manip_sim.models.spec_edits import attach, delete_elements, rename_body
+from manip_sim.quaternion import relative_quat_wxyz
 from manip_sim.quoting import quoted_names
 
 _WELD, _CONNECT = int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)

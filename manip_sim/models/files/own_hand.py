@@ -18,8 +18,8 @@ from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.found_hands import FoundHand, hands_of_hand
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.part_descriptions import OwnHandDescription
-from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.spec_edits import delete_elements
+from manip_sim.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.quoting import quoted_names
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.grippers.tactile import add_tactile_sensors
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.quaternion import NO_TURN, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.registry import Registry
+from manip_sim.quaternion import NO_TURN, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.validation import finite_numbers, unit_quaternion
 
 _AXIS_SITE_OFFSET_M = 0.1

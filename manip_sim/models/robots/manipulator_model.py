@@ -18,8 +18,8 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.quaternion import wxyz_to_xyzw
 
 ARMS_OF_TYPE = {'single': ('right',), 'bimanual': ('right', 'left')}
 T = TypeVar('T')

@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
+from manip_sim.models.friction_law import FrictionLaw
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.naming import TakenNames
-from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.subsystems import Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
-from manip_sim.models.velocity_law import VelocityLaw
+from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.validation import finite_numbers
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -68,7 +68,7 @@ class RobotModel(Subsystems, ABC):
         #: Where :meth:`set_base_xpos` and :meth:`set_base_ori` want the robot.
         self._floor_xpos: FloatArray | None = None
         self._root_quat: FloatArray | None = None
-        self._laws: dict[tuple[MujocoXMLModel, str], VelocityLaw] = {}
+        self._laws: dict[tuple[MujocoXMLModel, str], FrictionLaw] = {}
         self.update_joints()
         self.update_actuators()
 
@@ -334,16 +334,16 @@ class RobotModel(Subsystems, ABC):
 
         :param subsystem: such as ``arm``; two arms are one subsystem
         :param friction: ``catalogue``, or the keys of
-            :class:`~manip_sim.models.joint_actuation.Friction`
+            :class:`~manip_sim.models.friction_and_armature.Friction`
         :param torque_speed: ``catalogue``, or the keys of
-            :class:`~manip_sim.models.joint_actuation.TorqueSpeed`
+            :class:`~manip_sim.models.friction_and_armature.TorqueSpeed`
         :param armature: inertia of the rotors, reflected to the joints [kg m^2 or kg], a number or
             one for each joint
         :raises ModelError: if there are no such joints, the catalogue has no values or values
             cannot be used
         :raises UnknownNameError: if there is no such subsystem
         """
-        from manip_sim.models.joint_actuation import JointActuation, read_catalogue, single
+        from manip_sim.models.friction_and_armature import JointActuation, read_catalogue, single
         joints = self._scalar_joints(subsystem)
         where = f'{subsystem} of {self.name}'
         if not joints:
@@ -365,7 +365,7 @@ class RobotModel(Subsystems, ABC):
             part.refresh()
 
     @property
-    def velocity_laws(self) -> dict[str, VelocityLaw]:
+    def friction_laws(self) -> dict[str, FrictionLaw]:
         """How friction and torque limits follow the velocity, by joint; a copy."""
         return {part.correct_naming(raw): law for (part, raw), law in self._laws.items()
                 if law.acts}

@@ -14,11 +14,14 @@ import numpy as np
 from manip_sim.models.declared_limits import declared_velocity, velocity_of_servos
 from manip_sim.quoting import quoted
 
+#: Limit of a prismatic joint without a range, for which URDF requires one [m].
+_FAR_M = 1000.0
 #: Of a joint without a limit, as in the simulation's servos [rad/s or m/s].
 DEFAULT_VELOCITY = float(np.pi)
 #: Of a joint whose actuators have no limit [N m or N].
 DEFAULT_EFFORT = 1000.0
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
 
@@ -134,6 +137,13 @@ def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]
         for joint, coefficient in terms:
             found.setdefault(joint, []).append((actuator, abs(gear * coefficient)))
     return found
+
+
+def position_limits(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
+    """Return the least and greatest position [rad or m]; nothing for a hinge without a range."""
+    if model.jnt_limited[joint]:
+        return tuple(model.jnt_range[joint])
+    return () if int(model.jnt_type[joint]) == _HINGE else (-_FAR_M, _FAR_M)
 
 
 def effort_limit(model: mujoco.MjModel, joint: int, actuators: list[tuple[int, float]]) -> float:

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.quaternion import matrix_of
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.quaternion import matrix_of
 from manip_sim.sensing.instruments import instrument_sites
 
 ROOT_LINK = 'world'

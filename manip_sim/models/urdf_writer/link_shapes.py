@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.quaternion import matrix_of
+from manip_sim.quaternion import matrix_of
 from manip_sim.resources import PACKAGE, share_directory
 
 #: A sphere of radius 1 [m], for ellipsoids.

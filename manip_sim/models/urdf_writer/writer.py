@@ -15,20 +15,16 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.loading import compile_spec
-from manip_sim.models.quaternion import matrix_of, rpy_of
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.urdf_writer.hardware import add_hardware, Hardware
 from manip_sim.models.urdf_writer.joints import (
-    actuated_joints, effort_limit, find_mimics, Mimic, velocity_limit)
+    actuated_joints, effort_limit, find_mimics, Mimic, position_limits, velocity_limit)
 from manip_sim.models.urdf_writer.kinematic_tree import Joint, KinematicTree, Link, robot_tree
 from manip_sim.models.urdf_writer.link_shapes import (
     collides, files_of_meshes, geoms_of_body, is_seen, MeshFile, rgba_of, Shape, shapes_of,
     text_of)
+from manip_sim.models.urdf_writer.ros2_control_tag import add_hardware, Hardware
 from manip_sim.models.world import World
-
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-#: Limit of a prismatic joint without a range, for which URDF requires one [m].
-_FAR_M = 1000.0
+from manip_sim.quaternion import matrix_of, rpy_of
 
 
 @dataclass(frozen=True)
@@ -114,11 +110,8 @@ class _UrdfWriter:
         model, number = self._model, joint.id
         limits = {
             'effort': effort_limit(model, number, self._actuators.get(number, [])),
-            'velocity': velocity_limit(model, number, self._mimics, self._actuators)}
-        if model.jnt_limited[number]:
-            limits['lower'], limits['upper'] = model.jnt_range[number]
-        elif int(model.jnt_type[number]) != _HINGE:
-            limits['lower'], limits['upper'] = -_FAR_M, _FAR_M
+            'velocity': velocity_limit(model, number, self._mimics, self._actuators),
+            **dict(zip(('lower', 'upper'), position_limits(model, number)))}
         ElementTree.SubElement(element, 'limit',
                                {key: text_of(value) for key, value in limits.items()})
         dof = int(model.jnt_dofadr[number])

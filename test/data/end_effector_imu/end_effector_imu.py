@@ -6,7 +6,7 @@
 import mujoco
 import numpy as np
 
-from manip_sim.interface.sensors import Sensor
+from manip_sim.interface.offered_sensors import Sensor
 from manip_sim.interface.topics import PUBLISHED, Topic
 
 #: Standard deviations of angular velocity [rad/s] and specific force [m/s^2].

@@ -8,7 +8,7 @@ import numpy as np
 
 from manip_sim.cli.command_line import add_composition
 from manip_sim.cli.composing_options import compose_from
-from manip_sim.cli.verb import Verb
+from manip_sim.cli.offered_verbs import Verb
 from manip_sim.simulation import Simulation
 
 

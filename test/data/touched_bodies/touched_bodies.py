@@ -3,7 +3,7 @@
 
 """The names of all bodies in contact, on ``~/touched``; published when they change."""
 
-from manip_sim.interface.sensors import TopicSource
+from manip_sim.interface.offered_sensors import TopicSource
 from manip_sim.interface.topics import PUBLISHED, Topic
 
 

@@ -11,11 +11,11 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
-from manip_sim.models.velocity_law import VelocityLaw
+from manip_sim.models.friction_law import FrictionLaw
 from manip_sim.physics.physics import Physics
 
 
-class VelocityLaws:
+class FrictionLaws:
     """
     The laws of the joints of a world.
 
@@ -28,7 +28,7 @@ class VelocityLaws:
     :raises ModelError: if a joint with a torque-speed curve has no torque limit
     """
 
-    def __init__(self, physics: Physics, laws: Mapping[str, VelocityLaw]) -> None:
+    def __init__(self, physics: Physics, laws: Mapping[str, FrictionLaw]) -> None:
         self._physics, self._laws = physics, dict(laws)
         model = physics.model
         joints = np.array([model.joint(name).id for name in laws], dtype=np.int64)

@@ -81,7 +81,7 @@ def test_without_actuation_nothing_changes_and_off_is_off(sim_of):
     for simulation in (plain, off):
         push(simulation, 1.0, 20)
     assert plain.data.qpos.tobytes() == off.data.qpos.tobytes()
-    assert plain.robot.robot_model.velocity_laws == {}
+    assert plain.robot.robot_model.friction_laws == {}
 
 
 @pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
@@ -111,7 +111,7 @@ def test_a_saved_state_continues_to_the_last_bit(sim_of, mode):
 
 def test_a_spawned_object_leaves_the_laws_in_force(sim_of):
     from manip_sim.models.object_creation import create_objects
-    from manip_sim.physics.spawning import plan_with
+    from manip_sim.physics.object_spawning import plan_with
     simulation = sim_of(friction=FRICTION)
     (item,) = create_objects([{'name': 'box', 'shape': 'box', 'size': [0.1, 0.1, 0.1],
                                'mass': 0.5, 'position': [0.8, 0.6, 0.05]}])
@@ -124,8 +124,8 @@ def test_a_spawned_object_leaves_the_laws_in_force(sim_of):
 def test_the_catalogue_has_values_with_sources_for_the_arm_of_each_robot(name):
     robot = create_robot(name)
     robot.set_actuation('arm', friction='catalogue', torque_speed='catalogue')
-    assert list(robot.velocity_laws) == robot.arm_joints
-    for law in robot.velocity_laws.values():
+    assert list(robot.friction_laws) == robot.arm_joints
+    for law in robot.friction_laws.values():
         assert 0.0 < law.coulomb < law.static
         assert 0.0 <= law.knee < law.no_load
     file = robot.file.parent / 'actuators.yaml'

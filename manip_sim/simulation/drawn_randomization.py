@@ -17,10 +17,10 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.placements import draw_places, extents
-from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.models.randomization import (
     GROUPS, OF_NODE, Randomization, RandomizationLike, Rule)
 from manip_sim.physics.physics import Physics
+from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.quoting import shown
 from manip_sim.sensing.settings import QUANTITIES
 

@@ -18,8 +18,8 @@ from manip_sim.cli.listing import origin
 from manip_sim.control.modes import EFFORT, POSITION
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.offered_sensors import offered_topics
 from manip_sim.interface.scope import Scope
-from manip_sim.interface.sensors import offered_topics
 from manip_sim.interface.served_instruments import served_instruments
 from manip_sim.interface.topics import SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world
@@ -27,11 +27,11 @@ from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.models.mechanism import actuated_joints, moved_joints
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.physics.parts import Part
+from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 _TARGET = {

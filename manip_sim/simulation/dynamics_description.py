@@ -19,7 +19,7 @@ import numpy as np
 
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.models.declared_limits import declared_velocity
-from manip_sim.models.velocity_law import VelocityLaw
+from manip_sim.models.friction_law import FrictionLaw
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class JointDynamics:
 
     ``friction`` is up to :attr:`friction_loss` against the motion, and a spring pulls with
     ``stiffness (spring_position - q)``. Units are SI, with m and N for sliding joints. What
-    depends on the velocity is described by ``manip_sim.models.joint_actuation.VelocityLaw``.
+    depends on the velocity is described by ``manip_sim.models.friction_and_armature.FrictionLaw``.
 
     :ivar armature: inertia of the rotor reflected to the joint [kg m^2 or kg]
     :ivar damping: [N m s/rad or N s/m]
@@ -63,7 +63,7 @@ class JointDynamics:
 
 
 def joint_dynamics(model: mujoco.MjModel, joints: ControlledJoints, names: Iterable[str],
-                   laws: Mapping[str, VelocityLaw]) -> dict[str, JointDynamics]:
+                   laws: Mapping[str, FrictionLaw]) -> dict[str, JointDynamics]:
     """
     Return the dynamics of joints by name.
 
@@ -75,13 +75,13 @@ def joint_dynamics(model: mujoco.MjModel, joints: ControlledJoints, names: Itera
     return {name: _of_joint(model, joints, name, laws.get(name)) for name in names}
 
 
-def _of_joint(model: mujoco.MjModel, joints: ControlledJoints, name: str, law: VelocityLaw | None
+def _of_joint(model: mujoco.MjModel, joints: ControlledJoints, name: str, law: FrictionLaw | None
               ) -> JointDynamics:
     joint = int(model.joint(name).id)
     dof = int(model.jnt_dofadr[joint])
     velocity = float(declared_velocity(model, joint))
     acceleration = None
-    law = law or VelocityLaw()
+    law = law or FrictionLaw()
     stribeck = _finite(law.stribeck_velocity)
     if name in joints.names:
         index = joints.find([name])

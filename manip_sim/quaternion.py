@@ -18,13 +18,15 @@ from numpy.typing import ArrayLike
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 
+#: Places of x, y, z and w in a quaternion of MuJoCo.
+XYZW = [1, 2, 3, 0]
 #: As w, x, y, z.
 NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 
 def wxyz_to_xyzw(quat_wxyz: ArrayLike) -> FloatArray:
     """Reorder a quaternion from MuJoCo's order to ROS's, shape (4,), a copy."""
-    return np.asarray(quat_wxyz, dtype=float)[[1, 2, 3, 0]]
+    return np.asarray(quat_wxyz, dtype=float)[XYZW]
 
 
 def xyzw_to_wxyz(quat_xyzw: ArrayLike) -> FloatArray:

@@ -19,10 +19,10 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.friction_law import FrictionLaw
 from manip_sim.models.strict_descriptions import (
     BeforeValidator, checked, model_validator, Strict)
 from manip_sim.models.strict_yaml import read_yaml
-from manip_sim.models.velocity_law import VelocityLaw
 from manip_sim.quoting import shown
 
 CATALOGUE = 'catalogue'
@@ -164,7 +164,7 @@ class JointActuation:
             found.append(('damping', self.of_each(friction.viscous, 'viscous')))
         return found
 
-    def laws(self) -> list[VelocityLaw]:
+    def laws(self) -> list[FrictionLaw]:
         """Return what depends on the velocity, for each joint."""
         friction, curve, count = self.friction, self.torque_speed, len(self.joints)
         rows = [*np.zeros((2, count)), *np.full((3, count), math.inf)]
@@ -174,7 +174,7 @@ class JointActuation:
             rows[2] = self.of_each(friction.stribeck_velocity, 'stribeck_velocity')
         if curve is not None:
             rows[3], rows[4] = (self.of_each(of, '') for of in (curve.knee, curve.no_load))
-        return [VelocityLaw(*(float(value) for value in values)) for values in zip(*rows)]
+        return [FrictionLaw(*(float(value) for value in values)) for values in zip(*rows)]
 
 
 def single(value: float | Sequence[float], where: str) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ import pytest
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose
 from manip_sim.models.object_creation import create_object, ObjectModel
-from manip_sim.physics.spawning import (
+from manip_sim.physics.object_spawning import (
     carry_over, delete, plan_with, plan_without, plan_world, spawn, start_live)
 from manip_sim.simulation import Simulation
 

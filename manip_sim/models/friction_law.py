@@ -10,7 +10,7 @@ import math
 
 
 @dataclass(frozen=True)
-class VelocityLaw:
+class FrictionLaw:
     """
     How friction and torque limit of a joint depend on its velocity; infinite velocities: not.
 
