@@ -126,7 +126,31 @@ def load_spec(file: Path, missing: dict[str, MissingMeshError] | None = None) ->
     except _ERRORS as error:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
     resolve_files(spec, file, model, missing)
+    _apply_total_mass(spec, file)
     return spec
+
+
+def _apply_total_mass(spec: mujoco.MjSpec, file: Path) -> None:
+    """
+    Give each body the mass that it has by the ``settotalmass`` of its file.
+
+    That scales whole models, so MuJoCo ignores it in a spec that is attached to another.
+    """
+    compiler = spec.compiler
+    total, compiler.settotalmass = compiler.settotalmass, -1.0
+    if total <= 0.0:
+        return
+    model = compile_spec(spec, str(file))
+    scale = total / max(model.body_mass.sum(), mujoco.mjMINVAL)
+    for body in spec.bodies[1:]:
+        if model.body_mass[body.id] > 0.0:
+            body.mass = scale * model.body_mass[body.id]
+            body.inertia = scale * model.body_inertia[body.id]
+            body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
+            body.fullinertia = [np.nan] + [0.0] * 5
+            body.explicitinertial = True
+    compiler.boundmass = compiler.boundinertia = 0.0  # They held before scaling.
+    compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
 def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None = None,

@@ -88,7 +88,22 @@ def attach(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.M
     _yield_globals(own, spec)
     if not prefix and spec.assets and not own.assets:
         own.assets = dict(spec.assets)  # MuJoCo warns if only one of them holds files.
+    attach_as_is(spec, own, prefix, frame)
+
+
+def attach_as_is(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.MjsFrame
+                 ) -> None:
+    """
+    Attach a spec to another, and leave sensors of no element, such as user sensors, without one.
+
+    MuJoCo gives them the prefix as the name of an element; it does not read the XML of that.
+    """
+    of_nothing = [not sensor.objname for sensor in own.sensors]
+    present = len(spec.sensors)
     spec.attach(own, prefix=prefix, frame=frame)
+    for sensor, is_of_nothing in zip(spec.sensors[present:], of_nothing):
+        if is_of_nothing:
+            sensor.objname = ''
 
 
 def _yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:

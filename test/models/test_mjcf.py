@@ -196,6 +196,26 @@ def test_xml_compiles_to_an_equal_model(mjcf):
     assert from_xml.names == ours.names
 
 
+def test_xml_with_sensors_of_no_element_loads(mjcf):
+    model = MujocoXMLModel(mjcf(PENDULUM, '<sensor><user name="own" dim="3"/><clock/></sensor>'))
+    from_xml = mujoco.MjModel.from_xml_string(model.to_xml())
+    assert [from_xml.sensor(i).name for i in range(2)] == model.sensors == ['0_own', '0_sensor0']
+    np.testing.assert_array_equal(from_xml.sensor_dim, [3, 1])
+
+
+def test_total_mass_of_a_file_is_that_of_the_part_alone(mjcf):
+    path = mjcf(PENDULUM, '<compiler settotalmass="7"/>')
+    ours = MujocoXMLModel(path).compile()
+    plain = mujoco.MjModel.from_xml_string(
+        path.read_text().replace('<compiler settotalmass="7"/>', ''))
+    assert ours.body_mass.sum() == pytest.approx(7.0)
+    scale = 7.0 / plain.body_mass.sum()
+    assert scale != pytest.approx(1.0)
+    np.testing.assert_allclose(ours.body_mass, scale * plain.body_mass)
+    np.testing.assert_allclose(ours.body_inertia, scale * plain.body_inertia)
+    np.testing.assert_allclose(ours.body_ipos, plain.body_ipos)
+
+
 def test_edits_of_the_spec_are_compiled(mjcf):
     model = MujocoXMLModel(mjcf(PENDULUM))
     model.spec.geom('rod').size[0] = 0.05
