@@ -15,6 +15,8 @@ from typing import Any
 
 import mujoco
 
+from manip_sim.errors import ModelError
+
 
 def is_position_servo(actuator: Any) -> bool:
     """
@@ -48,9 +50,13 @@ def add_setpoint_activation(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :param names: of the actuators
+    :raises ModelError: if a plugin computes the force of one of them
     """
     for name in names:
         actuator = spec.actuator(name)
+        if actuator.plugin.active:
+            raise ModelError(f"the force of actuator '{name}' comes from a plugin, so its joint "
+                             'cannot have control modes: make it a motor or a servo')
         if not actuator.inheritrange:
             actuator.actrange = actuator.ctrlrange.copy()
         if is_position_servo(actuator):

@@ -12,13 +12,10 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import IntArray
-from manip_sim.errors import ModelError
 from manip_sim.models.bases import MobileBaseModel
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.robots.subsystems import driven_joint, SUBSYSTEMS
-
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+from manip_sim.models.robots.subsystems import driven_joint, SCALAR, SUBSYSTEMS
 
 
 @dataclass(frozen=True)
@@ -126,21 +123,12 @@ def _arm_of(model: mujoco.MjModel, robot: ManipulatorModel, joint: str) -> str:
 
 def _part(model: mujoco.MjModel, name: str, joints: list[str], actuators: list[str],
           atomic: tuple[str, ...] = (), gripper: GripperModel | None = None) -> Part:
-    scalar = [joint for joint in joints if int(model.joint(joint).type[0]) in _SCALAR]
+    scalar = [joint for joint in joints if int(model.joint(joint).type[0]) in SCALAR]
     ids = np.array([model.joint(joint).id for joint in scalar], dtype=np.int64)
     actuator_ids = np.array([model.actuator(a).id for a in actuators], dtype=np.int64)
     driven = tuple(driven_joint(model, int(a)) for a in actuator_ids)
-    if gripper is None:
-        _check_driven(name, actuators, driven)
     return Part(
         name=name, atomic=atomic or (name,), joints=tuple(scalar), actuators=tuple(actuators),
         qpos_addresses=model.jnt_qposadr[ids].astype(np.int64),
         dof_addresses=model.jnt_dofadr[ids].astype(np.int64),
         actuator_ids=actuator_ids, driven_joints=driven, gripper=gripper)
-
-
-def _check_driven(part: str, actuators: list[str], driven: tuple[str | None, ...]) -> None:
-    for actuator, joint in zip(actuators, driven):
-        if joint is None:
-            raise ModelError(f"actuator '{actuator}' of {part} must drive a joint, not a tendon, "
-                             'a site or a body')

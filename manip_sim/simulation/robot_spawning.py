@@ -66,7 +66,7 @@ def compose_base(world: World, visual: bool = False) -> Any:
             f"a simulation needs a World, such as compose('Panda'), got {shown(world)}")
     spec = world.compose(visual, objects=False)
     add_setpoint_activation(spec, [
-        *(name for robot in world.robots for name in robot.all_actuators),
+        *(name for robot in world.robots for name in robot.joint_actuators),
         *position_servos_without_dynamics(spec, world.gripper_actuators)])
     if world.gravity_compensation:
         compensate_free_robots(spec, world.robots)
@@ -75,7 +75,7 @@ def compose_base(world: World, visual: bool = False) -> Any:
 
 def actuators_of(world: World) -> list[str]:
     """Return the names of the actuators of all robots and their grippers."""
-    return [*(name for robot in world.robots for name in robot.all_actuators),
+    return [*(name for robot in world.robots for name in robot.joint_actuators),
             *world.gripper_actuators]
 
 

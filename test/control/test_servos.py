@@ -242,12 +242,31 @@ def test_limits_are_those_at_the_joint(sim_of, actuator, limits):
 
 
 @pytest.mark.parametrize('actuator', [
-    '<motor name="pull" tendon="rope"/>', '<motor name="pull" site="hook" gear="0 0 1 0 0 0"/>'])
-def test_actuator_that_drives_no_joint_is_rejected(one_joint_arm, actuator):
-    robot = one_joint_arm(actuator, LINK, sections='<tendon>'
-                          '<fixed name="rope"><joint joint="joint1" coef="1"/></fixed></tendon>')
-    with pytest.raises(ModelError, match=r"^actuator 'robot0_pull' of arm must drive a joint, not "
-                                         r'a tendon, a site or a body$'):
+    '<motor name="pull" tendon="rope"/>', '<motor name="pull" site="hook" gear="0 0 1 0 0 0"/>',
+    '<motor name="pull" joint="ball" gear="1 0 0"/>'])
+def test_actuator_that_drives_no_hinge_or_slide_belongs_to_no_part(one_joint_arm, actuator):
+    link = LINK.replace('<site name="hook"', '<body><joint name="ball" type="ball"/>'
+                        '<geom size="0.01"/></body><site name="hook"')
+    robot = one_joint_arm(f'{actuator}<motor name="turn" joint="joint1"/>', link, sections=(
+        '<tendon><fixed name="rope"><joint joint="joint1" coef="1"/></fixed></tendon>'))
+    simulation = Simulation(World([robot]))
+    assert robot.actuators == ['robot0_pull', 'robot0_turn']
+    assert robot.arm_actuators == ['robot0_turn']
+    assert simulation.robot.parts['arm'].actuators == ('robot0_turn',)
+    assert simulation.surroundings.other_actuators == ('robot0_pull',)
+    commands = simulation.surroundings.commands['actuators']
+    commands.command(commands.checked(['robot0_pull'], [], [], [0.5]))
+    simulation.advance(1)
+    assert simulation.surroundings.state_of_actuators()[2] == pytest.approx(0.5)
+
+
+def test_an_actuator_whose_force_comes_from_a_plugin_is_rejected(one_joint_arm):
+    robot = one_joint_arm(
+        '<plugin name="pid" joint="joint1" plugin="mujoco.pid"><config key="kp" value="9"/>'
+        '</plugin>', sections='<extension><plugin plugin="mujoco.pid"/></extension>')
+    with pytest.raises(ModelError, match=r"^the force of actuator 'robot0_pid' comes from a "
+                                         r'plugin, so its joint cannot have control modes: make '
+                                         r'it a motor or a servo$'):
         Simulation(World([robot]))
 
 

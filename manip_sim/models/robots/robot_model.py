@@ -23,12 +23,11 @@ from manip_sim.models.friction_law import FrictionLaw
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.naming import TakenNames
 from manip_sim.models.registry import Registry
-from manip_sim.models.robots.subsystems import Subsystems
+from manip_sim.models.robots.subsystems import SCALAR, Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
 from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.validation import finite_numbers
 
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 #: Body on a mobile base that has the contents of the root.
 _MANIPULATOR_MOUNT = 'manipulator_mount'
 #: A position [m], or a function that takes the length of the table [m] and returns one.
@@ -375,7 +374,7 @@ class RobotModel(Subsystems, ABC):
         wanted = self.joints_of(subsystem)
         return [(part, raw) for part in self._own_parts() for raw in part._joints
                 if part.correct_naming(raw) in wanted
-                and int(part._spec.joint(raw).type) in _SCALAR]
+                and int(part._spec.joint(raw).type) in SCALAR]
 
 
 def _set(joint: mujoco.MjsJoint, attrib: str, value: float) -> None:

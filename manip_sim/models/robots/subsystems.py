@@ -24,6 +24,8 @@ from manip_sim.validation import finite_numbers
 SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs', 'other')
 #: In the order in which they are tried; a name without any of them is arm.
 KEYWORDS = {'torso': 'torso', 'mobile': 'base', 'head': 'head', 'leg': 'legs'}
+#: Types of the joints that actuators of parts drive.
+SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
 
 
@@ -83,6 +85,11 @@ class Subsystems(MujocoXMLModel):
             raise UnknownNameError('subsystem', subsystem, SUBSYSTEMS)
         return table[subsystem]
 
+    @property
+    def joint_actuators(self) -> list[str]:
+        """The actuators of all subsystems, without those of tendons, sites and ball joints."""
+        return [name for names in self._actuators_of.values() for name in names]
+
     @abstractmethod
     def _own_parts(self) -> list[MujocoXMLModel]:
         """Return the robot, and its base if it has one."""
@@ -105,12 +112,13 @@ class Subsystems(MujocoXMLModel):
                 self._joints_of[self._subsystem(part, raw)].append(name)
 
     def update_actuators(self) -> None:
-        """Sort all actuators into subsystems again, as ``add_base`` does."""
+        """Sort all actuators that drive a joint into subsystems again, as ``add_base`` does."""
         self._actuators_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
             for raw, name in zip(part._actuators, part.correct_naming(part._actuators)):
                 driven = driven_joint(part._own_model, part._own_model.actuator(raw).id)
-                self._actuators_of[self._subsystem(part, driven or raw)].append(name)
+                if driven is not None:
+                    self._actuators_of[self._subsystem(part, driven)].append(name)
 
     def _subsystem(self, part: MujocoXMLModel, raw: str) -> str:
         if part is self and raw in self._subsystem_of_joint:
@@ -163,9 +171,12 @@ def classify(name: str) -> str:
 
 
 def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
-    """Return the name of the joint that an actuator drives, or None."""
+    """Return the name of the hinge or slide that an actuator drives, or None."""
     kind = int(model.actuator_trntype[actuator])
     if kind not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
         return None
-    name: str = model.joint(int(model.actuator_trnid[actuator, 0])).name
+    joint = int(model.actuator_trnid[actuator, 0])
+    if int(model.jnt_type[joint]) not in SCALAR:
+        return None
+    name: str = model.joint(joint).name
     return name
