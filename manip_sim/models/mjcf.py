@@ -60,6 +60,8 @@ class MujocoXMLModel:
     _horizontal_radius: float = 0.0
     #: Whether others have the spec, so that it may be edited at any time.
     _spec_is_shared = False
+    #: Whether :meth:`_check_declared` ran; else it does so before the part is put into a spec.
+    _is_checked = True
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         self.file = Path(fname)
@@ -69,6 +71,10 @@ class MujocoXMLModel:
         self._prepare_spec(self._spec)
         name_unnamed_elements(self._spec)
         self._record()
+        try:
+            self._check_declared()
+        except AttributeError:  # A property of a subclass needs what its constructor sets later.
+            self._is_checked = False
 
     def _read(self) -> mujoco.MjSpec:
         """Return the spec of the file; overridden by parts from third-party files."""
@@ -85,6 +91,7 @@ class MujocoXMLModel:
         """
         name_unnamed_elements(self._spec)
         self._record()
+        self._check_declared()
 
     def _refresh_if_edited(self) -> None:
         """Refresh, unless only the part itself has had its spec."""
@@ -165,6 +172,9 @@ class MujocoXMLModel:
 
     def _attach_copy(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                      own: mujoco.MjSpec) -> None:
+        if not self._is_checked:
+            self._check_declared()
+            self._is_checked = True
         if not self.naming_prefix:
             name_main_default(own)
         TakenNames(spec).add(own, self.naming_prefix, self.name)
@@ -236,8 +246,13 @@ class MujocoXMLModel:
         self._sensors = _names(alone, alone.name_sensoradr)
         self._cameras = _names(alone, alone.name_camadr)
         self._record_shapes(alone, range(alone.nbody))
+
+    def _check_declared(self) -> None:
+        """Check that the elements exist that the class names by role."""
         self._check_important('site', self._important_sites.values(), self._sites)
         self._check_important('sensor', self._important_sensors.values(), self._sensors)
+        for group in self._important_geoms.values():
+            self._check_important('geom', group, self._contact_geoms + self._visual_geoms)
 
     def _record_shapes(self, model: mujoco.MjModel, bodies: Iterable[int]) -> None:
         """Record the sites and geoms of some bodies."""
@@ -248,8 +263,6 @@ class MujocoXMLModel:
         self._sites = _names(model, model.name_siteadr[own[model.site_bodyid]])
         self._contact_geoms = _names(model, model.name_geomadr[here & collides])
         self._visual_geoms = _names(model, model.name_geomadr[here & ~collides])
-        for group in self._important_geoms.values():
-            self._check_important('geom', group, self._contact_geoms + self._visual_geoms)
 
     def _check_important(self, kind: str, wanted: Iterable[str], existing: list[str]) -> None:
         for name in wanted:

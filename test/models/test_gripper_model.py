@@ -9,6 +9,9 @@ import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.grippers import PandaGripper
+from manip_sim.models.robots import Panda
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation
 
 STANDARD_SITES = ['grip_site', 'grip_site_cylinder', 'ee', 'ee_x', 'ee_y', 'ee_z', 'ft_frame']
 TURNED = """
@@ -77,6 +80,65 @@ def test_sites_and_sensors_of_the_file_are_kept(gripper_class, mjcf):
     np.testing.assert_allclose(model.site('gripper0_grip_site').pos, [0, 0, 0.07])
     np.testing.assert_allclose(model.site('gripper0_ft_frame').pos, [0, 0, 0.3])
     assert sorted(gripper.sensors) == ['gripper0_force_ee', 'gripper0_torque_ee']
+
+
+def test_roles_that_a_class_leaves_out_are_the_standard_ones(gripper_class, gripper_file):
+    class Partial(gripper_class, registered=False):
+        _important_geoms = {'left_finger': ['finger'], 'tips': ['finger']}
+        _important_sites = {'tip': 'grip_site'}
+        _important_sensors = {}
+
+    gripper = Partial(gripper_file)
+    assert gripper.important_geoms == {
+        'left_finger': ['gripper0_finger'], 'right_finger': [], 'left_fingerpad': [],
+        'right_fingerpad': [], 'tips': ['gripper0_finger']}
+    assert gripper.important_sites['tip'] == gripper.important_sites['grip_site']
+    assert gripper.important_sensors == {'force_ee': 'gripper0_force_ee',
+                                         'torque_ee': 'gripper0_torque_ee'}
+    robot = Panda()
+    robot.add_gripper(gripper)
+    end_effector = Simulation(World([robot])).robot.state().end_effectors['right']
+    assert end_effector.wrench.force @ end_effector.wrench.force > 1.0  # Its own weight.
+
+
+def test_a_standard_sensor_of_another_kind_is_rejected(gripper_class, mjcf):
+    file = mjcf('<body name="palm"><geom name="finger" size="0.1"/>'
+                '<body name="eef"><site name="pad"/></body></body>',
+                '<sensor><touch name="force_ee" site="pad"/></sensor>')
+    with pytest.raises(ModelError, match=r"^sensor 'force_ee' of gripper .*model\.xml must be of "
+                                         r'the kind force, not touch$'):
+        gripper_class(file)
+
+
+def test_what_a_class_declares_may_depend_on_what_its_constructor_sets_last(
+        gripper_class, gripper_file):
+    class Late(gripper_class, registered=False):
+        def __init__(self, file, finger):
+            super().__init__(file)
+            self.finger = finger
+
+        @property
+        def _important_geoms(self):
+            return {'left_finger': [self.finger]}
+
+    assert Late(gripper_file, 'finger').important_geoms['left_finger'] == ['gripper0_finger']
+    with pytest.raises(UnknownNameError, match=r"^unknown geom of Late0 in .* 'fingr'"):
+        Late(gripper_file, 'fingr').compile()
+    robot = Panda()
+    robot.add_gripper(Late(gripper_file, 'fingr'))
+    with pytest.raises(UnknownNameError, match=r"^unknown geom of Late0 in .* 'fingr'"):
+        World([robot]).compile()
+
+
+def test_a_free_joint_of_the_root_is_left_out(gripper_class, mjcf):
+    gripper = gripper_class(mjcf('<body name="palm"><freejoint name="loose"/>'
+                                 '<geom name="finger" size="0.1"/><body name="eef"/></body>',
+                                 '<sensor><framepos name="at" objtype="body" objname="palm"/>'
+                                 '</sensor>'))
+    assert 'gripper0_at' in gripper.sensors
+    robot = Panda()
+    robot.add_gripper(gripper)
+    assert robot.compile().nv == robot.dof
 
 
 def test_missing_grasp_frame_is_named(gripper_class, mjcf):

@@ -72,6 +72,7 @@ class OwnHand(HandFromFile, registered=False):
         self._sensors = list(self._important_sensors.values())
         self._cameras = []
         self._record_shapes(model, bodies)
+        self._check_declared()
         hand = FoundHand(int(model.body(self._body).id),
                          tuple(int(model.joint(name).id) for name in self._joints),
                          tuple(int(model.actuator(name).id) for name in self._actuators))

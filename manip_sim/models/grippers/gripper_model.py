@@ -16,14 +16,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.grippers.tactile import add_tactile_sensors
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
+from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quaternion import NO_TURN, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.validation import finite_numbers, unit_quaternion
 
 _AXIS_SITE_OFFSET_M = 0.1
+
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+#: The standard sensors of every gripper.
+_WRENCH_SENSORS = {'force_ee': mujoco.mjtSensor.mjSENS_FORCE,
+                   'torque_ee': mujoco.mjtSensor.mjSENS_TORQUE}
 
 GripperT = TypeVar('GripperT', bound='GripperModel')
 
@@ -36,12 +42,13 @@ class GripperModel(MujocoXMLModel, ABC):
     added: ``ft_frame`` with the sensors ``force_ee`` and ``torque_ee`` on the root body, and
     ``grip_site``, ``grip_site_cylinder``, ``ee``, ``ee_x``, ``ee_y`` and ``ee_z`` on ``eef``.
     Names that a subclass declares in ``_important_geoms``, ``_important_sites`` or
-    ``_important_sensors`` must exist.
+    ``_important_sensors`` must exist. A free joint of the root is left out.
 
     :param fname: path of an MJCF file with one root body
     :param idn: number or word in names, as in ``gripper0_right_finger``
     :ivar current_action: the state of :meth:`format_action`, at first zeros of shape (dof,)
     :raises UnknownNameError: if the file has no body ``eef`` or lacks a declared name
+    :raises ModelError: if ``force_ee`` or ``torque_ee`` is another kind of sensor
     """
 
     _prefix_word = 'gripper'
@@ -79,11 +86,38 @@ class GripperModel(MujocoXMLModel, ABC):
             self.current_action = np.zeros(self.dof)
 
     def _prepare_spec(self, spec: mujoco.MjSpec) -> None:
+        mount = self._mount_body(spec)
+        # The arm carries the gripper; only a body of the world can be free.
+        delete_elements(spec, [joint for joint in mount.joints if int(joint.type) == _FREE])
         eef = spec.body('eef')
         if eef is None:
             raise UnknownNameError(f'body of gripper {self.file}', 'eef',
                                    [body.name for body in spec.bodies[1:]])
-        add_standard_elements(spec, self._mount_body(spec), eef)
+        add_standard_elements(spec, mount, eef)
+
+    def _check_declared(self) -> None:
+        super()._check_declared()
+        for name, kind in _WRENCH_SENSORS.items():
+            raw = self._important_sensors.get(name, name)
+            found = int(self._own_model.sensor(raw).type[0])
+            if found != int(kind):
+                raise ModelError(f"sensor '{raw}' of gripper {self.file} must be of the kind "
+                                 f'{_kind(kind)}, not {_kind(mujoco.mjtSensor(found))}')
+
+    @property
+    def important_sites(self) -> dict[str, str]:
+        """Sites by role; roles that a class does not declare have the standard sites."""
+        return self.correct_naming({**GripperModel._important_sites, **self._important_sites})
+
+    @property
+    def important_geoms(self) -> dict[str, list[str]]:
+        """Lists of geoms by role; fingers and pads that a class does not declare have none."""
+        return self.correct_naming({**GripperModel._important_geoms, **self._important_geoms})
+
+    @property
+    def important_sensors(self) -> dict[str, str]:
+        """Sensors by role; roles that a class does not declare have the standard sensors."""
+        return self.correct_naming({**GripperModel._important_sensors, **self._important_sensors})
 
     def _mount_body(self, spec: mujoco.MjSpec) -> mujoco.MjsBody:
         self._spec = spec
@@ -233,11 +267,14 @@ def add_standard_elements(spec: mujoco.MjSpec, mount: mujoco.MjsBody, eef: mujoc
     if ft_frame not in present:
         _add_site(mount, ft_frame, (0, 0, 0))
     sensors = {sensor.name for sensor in spec.sensors}
-    for name, kind in (('force_ee', mujoco.mjtSensor.mjSENS_FORCE),
-                       ('torque_ee', mujoco.mjtSensor.mjSENS_TORQUE)):
+    for name, kind in _WRENCH_SENSORS.items():
         if prefix + name not in sensors:
             spec.add_sensor(name=prefix + name, type=kind, objname=ft_frame,
                             objtype=mujoco.mjtObj.mjOBJ_SITE)
+
+
+def _kind(sensor: mujoco.mjtSensor) -> str:
+    return str(sensor.name).removeprefix('mjSENS_').lower()
 
 
 def _add_site(body: mujoco.MjsBody, name: str, pos: ArrayLike) -> None:
