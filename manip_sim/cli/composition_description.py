@@ -199,20 +199,20 @@ def _of_robot(parameters: GivenParameters, simulation: Simulation, model: mujoco
 
 def _models(robot: RobotModel, model: mujoco.MjModel) -> Iterator[Row]:
     grippers = robot.grippers if isinstance(robot, ManipulatorModel) else {}
-    arm_of = {gripper.naming_prefix: arm for arm, gripper in grippers.items()}
+    # By part, not by prefix: a hand in the robot's own file has that of the robot.
+    arm_of = {id(gripper): arm for arm, gripper in grippers.items()}
     parts: list[MujocoXMLModel] = [robot, *robot.models]
-    mass = {part.naming_prefix: sum(float(model.body(body).mass[0]) for body in part.bodies)
+    mass = {id(part): sum(float(model.body(body).mass[0]) for body in part.bodies)
             for part in robot.models}
     # All that belongs to no other part: on a mobile base the robot's root is in two bodies.
-    mass[robot.naming_prefix] = (
-        float(model.body(robot.root_body).subtreemass[0]) - sum(mass.values()))
+    mass[id(robot)] = float(model.body(robot.root_body).subtreemass[0]) - sum(mass.values())
     for part in parts:
         kind = ('robots' if part is robot else
                 'bases' if isinstance(part, RobotBaseModel) else 'grippers')
         source, file = origin(part, kind)
         yield {
             'kind': kind[:-1], 'class': type(part).__name__, 'prefix': part.naming_prefix,
-            'arm': arm_of.get(part.naming_prefix), 'mass_kg': mass[part.naming_prefix],
+            'arm': arm_of.get(id(part)), 'mass_kg': mass[id(part)],
             'joints': len(part.joints), 'actuators': len(part.actuators), 'from': source,
             'file': file}
 

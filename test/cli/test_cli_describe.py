@@ -187,9 +187,16 @@ def test_sensors_of_a_hand_in_the_file_of_the_robot_are_listed_once(described, t
         </body></body></body></worldbody>
       <actuator><position joint="lift" kp="100"/><position joint="roll" kp="100"/>
         <position joint="jaw" kp="5"/><position joint="thumb" kp="5"/></actuator></mujoco>""")
-    names = [row['name'] for row in described('--robot', file)['sensors']]
+    found = described('--robot', file, '--base', 'none')
+    names = [row['name'] for row in found['sensors']]
     assert names.count('robot0_right_hand_force_ee') == 1
     assert len(names) == len(set(names))
+    model = mujoco.MjModel.from_xml_path(str(file))
+    hand = float(model.body('palm').subtreemass[0])
+    arm = float(model.body('base').subtreemass[0]) - hand
+    assert [(row['kind'], row['arm']) for row in found['models']] == [
+        ('robot', None), ('gripper', 'right')]
+    assert [row['mass_kg'] for row in found['models']] == pytest.approx([arm, hand])
 
 
 def test_topics_and_parameters_are_those_of_the_parts(described):
