@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
 import numbers
 import sys
@@ -49,6 +50,18 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
     if bad.size:
         raise error(f'{what} must be finite, got {found[bad[0]]} at index {bad[0]}')
     return found
+
+
+def mapping(value: object, what: str, example: str) -> Mapping[str, Any]:
+    """
+    Return a mapping.
+
+    :param example: of what it should be, for the message
+    :raises ModelError: if it is none
+    """
+    if not isinstance(value, Mapping):
+        raise ModelError(f'{what} must be a mapping, such as {example}, got {shown(value)}')
+    return value
 
 
 def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:

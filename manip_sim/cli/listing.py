@@ -101,11 +101,12 @@ def _parts(kind: str, names: list[str], create: Callable[[str], Any],
     def row(name: str) -> Row:
         try:
             part = create(name)
+            own = columns(name, part)
         except Exception as error:  # A class of another package may raise anything.
             reason = f'cannot be created: {type(error).__name__}: {error}'
             return {'name': name, 'error': one_line(reason)}
         source, file = origin(part, kind)
-        return {'name': name, **columns(name, part), 'from': source, 'file': file}
+        return {'name': name, **own, 'from': source, 'file': file}
     return {kind: [row(name) for name in names]}
 
 
@@ -114,7 +115,7 @@ def _robots() -> dict[str, list[Row]]:
         has_arms = isinstance(robot, ManipulatorModel)
         return {'arms': len(robot.arms) if has_arms else 0, 'joints': len(robot.joints),
                 'default gripper': list(dict.fromkeys(
-                    robot.default_gripper.values() if has_arms else ())),
+                    robot.declared_grippers.values() if has_arms else ())),
                 'default base': robot.default_base}
     return _parts('robots', robot_names(), create_robot, columns)
 

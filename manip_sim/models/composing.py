@@ -109,9 +109,9 @@ def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int
         by_arm = dict.fromkeys(robot.arms, gripper)
     for arm, wanted in by_arm.items():
         if wanted == DEFAULT:
-            if arm in robot.own_hands and arm not in robot.default_gripper:
+            if arm in robot.own_hands and arm not in robot.declared_grippers:
                 continue
-            wanted = robot.default_gripper.get(arm)
+            wanted = robot.declared_grippers.get(arm)
         robot.take_off_hand(arm)
         if wanted is None or wanted == NONE:
             continue

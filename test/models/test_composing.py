@@ -21,6 +21,16 @@ def test_default_is_what_the_robot_says():
     assert robot.grippers['left'].naming_prefix == 'gripper3_left_'
 
 
+@pytest.mark.parametrize(('what', 'value'), [
+    ('default_gripper', 'PandaGripper'), ('default_gripper', None), ('base_xpos_offset', None)])
+def test_what_a_class_declares_in_place_of_a_mapping_is_told(one_joint_arm, what, value):
+    arm = one_joint_arm()
+    setattr(type(arm), what, value)
+    with pytest.raises(ModelError, match=rf'^{what} of Arm0 must be a mapping, such as \{{.*\}}, '
+                                         rf'got {value!r}$'):
+        compose(arm).compile()
+
+
 @pytest.mark.parametrize('nothing', ['none', None])
 def test_nothing_is_mounted_where_nothing_is_wanted(nothing):
     robot = compose_robot('Panda', nothing, nothing)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.models.bases import RethinkMount
+from manip_sim.models.bases import MobileBaseModel, RethinkMount
 from manip_sim.models.robots.subsystems import classify
 
 HALF_TURN_Z = [0.0, 0.0, 0.0, 1.0]
@@ -44,6 +44,16 @@ def test_explicit_table_comes_before_the_words(robot_with):
     robot = robot_with('neck', 'head_holder', subsystem_of_joint=table)
     assert robot.head_joints == ['robot0_neck']
     assert robot.arm_joints == ['robot0_head_holder']
+
+
+@pytest.mark.parametrize(('table', 'message'), [
+    ({'nek': 'head'}, r"^unknown joint in _subsystem_of_joint of Robot0 'nek': did you mean "
+                      r"'neck'\? available: neck$"),
+    ({'neck': 'haed'}, r"^unknown subsystem of joint 'neck' of Robot0 'haed': did you mean "
+                       r"'head' or 'base'\? available: arm, base, ")])
+def test_explicit_table_with_unknown_names_is_rejected(robot_with, table, message):
+    with pytest.raises(UnknownNameError, match=message):
+        robot_with('neck', subsystem_of_joint=table)
 
 
 def test_actuators_go_with_the_joint_that_they_drive(robot_with):
@@ -92,6 +102,21 @@ def test_joints_of_a_mobile_base_are_sorted_too(robot_with, mobile_base):
     assert robot.all_actuators == robot.arm_actuators + mobile_base.actuators
     assert robot.models == [mobile_base]
     assert robot.dof == 1
+
+
+def test_joints_of_a_mobile_base_without_a_keyword_move_the_base(robot_with, mjcf):
+    class Wheels(MobileBaseModel, registered=False):
+        pass
+
+    robot = robot_with('joint1')
+    robot.add_base(Wheels(mjcf(
+        '<body name="cart"><joint name="forward" type="slide"/><geom size="0.1"/>'
+        '<body name="wheel"><joint name="left_wheel"/><geom size="0.1"/></body>'
+        '<body name="support"/></body>',
+        '<actuator><motor name="left" joint="left_wheel"/></actuator>', name='wheels')))
+    assert robot.base_joints == ['mobilebase0_forward', 'mobilebase0_left_wheel']
+    assert robot.base_actuators == ['mobilebase0_left']
+    assert robot.arm_joints == ['robot0_joint1']
 
 
 def test_robot_on_a_mobile_base_hangs_on_its_support(robot_with, mobile_base):

@@ -13,6 +13,7 @@ from os import PathLike
 from typing import Any, ClassVar, Union
 
 import mujoco
+import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
@@ -142,7 +143,9 @@ class Arena(MujocoXMLModel):
 
         :param robot: the robot to place
         """
-        placement = robot.base_xpos_offset.get(self.arena_name, (0.0, 0.0, 0.0))
+        placement = robot.placement_in(self.arena_name)
+        if placement is None:
+            return np.zeros(3)
         return finite_numbers(
             placement(self.table_length_m) if callable(placement) else placement, 3,
             f"base_xpos_offset['{self.arena_name}'] of {robot.name}")

@@ -99,7 +99,7 @@ class DrawerArena(Arena):
 
     def robot_position(self, robot: RobotModel) -> FloatArray:
         """Return the place of a robot in ``world`` [m], shape (3,), by default as at a table."""
-        if self.arena_name in robot.base_xpos_offset:
+        if robot.placement_in(self.arena_name) is not None:
             return super().robot_position(robot)
         return TableArena(cube=False).robot_position(robot)
 

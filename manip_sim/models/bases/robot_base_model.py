@@ -49,6 +49,7 @@ class MobileBaseModel(RobotBaseModel, registered=False):
     """
 
     _prefix_word = 'mobilebase'
+    subsystem_of_others = 'base'
     #: The body that the robot is mounted on.
     support_body = 'support'
     #: Whether it drives sideways; else twists along y are clamped to zero.

@@ -104,7 +104,7 @@ class FileArena(Arena, registered=False):
 
         :param robot: the robot to place
         """
-        declared = robot.base_xpos_offset.get(self.arena_name)
+        declared = robot.placement_in(self.arena_name)
         if declared is not None and not callable(declared):
             return np.array(declared)
         if self._description.robot_position is not None:

@@ -70,8 +70,6 @@ class FileMount(FileBase, MountModel, registered=False):
 class FileMobileBase(FileBase, MobileBaseModel, registered=False):
     """A base with joints."""
 
-    subsystem_of_others = 'base'
-
     @property
     def bottom_offset(self) -> FloatArray:
         """

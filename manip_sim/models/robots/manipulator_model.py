@@ -19,6 +19,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.validation import mapping
 from manip_sim.quaternion import wxyz_to_xyzw
 
 ARMS_OF_TYPE = {'single': ('right',), 'bimanual': ('right', 'left')}
@@ -90,6 +91,16 @@ class ManipulatorModel(RobotModel):
     @abstractmethod
     def default_gripper(self) -> dict[str, str]:
         """Name by arm of the gripper that is mounted unless another is requested."""
+
+    @property
+    def declared_grippers(self) -> dict[str, str]:
+        """
+        What :attr:`default_gripper` says, a copy.
+
+        :raises ModelError: if that is no mapping
+        """
+        return dict(mapping(self.default_gripper, f'default_gripper of {self.name}',
+                            "{'right': 'PandaGripper'}"))
 
     @property
     def _eef_name(self) -> dict[str, str]:

@@ -26,7 +26,7 @@ from manip_sim.models.registry import Registry
 from manip_sim.models.robots.subsystems import SCALAR, Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
 from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
-from manip_sim.validation import finite_numbers
+from manip_sim.validation import finite_numbers, mapping
 
 #: Body on a mobile base that has the contents of the root.
 _MANIPULATOR_MOUNT = 'manipulator_mount'
@@ -68,6 +68,7 @@ class RobotModel(Subsystems, ABC):
         self._floor_xpos: FloatArray | None = None
         self._root_quat: FloatArray | None = None
         self._laws: dict[tuple[MujocoXMLModel, str], FrictionLaw] = {}
+        self._check_subsystems()
         self.update_joints()
         self.update_actuators()
 
@@ -299,6 +300,18 @@ class RobotModel(Subsystems, ABC):
     @abstractmethod
     def base_xpos_offset(self) -> dict[str, Placement]:
         """Where to place the robot by arena [m], or a function of the table's length [m]."""
+
+    def placement_in(self, arena: str) -> Placement | None:
+        """
+        Return what :attr:`base_xpos_offset` says of an arena, or None.
+
+        :param arena: its name
+        :raises ModelError: if that is no mapping
+        """
+        declared = mapping(self.base_xpos_offset, f'base_xpos_offset of {self.name}',
+                           "{'empty': (-0.6, 0.0, 0.0)}")
+        placement: Placement | None = declared.get(arena)
+        return placement
 
     @property
     def init_base_qpos(self) -> FloatArray | None:

@@ -104,6 +104,16 @@ class Subsystems(MujocoXMLModel):
         """Actuators of the robot, then of its base."""
         return [actuator for part in self._own_parts() for actuator in part.actuators]
 
+    def _check_subsystems(self) -> None:
+        """Check that what the class declares of joints has the names of joints and subsystems."""
+        for joint, subsystem in self._subsystem_of_joint.items():
+            if joint not in self._joints:
+                raise UnknownNameError(f'joint in _subsystem_of_joint of {self.name}', joint,
+                                       self._joints)
+            if subsystem not in SUBSYSTEMS:
+                raise UnknownNameError(f"subsystem of joint '{joint}' of {self.name}", subsystem,
+                                       SUBSYSTEMS)
+
     def update_joints(self) -> None:
         """Sort all joints into subsystems again, as ``add_base`` does."""
         self._joints_of = {part: [] for part in SUBSYSTEMS}
