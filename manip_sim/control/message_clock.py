@@ -318,7 +318,9 @@ class MessageClocks:
             before = self._settings[index]
             self._settings[index] = (before[0] if longest_s is None else longest_s,
                                      before[1] if hold_s is None else hold_s)
-        for clock, _ in self.of(indices, -math.inf):
+        # A clock that has seen no message would be a part of the state without meaning.
+        known = [index for index in indices.tolist() if self._of[index] is not None]
+        for clock, _ in self.of(np.array(known, dtype=np.int64), -math.inf):
             clock.longest_s, clock.hold_s = self._settings[clock.indices[0]]
 
     def settings(self, index: int) -> tuple[float, float]:

@@ -32,8 +32,7 @@ class EpisodePublisher:
 
     It publishes after a restore, too, if that leads to another episode. Its keys are ``seed``,
     ``drawn`` (what ``randomization`` drew, by name, in SI units), ``versions`` of ``manip_sim``,
-    ``mujoco`` and ``numpy``, ``digest`` of the start, and ``stamp_ns`` of the instant of the
-    message.
+    ``mujoco`` and ``numpy``, ``digest`` of the start, and ``stamp_ns`` of the first states.
 
     :param node: the node, whose thread has not been started
     :param restart: puts the simulation to its start, from a seed or as it was
@@ -45,45 +44,48 @@ class EpisodePublisher:
         self._restart_simulation, self._joints_changed = restart, node.dynamics.publish
         #: Digests of the starts of all episodes that may be in a saved state, by what they are of.
         self._digests: dict[str, str] = {}
-        self._published: tuple[int, Any] = (-1, None)
+        self._published: tuple[int, Any] | None = None
+        self._look_again = node.thread.observers.look_again
         node.thread.changes.operations.restart = self._restart
         node.thread.observe(self._follow, look=self._is_another)
 
     def begin(self) -> None:
-        """Publish the first episode, before the thread starts; parameters do not undo draws."""
-        if self._simulation.randomized.draws:
-            self._restart_simulation(self._simulation.seed)
-        self._publish(self._simulation.digest())
+        """
+        Begin the first episode, before the thread starts.
+
+        It begins as all others: parameters do not undo draws, nor leave a change of mode behind.
+        """
+        self._restart(self._simulation.seed)
 
     def _restart(self, seed: int | None) -> None:
         self._restart_simulation(seed)
-        self._publish(self._simulation.digest())
+        if len(self._digests) >= _REMEMBERED:
+            del self._digests[next(iter(self._digests))]
+        self._digests[self._key()] = self._simulation.digest()
+        # It is published with the first states, as their stamp is not known yet.
+        self._published = None
+        self._look_again()
 
     def _is_another(self) -> bool:
-        """Return whether a state of another episode was restored."""
+        """Return whether another episode has begun, or a state of another one was restored."""
         return (self._simulation.seed, self._simulation.randomized.drawn) != self._published
 
     def _follow(self, simulation: Simulation) -> None:
-        if self._is_another():
-            self._publish(self._digests.get(self._key(), ''))
-
-    def _key(self) -> str:
-        return repr((self._simulation.seed, self._simulation.randomized.drawn))
-
-    def _publish(self, digest: str) -> None:
-        simulation = self._simulation
+        if not self._is_another():
+            return
         drawn = simulation.randomized.drawn
-        if len(self._digests) >= _REMEMBERED:
-            del self._digests[next(iter(self._digests))]
-        self._digests[self._key()] = digest
         self._published = simulation.seed, drawn
         self._publisher.publish(String(data=json.dumps({
             'seed': simulation.seed, 'drawn': drawn, 'versions': {
                 'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                 'numpy': np.__version__},
-            'digest': digest, 'stamp_ns': simulation.time_ns}, allow_nan=False)))
+            'digest': self._digests.get(self._key(), ''), 'stamp_ns': simulation.time_ns},
+            allow_nan=False)))
         if any(name.startswith('joints/') for name in drawn):
             self._joints_changed()
+
+    def _key(self) -> str:
+        return repr((self._simulation.seed, self._simulation.randomized.drawn))
 
 
 class TaskPublisher:

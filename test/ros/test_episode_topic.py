@@ -102,6 +102,34 @@ def test_without_randomization_the_episode_has_a_seed_and_a_digest(serve, client
     assert episodes[0]['digest'] == node.thread.call(node.simulation.digest)
 
 
+def test_each_episode_has_the_stamp_of_its_first_states(serve, client, episodes):
+    node = serve(start_paused=True)
+    client.spin_until(lambda: bool(episodes))
+    for count in range(2, 5):
+        call(client, 'step')
+        call(client, 'reset')
+        client.spin_until(lambda expected=count: len(episodes) == expected)
+        assert episodes[-1]['stamp_ns'] == node.simulation.time_ns
+    stamps = [episode['stamp_ns'] for episode in episodes]
+    assert stamps == [10_000_000, 30_000_000, 50_000_000, 70_000_000]
+
+
+@pytest.mark.parametrize('parameters', [
+    {}, {'control_mode.arm': 'effort'},
+    {'robot': 'PandaOmron', 'control_mode.base': 'position', 'stream_interval.arm': 0.2}])
+def test_the_first_episode_begins_and_ends_as_all_others(serve, client, episodes, parameters):
+    serve(start_paused=True, seed=3, **parameters)
+    client.spin_until(lambda: bool(episodes))
+    digests = []
+    for count in range(2, 4):
+        digests.append([call(client, 'step') and call(client, 'save_state').message
+                        for _ in range(3)])
+        call(client, 'reset')
+        client.spin_until(lambda expected=count: len(episodes) == expected)
+    assert len({episode['digest'] for episode in episodes}) == 1
+    assert digests[0] == digests[1]
+
+
 def test_a_file_that_cannot_be_used_ends_the_start(tmp_path):
     file = tmp_path / 'file.yaml'
     file.write_text('bodies:\n  cube:\n    mas: {uniform: [1, 2]}')

@@ -326,3 +326,11 @@ def test_what_commands_bring_along_is_no_fixed_place_of_states(name):
         for number in range(4):
             robot.apply(robot.parse.twist(0.1 * number, 0.0, 0.0))
             check()
+
+
+def test_settings_of_streams_leave_nothing_behind_that_a_reset_would_undo():
+    simulation = Simulation(compose('Panda'))
+    simulation.robot.set_stream('arm', longest_s=0.2, hold_s=0.1)
+    before = simulation.digest()
+    simulation.reset()
+    assert simulation.digest() == before
