@@ -16,15 +16,14 @@ import math
 import numpy as np
 
 from manip_sim.arrays import as_slice, FloatArray, IntArray
+from manip_sim.control.sender_rate import SenderRate
 
 #: Messages no farther apart than this are a stream, unless set otherwise [s].
 STREAM_INTERVAL_S = 0.105
 #: The clock of a stream averages over so many messages at most.
 _MEMORY = 40.0
-#: Share of what is known of the speed of the stamps' clock that is kept from message to message.
-_RATE_KEPT = 0.98
-#: It is taken to run like simulation time as if messages over so much time had shown it [s].
-_SAME_S = 1.0
+#: So far off, in intervals and beside jitter, a message tells nothing of the sender's clock.
+_ODD = 4.0
 #: Shares of a rise and of a fall of the jitter that its measure follows with each message.
 _ATTACK, _DECAY = 0.3, 0.03
 #: A deviation from the schedule below this share of the interval is none.
@@ -108,7 +107,7 @@ class MessageClock:
         self._share, self._errors = 0.0, (0.0, 0.0)
         self._before: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._stamped, self._stamp_s, self._stamp_interval_s = False, 0.0, 0.0
-        self._since_sum_s = self._stamps_sum_s = _SAME_S
+        self._rate = SenderRate()
 
     def forget(self) -> None:
         """Let the next message be the first of a stream."""
@@ -118,6 +117,20 @@ class MessageClock:
         """Return whether a message would continue the stream if it came now."""
         return now_s - self._arrived_s <= self.longest_s or (
             now_s <= self.until_s and self.interval_s <= self.longest_s)
+
+    def notice_pause(self, now_s: float, stamp_s: float, messages: int) -> None:
+        """
+        Let a message begin a stream if time went on for its sender while simulation time stood.
+
+        :param now_s: when it comes [s]
+        :param stamp_s: when it was sent, by any clock [s]; 0: unknown
+        :param messages: how many came since the last call of :meth:`take`
+        """
+        sent_s = (self._rate.measured * (stamp_s - self._stamp_s)
+                  if stamp_s and self._stamp_s else messages * self.interval_s)
+        if self.number > _TRUSTED and (
+                self._due_s + sent_s - now_s > self.longest_s + 3.0 * self.spread_s):
+            self.forget()
 
     def take(self, now_s: float, period_s: float, stamp_s: float, messages: int,
              by_goal: Callable[[float, float], tuple[float, float]] | None = None,
@@ -254,19 +267,18 @@ class MessageClock:
         stamped = stamp_s > 0.0 and self._stamp_s > 0.0 and stamped_s > 0.0
         self._stamp_s = stamp_s
         if not streams:
-            # How fast simulation time runs by the sender's clock: as fast, until messages show it.
-            self._since_sum_s = self._stamps_sum_s = _SAME_S
+            self._rate = SenderRate()
             self._stamp_interval_s = 0.0
         if not stamped:
             return False, 0.0, 0.0
-        self._since_sum_s = _RATE_KEPT * self._since_sum_s + since_s
-        self._stamps_sum_s = _RATE_KEPT * self._stamps_sum_s + stamped_s
+        self._rate = self._rate.after(
+            since_s, stamped_s, _ODD * self.interval_s + 3.0 * self.spread_s)
         unit_s = self._stamp_interval_s or stamped_s / messages
         ticks = stamped_s / unit_s
         # The interval follows the sender's slowly, lost messages left out.
         unit_s *= 1.0 + 0.1 * (ticks / max(round(ticks), 1) - 1.0)
         self._stamp_interval_s = unit_s
-        return (True, unit_s * self._since_sum_s / self._stamps_sum_s, stamped_s / unit_s)
+        return True, unit_s * self._rate.value, stamped_s / unit_s
 
     @staticmethod
     def _count(late: float, jitter: float, messages: int, interval_s: float,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.catching_up import Terms
 from manip_sim.control.message_clock import MessageClock
 from manip_sim.control.motion_profiles import evenly_braked, Plan, within
@@ -19,6 +19,8 @@ _STREAM_ACCELERATION = 1.5
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
 #: servos add up to 15 % while they take over.
 _BRAKING = 0.87
+#: A goal that is nearer to an end of its range is at it [rad or m].
+_AT_END = 1e-9
 
 
 class SetpointGoals:
@@ -132,6 +134,9 @@ class SetpointGoals:
         limit = self._acceleration_limit[indices]
         slope, own = np.empty((2, len(indices)))
         for clock, places in self._ramp_estimator.clocks.of(indices, self.now_s):
+            clock.notice_pause(self.now_s, stamp_s, messages)
+            if not clock.continues(self.now_s):
+                self._bound[clock.where] = limit[places]
             slope[places], own[places] = self._ramp_estimator.take(
                 clock, velocity[places], self.velocity[clock.where], self.now_s, period_s,
                 limit[places], messages, stamp_s)
@@ -147,6 +152,7 @@ class SetpointGoals:
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
         self._ramp_estimator.forget(indices)
+        self._bound[indices] = self._acceleration_limit[indices]
         self._come_to(indices, velocity)
 
     def ramp_to(self, indices: IntArray, velocity: FloatArray, duration_s: float,
@@ -226,11 +232,13 @@ class SetpointGoals:
     def _take(self, clock: MessageClock, waiting: WaitingGoal, goal: FloatArray) -> None:
         estimator, at = self._estimator, clock.where
         self._brakes[at], self._seeks[at] = False, True
+        limit = self._acceleration_limit[at]
+        clock.notice_pause(self.now_s, waiting.stamp_s, waiting.messages)
         if not clock.continues(self.now_s):
             # What the reference of a setpoint does that is no stream becomes a way to its goal.
             self._stages[:, at] += self._reference[at]
             self._reference[at] = 0.0
-        limit = self._acceleration_limit[at]
+            self._bound[at] = limit
         estimator.take(clock, goal, self.now_s, waiting.period_s, limit, waiting.messages,
                        waiting.stamp_s)
         top, wanted = self._velocity_limit[at], estimator.velocity[at]
@@ -241,13 +249,20 @@ class SetpointGoals:
         left_s = clock.sent_s + interval_s - self.now_s
         bound = limit
         if clock.on_time:
-            bound = np.maximum(limit, _STREAM_ACCELERATION * estimator.acceleration[at])
+            own = np.where(self._cut_off(at), 0.0, estimator.acceleration[at])
+            bound = np.maximum(limit, _STREAM_ACCELERATION * own)
             self._bound[at] = np.maximum(bound, self._bound[at])
         change = np.abs(velocity - self._reference[at])
         self._goal[at], self._reference_goal[at] = goal, velocity
         ramp_s = min(max(left_s, 0.5 * interval_s), 1.5 * interval_s) + clock.slack_s
         self._ramp[at] = np.minimum(np.maximum(change / ramp_s, 1e-9), bound)
         self._until_s[at] = clock.until_s
+
+    def _cut_off(self, at: slice | IntArray) -> BoolArray:
+        """Tell where the acceleration of a stream is that of goals clamped to the range."""
+        goals = self._estimator.last_goals(at)
+        low, high = self._low[at] + _AT_END, self._high[at] - _AT_END
+        return np.asarray(((goals <= low) | (goals >= high)).any(axis=0))
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """

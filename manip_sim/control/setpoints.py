@@ -214,7 +214,7 @@ class SetpointGenerator(SetpointGoals):
     def _end_streams(self) -> None:
         ended = self._until_s <= self.now_s + 1e-9
         self._reference_goal[ended] = 0.0
-        self._ramp[ended] = self._acceleration_limit[ended]
+        self._ramp[ended] = self._bound[ended] = self._acceleration_limit[ended]
         self._until_s[ended] = np.inf
         self._next_end_s = float(self._until_s.min(initial=np.inf))
         self._inside_now = self._terms = self.plan = None

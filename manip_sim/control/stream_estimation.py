@@ -91,6 +91,11 @@ class StreamEstimator:
         """Size of the acceleration, an exponential mean over messages, shape (n,)."""
         return np.asarray(self._curves[1])
 
+    def last_goals(self, at: slice | IntArray) -> FloatArray:
+        """Return the goals of the last three messages of a stream, shape (3, n)."""
+        last, before = self._steps[:, at]
+        return np.array([self.goal[at], self.goal[at] - last, self.goal[at] - last - before])
+
     def begun_anew(self) -> StreamEstimator:
         """Return an estimator of no stream yet; settings and counts are those of this one."""
         estimator = StreamEstimator(len(self.lost))

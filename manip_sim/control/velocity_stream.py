@@ -52,6 +52,7 @@ class VelocityStream:
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
         clock = self._clock
+        clock.notice_pause(now_s, sent_s, messages)
         streams = clock.continues(now_s)
         before = self.at(now_s) if streams else present
         _, self._own = self._estimator.take(

@@ -111,8 +111,8 @@ class SetpointRows(SetpointGenerator):
         for name in (*_OF_STREAMS, *_OF_GOALS, 'lost'):
             setattr(flat._estimator, name, getattr(self._estimator, name).reshape(-1))
         flat._stages = self._stages.reshape(len(self._stages), -1)
-        flat._velocity_limit, flat._acceleration_limit = (
-            np.tile(limit, rows) for limit in (self._velocity_limit, self._acceleration_limit))
+        for name in ('_low', '_high', '_velocity_limit', '_acceleration_limit'):
+            setattr(flat, name, np.tile(getattr(self, name), rows))
         return flat
 
     def set_time(self, now_s: FloatArray) -> None:
@@ -267,7 +267,8 @@ class SetpointRows(SetpointGenerator):
     def _end_streams_of_rows(self, due: BoolArray) -> None:
         ended = due[:, None] & (self._until_s <= self._now_s + 1e-9)
         self._reference_goal = np.where(ended, 0.0, self._reference_goal)
-        self._ramp = np.where(ended, self._acceleration_limit, self._ramp)
+        self._ramp, self._bound = (np.where(ended, self._acceleration_limit, of)
+                                   for of in (self._ramp, self._bound))
         self._until_s = np.where(ended, np.inf, self._until_s)
         self._next_ends_s = np.where(
             due, self._until_s.min(axis=1, initial=np.inf), self._next_ends_s)

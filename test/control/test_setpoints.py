@@ -191,6 +191,56 @@ def test_stream_that_falls_silent_goes_on_brakes_and_comes_back(hold_s, goes_on_
     assert not setpoints.moving
 
 
+@pytest.mark.parametrize('commands', ['positions', 'velocities'])
+def test_a_joint_keeps_its_limit_after_a_fast_stream_though_others_move(commands):
+    setpoints = generator(2, low=-1.0, high=1.0)
+    one, other = Course(setpoints), np.array([1])
+    for k in range(500):
+        now_s = k * PERIOD_S
+        setpoints.go_to(other, np.array([0.1 * np.sin(now_s)]), PERIOD_S)
+        if commands == 'positions' and (now_s < 1.0 or now_s > 2.0 and k % 3):
+            # The first stream has 40 rad/s^2 of its own; of the second each third goal is missing.
+            goal = 0.01 * np.sin(63.0 * now_s) if now_s < 1.0 else 0.5 * (k % 100 > 50)
+            setpoints.go_to(ONE, np.array([goal]), PERIOD_S)
+        elif commands == 'velocities' and (now_s < 1.0 or k == 250):
+            # At last it brakes before the end of its range.
+            velocity = 0.6 * np.sin(63.0 * now_s) if now_s < 1.0 else 1.5
+            setpoints.go_at(ONE, np.array([velocity]), PERIOD_S)
+        one.advance(*INTERVALS_S)
+    assert np.abs(one.acceleration[one.time < 1.0]).max() > 3.0 * A
+    assert np.abs(one.acceleration[one.time > 2.0]).max() <= A * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize('rate', [50, 100, 500])
+def test_stream_beyond_the_end_of_the_range_brakes_and_leaves_within_the_limit(rate):
+    # At the end, where it is cut off, its velocity of 1.9 rad/s stops from goal to goal.
+    course = streamed(lambda t: min(1.9 * np.sin(t), 1.0), 3.0, rate, generator(high=1.0))
+    begun = course.time > 0.4
+    assert np.abs(course.acceleration[begun]).max() <= A * (1.0 + 1e-9)
+    assert course.position.max() == pytest.approx(1.0, abs=1e-6)
+    way = np.diff(course.position[(course.time > 0.4) & (course.time < 1.5)])
+    assert way.min() > -1e-4
+
+
+@pytest.mark.parametrize('stamped', [False, True])
+@pytest.mark.parametrize('pause_s', [0.5, 4.0])
+def test_a_pause_in_which_the_sender_goes_on_is_only_a_step_of_the_goals(pause_s, stamped):
+    setpoints, messages = generator(), 0
+    course = Course(setpoints)
+    for k in range(600):
+        messages += 1 if k != 300 else 1 + round(pause_s / PERIOD_S)
+        sent_s = messages * PERIOD_S
+        setpoints.go_to(ONE, np.array([0.2 * np.sin(np.pi * sent_s)]), PERIOD_S,
+                        1 if k != 300 else 1 + round(pause_s / PERIOD_S),
+                        1e5 + sent_s if stamped else 0.0)
+        course.advance(*INTERVALS_S)
+    goes_on = course.time > 3.5
+    sent_s = course.time + pause_s + PERIOD_S - 1.5 * PERIOD_S
+    np.testing.assert_allclose(
+        course.position[goes_on], 0.2 * np.sin(np.pi * sent_s[goes_on]), atol=2e-3)
+    assert np.abs(course.acceleration[course.time > 1.0]).max() <= A * (1.0 + 1e-9)
+
+
 def test_jump_inside_a_stream_is_a_step_and_not_a_velocity():
     course = streamed(lambda t: 0.5 * t + (1.0 if t >= 0.995 else 0.0), 3.0)
     assert np.abs(course.velocity).max() <= 1.01 * V

@@ -83,6 +83,16 @@ def test_stamps_by_a_clock_of_any_speed_tell_the_velocity_in_simulation_time(spe
     assert velocities[500:] == pytest.approx([0.15] * 100, rel=0.03)
 
 
+@pytest.mark.parametrize('speed', [0.1, 0.5, 1.0, 2.0, 10.0])
+def test_the_speed_of_a_clock_that_stamps_evenly_is_known_after_half_a_second(speed):
+    estimator = Estimator()
+    for number in range(100):
+        sent_s = number * PERIOD_S
+        estimator.take_one(0.15 * sent_s, sent_s, stamp_s=1e5 + speed * sent_s)
+        if number > 50:
+            assert estimator.velocity == pytest.approx(0.15, rel=0.02)
+
+
 def test_stamps_tell_the_velocity_of_a_sender_that_is_not_even():
     estimator, sent_s = Estimator(), 0.0
     random = np.random.default_rng(5)

@@ -104,6 +104,7 @@ class PoseStream:
     def _follow(self, pose: _Pose, now_s: float) -> None:
         estimator, limits = self._estimator, np.repeat(pose.limits, 3)
         clock = self._clock
+        clock.notice_pause(now_s, pose.sent_s, pose.messages)
         streams = clock.continues(now_s)
         if streams:
             self._sum = self._sum + np.concatenate([
