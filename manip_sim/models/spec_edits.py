@@ -155,11 +155,12 @@ def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:
     """
     Move the first of some consecutive actuators of a spec behind the others.
 
-    Elements of a spec cannot be moved, so their contents are.
+    Elements of a spec cannot be moved, so their contents are. Those of plugins cannot be moved, so
+    with them all stay where they are.
 
     :param count: how many of them go to the end
     """
-    if not 0 < count < len(actuators):
+    if not 0 < count < len(actuators) or any(each.plugin.active for each in actuators):
         return
     contents = [_content(actuator) for actuator in actuators]
     for actuator in actuators:

@@ -353,6 +353,24 @@ def test_a_root_on_one_rail_or_on_joints_of_other_names_is_of_the_arm(tmp_path, 
     assert robot.arm_joints[:len(joints)] == [f'robot0_{name}' for name in joints]
 
 
+@pytest.mark.parametrize('base', ['none', 'OmronMobileBase'])
+def test_an_actuator_of_a_plugin_is_of_no_part_and_keeps_its_plugin(tmp_path, base):
+    text = ARM.replace('<actuator>', """<extension><plugin plugin="mujoco.pid"/></extension>
+    <actuator><plugin name="pid" joint="lift" plugin="mujoco.pid"><config key="kp" value="40"/>
+    </plugin>""")
+    robot = compose_robot(write(tmp_path / 'arm.xml', text.replace(' ctrl="', ' ctrl="0 ')),
+                          base=base)
+    assert robot.arm_actuators == ['robot0_turn', 'robot0_lift', 'robot0_bend']
+    simulation = Simulation(compose(robot, base=None))
+    assert simulation.surroundings.other_actuators == ('robot0_pid',)
+    pid = simulation.model.actuator('robot0_pid').id
+    assert np.flatnonzero(simulation.model.actuator_plugin >= 0).tolist() == [pid]
+    start = float(simulation.data.joint('robot0_lift').qpos[0])
+    simulation.data.ctrl[pid] = start + 0.5
+    mujoco.mj_forward(simulation.model, simulation.data)
+    assert simulation.data.actuator_force[pid] == pytest.approx(20.0)
+
+
 def test_actuators_that_are_no_servos_of_a_joint_are_of_no_part(tmp_path):
     text = ARM.replace('<actuator>', """<tendon><fixed name="both">
     <joint joint="lift" coef="0.5"/><joint joint="bend" coef="1"/></fixed></tendon><actuator>

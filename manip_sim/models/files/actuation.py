@@ -105,6 +105,7 @@ def _is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
 def _is_usable(model: mujoco.MjModel, actuator: int) -> bool:
     biases = (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE)
     return (int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+            and int(model.actuator_plugin[actuator]) < 0
             and int(model.actuator_biastype[actuator]) in biases)
 
 
