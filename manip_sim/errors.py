@@ -84,7 +84,7 @@ def describe_choices(name: object, available: Iterable[str]) -> str:
     :returns: a sentence part such as ``did you mean 'Panda'? available: Panda, UR5e``, with
         ``... and 3 more`` in place of the names for which there is no room
     """
-    names = list(available)
+    names = [choice for choice in available if choice]  # An empty one stands for nothing at all.
     near = [f"'{candidate}'" for candidate in _nearest(str(name)[:_COMPARED_CHARACTERS], names)]
     while len(near) > 1 and sum(map(len, near)) > _MAX_HINT:
         near.pop()

@@ -73,3 +73,8 @@ def test_long_names_leave_room_for_one_suggestion_only():
 def test_a_short_list_is_told_as_a_whole():
     assert describe_choices('xyzzy', ['arm', 'base']) == 'available: arm, base'
     assert describe_choices('xyzzy', []) == 'available: none'
+
+
+@pytest.mark.parametrize('available', [[], ['']])
+def test_a_message_says_that_there_is_nothing_to_choose_from(available):
+    assert describe_choices('home', available) == 'available: none'
