@@ -18,6 +18,7 @@ _SIZES = ('memory', 'nuserdata')
 _OLD_SIZES = ('nkey', 'njmax', 'nconmax', 'nstack')
 _USER_COUNTS = tuple(f'nuser_{kind}' for kind in (
     'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor'))
+_BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
 _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 'signature'))
 
 
@@ -26,27 +27,43 @@ def rename_body(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
     for element, attribute in _references_to_bodies(spec):
         if getattr(element, attribute) == body.name:
             setattr(element, attribute, name)
+    for element, attribute, kinds in _lists_of_bodies(spec):
+        names = list(getattr(element, attribute))
+        renamed = [name if found == body.name and kind in _BODIES else found
+                   for found, kind in zip(names, kinds or [_BODIES[0]] * len(names))]
+        if renamed != names:
+            setattr(element, attribute, renamed)
     body.name = name
 
 
+def _lists_of_bodies(spec: mujoco.MjSpec) -> Iterator[tuple[Any, str, list[int]]]:
+    """Yield lists of names with the types of the elements; empty types if all are bodies."""
+    for skin in spec.skins:
+        yield skin, 'bodyname', []
+    for flex in spec.flexes:
+        yield flex, 'nodebody', []
+        yield flex, 'vertbody', []
+    for group in spec.tuples:
+        yield group, 'objname', list(group.objtype)
+
+
 def _references_to_bodies(spec: mujoco.MjSpec) -> Iterator[tuple[Any, str]]:
-    bodies = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
     for exclude in spec.excludes:
         yield exclude, 'bodyname1'
         yield exclude, 'bodyname2'
     for watcher in [*spec.cameras, *spec.lights]:
         yield watcher, 'targetbody'
     for equality in spec.equalities:
-        if int(equality.objtype) in bodies:
+        if int(equality.objtype) in _BODIES:
             yield equality, 'name1'
             yield equality, 'name2'
     for actuator in spec.actuators:
         if int(actuator.trntype) == int(mujoco.mjtTrn.mjTRN_BODY):
             yield actuator, 'target'
     for sensor in spec.sensors:
-        if int(sensor.objtype) in bodies:
+        if int(sensor.objtype) in _BODIES:
             yield sensor, 'objname'
-        if int(sensor.reftype) in bodies:
+        if int(sensor.reftype) in _BODIES:
             yield sensor, 'refname'
 
 

@@ -292,7 +292,17 @@ def test_what_refers_to_the_root_refers_to_the_part_that_moves(tmp_path):
           <framepos name="pos" objtype="xbody" objname="pelvis"/>
           <framepos name="relative" objtype="body" objname="chest" reftype="body"
             refname="pelvis"/>
-        </sensor>""")
+        </sensor>
+        <deformable>
+          <skin vertex="0 0 0 0.1 0 0 0 0.1 0" face="0 1 2">
+            <bone body="chest" bindpos="0 0 0" bindquat="1 0 0 0" vertid="0" vertweight="1"/>
+            <bone body="pelvis" bindpos="0 0 0" bindquat="1 0 0 0" vertid="1 2" vertweight="1 1"/>
+          </skin>
+          <flex name="rope" dim="1" radius="0.01" body="chest pelvis" vertex="0 0 0 0 0 0"
+            element="0 1"><edge stiffness="1"/></flex>
+        </deformable>
+        <custom><tuple name="both"><element objtype="body" objname="pelvis"/>
+          <element objtype="sensor" objname="pos"/></tuple></custom>""")
     robot.spec.body('chest').add_camera(name='eye', targetbody='pelvis')
     robot.add_base(lift_base(tmp_path))
     rest = AtRest(robot)
@@ -303,6 +313,9 @@ def test_what_refers_to_the_root_refers_to_the_part_that_moves(tmp_path):
     assert model.sensor_objid.tolist() == [mount, chest]
     assert model.sensor_refid.tolist()[1] == mount
     assert int(model.cam_targetbodyid[model.camera('robot0_eye').id]) == mount
+    assert model.skin_bonebodyid.tolist() == [chest, mount]
+    assert model.flex_vertbodyid.tolist() == [chest, mount]
+    assert model.tuple_objid.tolist() == [mount, model.sensor('robot0_pos').id]
 
 
 def test_actuator_sensors_survive_the_order_of_actuators(tmp_path):

@@ -138,6 +138,14 @@ def test_an_object_of_a_file_brings_its_own_mesh_and_its_place(mug_file, monkeyp
     assert model.nexclude == 1
 
 
+def test_a_tuple_of_a_file_has_the_root_by_its_name_in_the_world(mjcf):
+    file = mjcf('<body name="mug"><geom name="mug" size="0.03"/></body>',
+                '<custom><tuple name="all"><element objtype="body" objname="mug"/>'
+                '<element objtype="geom" objname="mug"/></tuple></custom>')
+    model = create_object({'name': 'cup', 'file': str(file)}).compile()
+    assert model.tuple_objid.tolist() == [model.body('cup').id, model.geom('cup_mug').id]
+
+
 def test_an_object_of_a_file_may_have_another_name_and_place(mug_file):
     item = create_object({'name': 'cup', 'file': str(mug_file()), 'position': [0, 0, 2],
                           'rpy': [0, 0, 0]})
