@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import contextlib
-import copy
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,6 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.grippers import GripperModel
-
-_STATE = (np.ndarray, list, dict, set)
 
 
 class Formatter:
@@ -50,8 +47,7 @@ class Formatter:
     @contextlib.contextmanager
     def _state_kept(self) -> Iterator[None]:
         gripper = self._gripper
-        state = {name: copy.deepcopy(value) if isinstance(value, _STATE) else value
-                 for name, value in vars(gripper).items()}
+        state = gripper.state_copy()
         try:
             yield
         finally:

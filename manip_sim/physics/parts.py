@@ -32,7 +32,7 @@ class Part:
     :ivar dof_addresses: of the joints in ``qvel``, shape (n_joints,)
     :ivar actuator_ids: of the actuators in ``ctrl``, shape (n_actuators,)
     :ivar driven_joints: the joint that each actuator drives, or None
-    :ivar gripper: the gripper's model if the part is a gripper, or None
+    :ivar gripper: the gripper's model if the part is a gripper, with a state of its own, or None
     :ivar sideways: whether twists may move the part along y, if it is a mobile base
     """
 
@@ -71,7 +71,9 @@ def find_parts(model: mujoco.MjModel, robot: RobotModel) -> dict[str, Part]:
     if isinstance(robot, ManipulatorModel):
         for arm, gripper in robot.grippers.items():
             name = f'{arm}/gripper'
-            parts[name] = _part(model, name, gripper.joints, gripper.actuators, gripper=gripper)
+            # Another simulation of the same robot must not change the state of its commands.
+            parts[name] = _part(model, name, gripper.joints, gripper.actuators,
+                                gripper=gripper.with_own_state())
     return parts
 
 

@@ -9,8 +9,9 @@ import pytest
 
 from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.errors import CommandError, ModelError
+from manip_sim.models import compose
 from manip_sim.models.grippers import create_gripper
-from manip_sim.models.robots import create_robot
+from manip_sim.models.robots import Baxter, create_robot
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 
@@ -434,16 +435,47 @@ def test_check_at_the_start_changes_no_state_of_the_gripper(fingers_sim, fingers
     fingers_class.format_action = counted
     fingers_class.start_at = lambda self, command: None
     simulation = fingers_sim(SERVOS)
-    gripper = simulation.robot.robot_model.grippers['right']
+    gripper = simulation.robot.parts[GRIPPER].gripper
     np.testing.assert_array_equal(gripper.current_action, [0.0, 0.0])
     assert calls == [1]
     assert not hasattr(gripper, 'count')
 
 
+def test_simulations_of_one_world_close_and_open_apart(run):
+    world = compose('Panda')
+    state = world.robots[0].grippers['right'].current_action.copy()
+    closing, opening = Simulation(world), Simulation(world)
+    for _ in range(20):
+        for simulation, action in ((closing, 1.0), (opening, -1.0)):
+            act(simulation, action)
+            run(simulation, 0.1)
+    names = [f'gripper0_right_finger_joint{number}' for number in (1, 2)]
+    for simulation, position in ((closing, 0.0), (opening, 0.04)):
+        found = [abs(float(simulation.data.joint(name).qpos[0])) for name in names]
+        np.testing.assert_allclose(found, position, atol=1e-3)
+    np.testing.assert_array_equal(world.robots[0].grippers['right'].current_action, state)
+
+
+def test_grippers_of_two_arms_have_arrays_of_their_own(gripper_class, gripper_file):
+    class Counting(gripper_class, registered=False):
+        def __init__(self, file):
+            super().__init__(file)
+            self.moved = np.zeros(1)
+
+        def format_action(self, action):
+            self.moved += action
+            return self.moved
+
+    robot = Baxter()
+    robot.add_gripper(Counting(gripper_file))
+    robot.grippers['right'].format_action([0.5])
+    np.testing.assert_array_equal(robot.grippers['left'].moved, [0.0])
+
+
 @pytest.mark.parametrize('bad', [[np.nan, np.nan], [0.0], [[0.0], [0.0]], 'nonsense'])
 def test_bad_return_at_run_time_holds_and_is_counted(fingers_sim, fingers_class, run, bad):
     simulation = fingers_sim(SERVOS)
-    gripper = simulation.robot.robot_model.grippers['right']
+    gripper = simulation.robot.parts[GRIPPER].gripper
     good = gripper.format_action
     act(simulation, -1.0)
     run(simulation, 0.2)
@@ -468,7 +500,7 @@ def test_gripper_that_raises_at_run_time_is_counted_and_held(fingers_sim, run):
     def raising(*args):
         raise RuntimeError('broken')
 
-    gripper = simulation.robot.robot_model.grippers['right']
+    gripper = simulation.robot.parts[GRIPPER].gripper
     gripper.format_action = gripper.start_at = raising
     act(simulation, -1.0)
     run(simulation, 0.5)

@@ -125,7 +125,7 @@ def test_joints_are_listed_by_part_with_positions_in_the_same_order(panda_sim, r
 
 def test_reset_restores_everything_but_the_time(cube_sim):
     before, cube = numbers_of(cube_sim.robot.state()), cube_sim.data.body('cube').xpos.copy()
-    gripper = cube_sim.robot.robot_model.grippers['right']
+    gripper = cube_sim.robot.parts['right/gripper'].gripper
     action_state = gripper.current_action.copy()
     move(cube_sim)
     assert np.abs(gripper.current_action - action_state).max() > 0.1

@@ -31,6 +31,9 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _WRENCH_SENSORS = {'force_ee': mujoco.mjtSensor.mjSENS_FORCE,
                    'torque_ee': mujoco.mjtSensor.mjSENS_TORQUE}
 
+#: Types of attributes that ``format_action`` may change in place.
+_STATE = (np.ndarray, list, dict, set)
+
 GripperT = TypeVar('GripperT', bound='GripperModel')
 
 
@@ -207,11 +210,26 @@ class GripperModel(MujocoXMLModel, ABC):
 
         :param idn: of the copy
         """
-        twin = copy.copy(self)
+        twin = self.with_own_state()
         twin.idn = idn
         twin._spec = self._spec.copy()
         twin.current_action = np.zeros(self.dof)
         return twin
+
+    def with_own_state(self: GripperT) -> GripperT:
+        """
+        Return a copy whose :meth:`format_action` does not change the state of this one.
+
+        Arrays, lists, dictionaries and sets are copied, of subclasses too; all else is shared.
+        """
+        twin = copy.copy(self)
+        vars(twin).update(self.state_copy())
+        return twin
+
+    def state_copy(self) -> dict[str, Any]:
+        """Return all attributes, with copies of arrays, lists, dictionaries and sets."""
+        return {name: copy.deepcopy(value) if isinstance(value, _STATE) else value
+                for name, value in vars(self).items()}
 
     def start_at(self, command: ArrayLike) -> None:
         """
