@@ -22,6 +22,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.servos import Servos
 from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.quoting import one_line
 
 #: The fields of ``sensor_msgs/JointState`` that may hold commands.
 FIELDS = ('position', 'velocity', 'effort')
@@ -212,7 +213,7 @@ def _create(offer: Offer) -> ControlMode:
     try:
         mode: ControlMode = create()
     except Exception as error:  # A class of another package may raise anything.
-        raise ModelError(f'{type(error).__name__}: {error}') from error
+        raise ModelError(f'{type(error).__name__}: {one_line(str(error))}') from error
     return mode
 
 

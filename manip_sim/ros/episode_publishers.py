@@ -125,6 +125,6 @@ class TaskPublisher:
         self._publisher.publish(String(data=json.dumps({
             'task': self._task.name, 'robot': self._task.robot.name,
             'instruction': self._task.instruction, 'seed': self.seed,
-            'stamp_ns': simulation.time_ns, 'success': self._task.success(simulation),
-            'reward': self._task.reward(simulation),
+            'stamp_ns': simulation.time_ns, 'success': bool(self._task.success(simulation)),
+            'reward': float(self._task.reward(simulation)),
             'goal': self._task.goal(simulation).tolist()})))

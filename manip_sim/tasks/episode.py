@@ -192,12 +192,12 @@ class Episode:
     @property
     def success(self) -> bool:
         """Whether the task is done at present."""
-        return self.task.success(self.simulation)
+        return bool(self.task.success(self.simulation))
 
     @property
     def reward(self) -> float:
         """The reward of the present instant."""
-        return self.task.reward(self.simulation)
+        return float(self.task.reward(self.simulation))
 
     @property
     def time_is_up(self) -> bool:

@@ -250,14 +250,16 @@ def test_a_damaged_mode_of_another_package_does_not_hide_the_others(tmp_path, mo
         'from manip_sim.control.modes import Position\n'
         'class Fine(Position): name = "fine"\n'
         'class Taken(Position): name = "effort"\n'
-        'class Needy(Position):\n    name = "needy"\n    def __init__(self, gain): pass\n')
+        'class Needy(Position):\n    name = "needy"\n    def __init__(self, gain): pass\n'
+        'class Torn(Position):\n    name = "torn"\n'
+        '    def __init__(self): raise OSError("two\\nlines")\n')
     (tmp_path / 'their_other_modes.py').write_text('import does_not_exist\n')
     info = tmp_path / 'their_modes-1.0.dist-info'
     info.mkdir()
     (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: their_modes\nVersion: 1.0\n')
     (info / 'entry_points.txt').write_text(
         '[manip_sim.modes]\na = their_other_modes:Lost\nb = their_modes:Taken\n'
-        'c = their_modes:Needy\nd = their_modes:Fine\n')
+        'c = their_modes:Needy\nd = their_modes:Fine\ne = their_modes:Torn\n')
     monkeypatch.syspath_prepend(str(tmp_path))
     caplog.set_level(logging.WARNING, logger='manip_sim.control')
     modes = Modes(EFFORT)
@@ -266,7 +268,7 @@ def test_a_damaged_mode_of_another_package_does_not_hide_the_others(tmp_path, mo
     with pytest.raises(UnknownNameError, match="^unknown control mode 'needy': .*fine"):
         modes['needy']
     messages = [record.getMessage() for record in caplog.records]
-    assert len(messages) == 3
+    assert len(messages) == 4 and not any('\n' in message for message in messages)
     assert 'does_not_exist' in messages[0] and "'effort' already" in messages[1]
     assert "'c' of the package their_modes 1.0" in messages[2] and 'gain' in messages[2]
 

@@ -16,6 +16,8 @@ from std_srvs.srv import Trigger
 from manip_sim.errors import CommandError, ManipSimError, ParameterError, UnknownNameError
 from manip_sim.interface.composition import compose_world
 from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.tasks import create_task
+from manip_sim.tasks.task import TASKS
 
 gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed')
 from manip_sim.env import TaskEnv  # noqa: E402
@@ -177,6 +179,27 @@ def test_success_and_reward_are_on_a_latched_topic(serve, client):
     done = step.call_async(Trigger.Request())
     client.spin_until(lambda: done.done() and found[-1]['stamp_ns'] > found[0]['stamp_ns'])
     assert found[-1]['success'] is True and found[-1]['reward'] == 1.0
+
+
+def test_numbers_of_numpy_that_a_task_returns_are_published(serve, client):
+    class Numbers(type(create_task('reach'))):
+        name = 'numbers'
+
+        def success(self, simulation):
+            return np.bool_(True)
+
+        def reward(self, simulation):
+            return np.float32(0.5)
+
+    found = []
+    client.node.create_subscription(
+        String, '/manip_sim/task', lambda message: found.append(json.loads(message.data)), LATCHED)
+    try:
+        serve(task='numbers', start_paused=True)
+        client.spin_until(lambda: bool(found))
+    finally:
+        del TASKS._classes['numbers']
+    assert found[0]['success'] is True and found[0]['reward'] == 0.5
 
 
 @pytest.mark.parametrize('given, error, text', [

@@ -333,3 +333,26 @@ def test_a_class_of_ones_own_is_a_task_by_its_name():
     finally:
         del TASKS._classes['wave']
     assert issubclass(Wave, Task)
+
+
+def test_the_numbers_of_numpy_that_a_task_returns_become_those_of_python():
+    class Numbers(type(create_task('reach'))):
+        name = 'numbers'
+
+        def success(self, simulation):
+            return simulation.time_s > np.float64(0.07)
+
+        def reward(self, simulation):
+            return np.float32(0.5)
+
+    try:
+        task = create_task('numbers')
+        episode = Episode(task, Simulation(task.world))
+        episode.reset(0)
+        for _ in range(2):
+            json.dumps([episode.success, episode.reward])
+            assert episode.success is False
+            episode.step(np.zeros(7))
+        assert episode.success is True and type(episode.reward) is float
+    finally:
+        del TASKS._classes['numbers']
