@@ -197,6 +197,18 @@ class ControlledJoints:
         clamps = {mode: MODES[mode].clamps(self._servos) for mode in set(modes)}
         return np.array([clamps[modes[i]][i] for i in indices]).reshape(-1, 2)
 
+    def efforts_allowed(self, indices: IntArray) -> FloatArray:
+        """Return the greatest efforts of joints [N m or N], shape (n,)."""
+        return np.asarray(np.abs(self._servos.ranges['effort'][indices]).max(axis=1))
+
+    def dofs(self, indices: IntArray) -> IntArray:
+        """Return the addresses of joints in ``qvel``, shape (n,)."""
+        return np.asarray(self._servos.dofs[indices])
+
+    def measured(self, indices: IntArray, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
+        """Return measured position and velocity of joints, copies, each of shape (n,)."""
+        return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
+
     def twist_clamps(self, indices: IntArray, modes: Sequence[str]) -> FloatArray:
         """
         Return the ranges to which twists of the mobile base are clamped, shape (3, 2), a copy.

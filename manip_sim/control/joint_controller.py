@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import mujoco
@@ -161,14 +162,6 @@ class JointController(ControlledJoints):
         self._timeouts.forget([part])
         self._hold(indices, data)
 
-    def efforts_allowed(self, indices: IntArray) -> FloatArray:
-        """Return the greatest efforts of joints [N m or N], shape (n,)."""
-        return np.asarray(np.abs(self._servos.ranges['effort'][indices]).max(axis=1))
-
-    def dofs(self, indices: IntArray) -> IntArray:
-        """Return the addresses of joints in ``qvel``, shape (n,)."""
-        return np.asarray(self._servos.dofs[indices])
-
     def _hold(self, indices: IntArray, data: mujoco.MjData, restart: bool = False) -> None:
         """
         Let joints come to rest as soon as their acceleration limits allow.
@@ -298,10 +291,6 @@ class JointController(ControlledJoints):
             2.0 * self._servos.acceleration_limit[own])
         self._setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
 
-    def measured(self, indices: IntArray, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
-        """Return measured position and velocity of joints, copies, each of shape (n,)."""
-        return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
-
     # ------------------------------------------------------------------ in the control loop
     # Nothing else holds setpoints and commands during a period, and what is held moves.
 
@@ -325,21 +314,30 @@ class JointController(ControlledJoints):
                     and all([MODES[mode].ends for mode in set(command.modes)])
                     and self._generator.at_rest(command.indices)):
                 self._finish(command, data, command.values)
+            if (isinstance(command, BaseTwist) and not command.handle.is_active
+                    and self._generator.at_rest(command.indices)):
+                self._ledger.running.remove(command)
         for part in self._timeouts.overdue(now_s):
             if part not in self.busy_parts and (part in self._targets_end
                                                 or part not in self._target_parts()):
-                self._time_out(part)
+                self._time_out(part, data, now_s, period_s)
 
     def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
         self.commands.finish(command, goal - data.qpos[self._servos.qpos[command.indices]])
 
-    def _time_out(self, part: str) -> None:
+    def _time_out(self, part: str, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         indices = self.indices_of(part)
+        twists = [c for c in self.commands.running if isinstance(c, BaseTwist) and part in c.parts]
         self._timeouts.count(part)
         self.commands.release(indices, Status.ABORTED, 'no fresh command came in time')
         gives = self._servos.gives_effort(indices)
         self._effort[indices[gives]] = 0.0
         self._setpoints.set_velocity(indices[~gives], np.zeros(np.count_nonzero(~gives)))
+        for twist in twists:
+            # It has ended, but brings the base to rest along its path.
+            stop = replace(twist, twist=np.zeros(3))
+            self.commands.running.append(stop)
+            self._base.begin(stop, data, now_s, period_s, True)
 
     def tick(self, data: mujoco.MjData, now_s: float, duration_s: float) -> None:
         """

@@ -103,3 +103,36 @@ def test_joints_taken_by_a_newer_command_leave_the_others_to_the_twist(name, tak
     yaw = base.simulation.data.joint(joints[2]).qpos[0]
     assert base.speeds[-1] == pytest.approx(
         [0.3 * np.cos(yaw), 0.3 * np.sin(yaw), 0.4], abs=0.01)
+
+
+def in_own_frame(base, seconds, twist):
+    """Send a twist at 50 Hz, or None; return the twist of the base after each, shape (n, 3)."""
+    velocities = []
+    for _ in range(round(seconds * 50)):
+        base.drive(0.02, 50, lambda t: twist)
+        x, y, turning = base.speeds[-1]
+        yaw = base.simulation.data.qpos[base.robot.parts['base'].qpos_addresses[2]]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        velocities.append([cos * x + sin * y, cos * y - sin * x, turning])
+    return np.array(velocities)
+
+
+@pytest.mark.parametrize('name', ['PandaOmron', 'Tiago'])
+@pytest.mark.parametrize('turning', [0.0, 1.0])
+def test_a_base_does_not_slide_sideways_when_it_speeds_up_turns_and_times_out(name, turning):
+    base = Base(name)
+    base.robot.set_command_timeout('base', 0.5)
+    # It turns on the spot first, so that neither slide joint lies along it.
+    base.drive(1.2, 50, lambda t: (0.0, 0.0, 0.5))
+    base.drive(1.0, 50, lambda t: (0.0, 0.0, 0.0))
+    base.speeds.clear()
+    driven = in_own_frame(base, 5.0, (0.9, 0.0, turning))
+    assert driven[-1] == pytest.approx([0.9, 0.0, turning], abs=2e-3)
+    assert np.abs(driven[:, 1]).max() < 2e-3
+    rounding_the_bend = 2.0 * 0.9 * turning
+    assert (base.accelerations[:2] < 1.1 * max(base.limit[0], rounding_the_bend)).all()
+    braking = in_own_frame(base, 4.0, None)
+    assert base.robot.joints.timeouts['base'] == 1
+    assert np.abs(braking[:, 1]).max() < 2e-3
+    assert np.abs(braking[-1]).max() < 1e-6
+    assert base.robot.joints.resting
