@@ -114,7 +114,7 @@ class InstrumentPublishers(Publications):
 def _alike(one: ServedInstrument, other: ServedInstrument) -> bool:
     """Tell whether the messages of two instruments differ in their numbers only."""
     return all(getattr(one.instrument, field) == getattr(other.instrument, field)
-               for field in ('kind', 'frame', 'types', 'elements', 'length'))
+               for field in ('kind', 'frame', 'types', 'elements', 'length', 'reach'))
 
 
 def _imu(frame_id: str, found: Instrument) -> Callable[[Time, FloatArray], Imu]:
@@ -128,12 +128,12 @@ def _imu(frame_id: str, found: Instrument) -> Callable[[Time, FloatArray], Imu]:
     return make
 
 
-def _range(frame_id: str, _: Instrument) -> Callable[[Time, FloatArray], Range]:
+def _range(frame_id: str, found: Instrument) -> Callable[[Time, FloatArray], Range]:
     def make(stamp: Time, numbers: FloatArray) -> Range:
-        message = Range(radiation_type=Range.INFRARED, max_range=math.inf)
+        message = Range(radiation_type=Range.INFRARED, max_range=found.reach)
         message.header.stamp, message.header.frame_id = stamp, frame_id
-        # MuJoCo gives -1 where there is nothing, REP 117 wants +Inf.
-        message.range = float(numbers[0]) if numbers[0] >= 0.0 else math.inf
+        # MuJoCo gives -1 or the cutoff where there is nothing, REP 117 wants +Inf.
+        message.range = float(numbers[0]) if 0.0 <= numbers[0] < found.reach else math.inf
         return message
     return make
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+import math
 import re
 from typing import Protocol
 
@@ -50,6 +51,7 @@ class Instrument:
     :ivar sources: places in ``sensordata``, shape (n,)
     :ivar targets: places in what is read, shape (n,)
     :ivar length: of what is read
+    :ivar reach: of a rangefinder, distance from which on it reads as if there were nothing [m]
     """
 
     name: str
@@ -61,6 +63,7 @@ class Instrument:
     sources: IntArray
     targets: IntArray
     length: int
+    reach: float = math.inf
 
     def read(self, data: mujoco.MjData) -> FloatArray:
         """
@@ -156,7 +159,9 @@ def _instrument(model: mujoco.MjModel, kind: str, group: list[int], taken: set[s
     found = Instrument(
         wanted, kind, _frame(model, group[0]), sensors,
         tuple(sensor_type(model, n) for n in group), elements, np.concatenate(sources),
-        np.concatenate(targets), length)
+        np.concatenate(targets), length,
+        # MuJoCo shortens what is farther to the cutoff; 0 is none.
+        (float(model.sensor_cutoff[group[0]]) or math.inf) if kind == RANGE else math.inf)
     number = 2
     while found.topic in taken:
         found = replace(found, name=f'{wanted}_{number}')

@@ -127,6 +127,7 @@ class InstrumentChannel(Channel):
 
     def __init__(self, found: Instrument, of_file: FloatArray, own_sd: float = 0.0) -> None:
         self._kind, self._types, self._of_file = found.kind, found.types, of_file
+        self._reach = found.reach
         self._own_sd = np.zeros(found.length)
         self._own_sd[found.targets] = own_sd
         self.is_noisy = own_sd > 0.0
@@ -157,7 +158,8 @@ class InstrumentChannel(Channel):
         """Return what the instrument makes of exact numbers, as :meth:`Channel.measure`."""
         noise = self.noise(count, timestep_s)
         if self._kind == RANGE:  # Where there is nothing, there is no noise.
-            return np.where(exact >= 0.0, np.maximum(exact + noise, 0.0), exact)
+            return np.where((exact >= 0.0) & (exact < self._reach),
+                            np.maximum(exact + noise, 0.0), exact)
         values: FloatArray = exact + noise
         if self._kind == IMU:
             values[ORIENTATION] = _turned(exact[ORIENTATION], noise[ORIENTATION][:3])

@@ -28,6 +28,8 @@ OBJECT = """
   <sensor>
     <rangefinder name="down" site="eye"/>
     <rangefinder name="sky" site="up"/>
+    <rangefinder name="near" site="eye" cutoff="0.2"/>
+    <rangefinder name="far" site="eye" cutoff="5"/>
     <magnetometer name="compass" site="eye"/>
     <force name="force" site="flange"/>
     <torque name="torque" site="flange"/>
@@ -84,6 +86,20 @@ def test_sensors_of_objects_of_the_user_are_published_too(probe, serve, client):
     np.testing.assert_allclose(
         [flange[-1].wrench.force.z], found['probe_force'][2:], atol=1e-12)
     assert len(speed[-1].data) == 3
+
+
+def test_a_rangefinder_sees_nothing_beyond_its_cutoff_with_noise_or_without(probe, serve, client):
+    node = serve(start_paused=True, objects=[probe], **{'noise.range': 0.05})
+    near, true, far = (client.listen(Range, f'{name}/range') for name in (
+        'sensors/probe_near', 'truth/sensors/probe_near', 'sensors/probe_far'))
+    client.spin_until(lambda: all((near, true, far)))
+    assert node.simulation.sensors['probe_down'][0] > 0.2
+    assert (near[-1].max_range, far[-1].max_range) == (pytest.approx(0.2), 5.0)
+    for _ in range(5):
+        node.thread.step()
+    client.spin_until(lambda: len({m.header.stamp.nanosec for m in (*near, *true)}) >= 6)
+    assert all(message.range == math.inf for message in (*near, *true))
+    assert all(0.0 < message.range < 5.0 for message in far)
 
 
 def test_each_robot_has_its_sensors_in_its_namespace(serve, client):
