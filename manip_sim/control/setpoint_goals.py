@@ -280,9 +280,10 @@ class SetpointGoals:
         """
         Set the present setpoints from another source, such as a trajectory.
 
-        When it ends, they come to rest from there.
+        When it ends, they come to rest from there. Beyond the range, they rest at its end.
 
         :param position: [rad or m], shape of ``indices``; ``velocity`` and ``acceleration`` too
         """
-        self.place(indices, position, velocity)
-        self.acceleration[indices] = acceleration
+        inside = (position >= self._low[indices]) & (position <= self._high[indices])
+        self.place(indices, position, np.where(inside, velocity, 0.0))
+        self.acceleration[indices] = np.where(inside, acceleration, 0.0)

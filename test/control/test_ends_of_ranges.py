@@ -42,6 +42,22 @@ def test_joints_that_come_fast_to_the_ends_of_their_ranges_stop_there(name, late
     assert np.abs(simulation.data.qvel).max() < 0.5
 
 
+def test_joint_rests_at_the_end_of_its_range_while_a_spline_is_beyond_it():
+    simulation = whole_robot('Panda')
+    robot, arm = simulation.robot, Driven(simulation, 'arm')
+    goal = arm.high[0] - 0.01
+    robot.apply(robot.parse.trajectory(
+        'arm', arm.names[:1], [1.0, 2.0], [[goal], [goal]], [[2.0], [-2.0]]), period_s=0.01)
+    positions = []
+    for _ in range(400):
+        simulation.advance(5)
+        positions.append(arm.position[0])
+    beyond = np.flatnonzero(np.array(positions) > arm.high[0] - 1e-3)
+    assert (np.array(positions)[beyond[20]:beyond[-1] - 1] > arm.high[0] - 1e-4).all()
+    assert beyond[-1] - beyond[0] > 100
+    assert arm.position[0] == pytest.approx(goal, abs=1e-4)
+
+
 def random_command(robot, parts, random):
     """Return a random command for a part, goals beyond its ranges included."""
     part = parts[random.integers(len(parts))]
