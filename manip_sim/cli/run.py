@@ -195,6 +195,7 @@ def _merge(options: argparse.Namespace) -> tuple[str, int]:
     first = _description(options.folders[0])
     seeds, period_s = parse_seeds(first.pop('seeds')), first.pop('period_s')
     for folder in options.folders[1:]:
+        _description(folder)  # A RunFolder would be made where there is none.
         RunFolder(folder, first, seeds, period_s)
     target = RunFolder(options.out, first, seeds, period_s)
     given: dict[int, Path] = {}

@@ -93,6 +93,10 @@ def test_shards_in_one_folder_and_in_several_make_the_same_rows(whole, tmp_path,
     assert 'episodes     6 of 6' in capsys.readouterr().out.split('Run')[-1]
     assert main(['merge', apart[0], apart[0], '--out', str(tmp_path / 'twice')]) == 1
     assert 'both have the seed 0: the same shard twice' in capsys.readouterr().err
+    lost = tmp_path / 'apart3'
+    assert main(['merge', apart[0], str(lost), '--out', str(tmp_path / 'less')]) == 1
+    assert f'{lost} is not the folder of a run' in capsys.readouterr().err
+    assert not lost.exists() and not (tmp_path / 'less').exists()
 
 
 def test_runs_of_other_policies_are_not_merged_and_leave_no_folder(whole, tmp_path, capsys):
