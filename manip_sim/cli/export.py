@@ -71,7 +71,7 @@ def _write_packages(options: argparse.Namespace) -> list[str]:
     world = composed.composition.world
     if isinstance(options.ros2_control, Path):
         if options.moveit is not None:
-            check_package(options.moveit)
+            check_package(options.moveit.resolve())
             if options.moveit.resolve() == options.ros2_control.resolve():
                 raise ManipSimError(f'{options.moveit} cannot be both packages: give two folders')
         hardware = _hardware(composed, choose_robot(world).name_in_world)

@@ -122,6 +122,7 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
     :returns: what was left out of the URDF, in sentences
     :raises ModelError: if the folder cannot be used, or the robot has no joints to control
     """
+    folder = folder.resolve()  # Of the present folder, the path has no name.
     check_folder(folder)
     simulation = Simulation(world)
     robot, model = simulation.robot, simulation.model

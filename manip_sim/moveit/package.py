@@ -151,6 +151,7 @@ def write_package(world: World, folder: Path, controlling: Controlling | None = 
     :returns: what was left out, in sentences
     :raises ModelError: if the folder cannot be used, or there is nothing to plan for
     """
+    folder = folder.resolve()  # Of the present folder, the path has no name.
     check_folder(folder)
     files, notes = _contents(world, folder.name, controlling)
     write_files(folder, files)

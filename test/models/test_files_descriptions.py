@@ -221,6 +221,16 @@ def test_a_file_that_is_missing_or_nothing_we_know_is_told(tmp_path):
         load_robot(tmp_path / 'two')
 
 
+def test_the_scene_of_a_folder_is_not_its_model(tmp_path):
+    write(tmp_path / 'acme_arm' / 'arm.xml', ARM)
+    write(tmp_path / 'acme_arm' / 'scene.xml',
+          '<mujoco><include file="arm.xml"/><worldbody><light pos="0 0 2"/></worldbody></mujoco>')
+    assert load_robot(tmp_path / 'acme_arm').file == tmp_path / 'acme_arm' / 'arm.xml'
+    (tmp_path / 'acme_arm' / 'arm.xml').rename(tmp_path / 'arm.xml')
+    scene = write(tmp_path / 'acme_arm' / 'scene.xml', ARM)
+    assert load_robot(tmp_path / 'acme_arm').file == scene
+
+
 @pytest.mark.parametrize(('path', 'message'), [
     ('/' + 'a' * 5000, 'cannot read /aaa.*: File name too long'),
     ('~nobody_of_that_name/x.xml', 'cannot read ~nobody_of_that_name/x.xml: .*home'),

@@ -411,6 +411,15 @@ def test_the_same_robot_has_the_same_files(packages, tmp_path):
         assert (tmp_path / first.name / file).read_bytes() == (first / file).read_bytes(), file
 
 
+def test_the_present_folder_becomes_a_package_of_its_name(tmp_path, monkeypatch):
+    folder = tmp_path / 'panda_config'
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    write_package(compose('Panda'), Path('.'))
+    assert ElementTree.parse(folder / 'package.xml').findtext('name') == 'panda_config'
+    assert [path.name for path in tmp_path.iterdir()] == ['panda_config']
+
+
 @pytest.mark.parametrize(('name', 'what'), [
     ('Panda-Config', "'Panda-Config' cannot be the name of a ROS package: it needs lower-case"),
     ('lost/panda', 'no such folder: '), ('full', 'is not empty: give a new folder'),

@@ -85,8 +85,11 @@ def _in_folder(folder: Path, stem: str, files: Files) -> Path:
         if files.is_file(folder / name):
             return folder / name
     models = _models_in(folder, files)
-    if len(models) == 1:
-        return models[0]
+    # In Menagerie, a scene includes the model, and adds floor and light.
+    apart = [file for file in models if not file.stem.startswith('scene')]
+    for candidates in (models, apart):
+        if len(candidates) == 1:
+            return candidates[0]
     found = ', '.join(file.name for file in models[:5]) or 'no model'
     raise ModelError(f'{folder} has neither {stem}.yaml nor {folder.name}.xml nor one model '
                      f'alone, but {found}')
