@@ -91,8 +91,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         :param options: none are known
         :raises UnknownNameError: if there are options
         """
-        for key in options or {}:
-            raise UnknownNameError('option of reset', key, ())
+        check_options(options)
         super().reset(seed=seed)
         own = int(self.np_random.integers(SEEDS)) if seed is None else seed
         self.episode.reset(own)
@@ -160,6 +159,16 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if self._window is not None:
             self._window.close()
         self._film = self._window = None
+
+
+def check_options(options: Mapping[str, Any] | None) -> None:
+    """
+    Check the options of a reset; none are known.
+
+    :raises UnknownNameError: if there are some
+    """
+    for key in options or {}:
+        raise UnknownNameError('option of reset', key, ())
 
 
 def action_space(episode: Episode) -> gymnasium.spaces.Box:

@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from manip_sim.env.task_env import action_space, observation_space, SEEDS
+from manip_sim.env.task_env import action_space, check_options, observation_space, SEEDS
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.tasks import Episode, Setting, Task
@@ -106,8 +106,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         :raises UnknownNameError: if there are options
         :raises ModelError: if there is not one seed for each environment
         """
-        for key in options or {}:
-            raise UnknownNameError('option of reset', key, ())
+        check_options(options)
         seeds = ([None] * self.num_envs if seed is None else
                  [seed + i for i in range(self.num_envs)] if isinstance(seed, (int, np.integer))
                  else list(seed))

@@ -107,6 +107,12 @@ def test_late_episodes_with_noisy_images_in_a_node_are_those_in_this_process(ser
     here.close()
 
 
+def test_an_option_of_a_reset_is_unknown_as_in_this_process(pick_cube):
+    for env in pick_cube:
+        with pytest.raises(UnknownNameError, match="option of reset 'start'"):
+            env.reset(options={'start': 1})
+
+
 @pytest.mark.parametrize('given, text', [
     ({'latency': 0.03}, 'latency of a command with a node must be a whole number of control peri'),
     ({'latency': {'state': 0.02}}, 'latency of a state with a node must be a whole number of'),

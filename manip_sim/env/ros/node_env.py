@@ -27,7 +27,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.arrays import FloatArray
 from manip_sim.clamping import finite_numbers
-from manip_sim.env.task_env import action_space, observation_space, SEEDS, TaskEnv
+from manip_sim.env.task_env import (
+    action_space, check_options, observation_space, SEEDS, TaskEnv)
 from manip_sim.errors import CommandError, ManipSimError
 from manip_sim.tasks.latency import whole_number
 from manip_sim.tasks.observation import IMAGE, Observation
@@ -213,9 +214,11 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         Begin an episode, as :meth:`TaskEnv.reset`.
 
         :param seed: whose start it has; None draws one
-        :param options: not used
+        :param options: none are known
+        :raises UnknownNameError: if there are options
         :raises ManipSimError: if the node rejects the seed, or does not answer
         """
+        check_options(options)
         super().reset(seed=seed)
         own = int(self.np_random.integers(SEEDS)) if seed is None else int(seed)
         for name, value in {'seed': own, **self._settings}.items():
