@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-import io
 import json
 from pathlib import Path
 import platform
@@ -23,6 +22,7 @@ from manip_sim.errors import RecordError
 from manip_sim.interface.scope import Scope
 from manip_sim.records.definitions import definition, full_name
 from manip_sim.records.record_file import RecordFile
+from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
 from manip_sim.resources import package_version
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.tasks import Episode
@@ -40,8 +40,6 @@ ACTION, STATE, GOAL, REWARD, SUCCESS, DIGEST = (
 #: What :data:`STATE` holds, one after the other: what it takes to draw all bodies.
 STATE_PARTS = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
                   | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
-#: Of JPEG, the default of image_transport_plugins.
-_QUALITY = 95
 _WORLD = 'world'
 
 
@@ -255,16 +253,13 @@ class _Topics:
 
     def write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         """Write images by camera as JPEG; the topics are those of cameras of the node."""
-        from PIL.Image import fromarray
         kind, time_ns = 'sensor_msgs/CompressedImage', self._simulation.time_ns
         for camera, rgb in images.items():
-            stream = io.BytesIO()
-            fromarray(rgb).save(stream, 'JPEG', quality=_QUALITY)
             self._file.write(
                 self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
                 self._encoder(kind)({
                     'header': _header(_stamp(time_ns), f'{camera}_optical_frame'),
-                    'format': 'rgb8; jpeg compressed bgr8', 'data': stream.getvalue()}))
+                    'format': JPEG_FORMAT, 'data': jpeg_of(rgb)}))
 
 
 def _joints(simulation: Simulation) -> dict[str, dict[str, list[str]]]:

@@ -9,7 +9,6 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-import io
 import json
 import sys
 import time
@@ -29,6 +28,7 @@ from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.urdf_writer.kinematic_tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
+from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
 from manip_sim.rendering.offscreen import BACKGROUND, Picture
 from manip_sim.ros.lazy_publishers import create_publisher, Output
 from manip_sim.ros.messages import stamp_of
@@ -41,8 +41,6 @@ from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
 
-#: Of JPEG, the default of image_transport_plugins.
-_QUALITY = 95
 _PLUMB_BOB = 'plumb_bob'
 #: Of images, by the kind of their numbers.
 _ENCODINGS = {'u': 'rgb8', 'f': '32FC1', 'i': '32SC1'}
@@ -72,12 +70,7 @@ def jpeg(head: Header, rgb: NDArray[np.uint8]) -> CompressedImage:
 
     :param rgb: shape (h, w, 3), the top row first
     """
-    from PIL.Image import fromarray
-    stream = io.BytesIO()
-    fromarray(rgb).save(stream, 'JPEG', quality=_QUALITY)
-    # The format as image_transport writes it, whatever the order of colours inside.
-    return CompressedImage(header=head, format='rgb8; jpeg compressed bgr8',
-                           data=array('B', stream.getvalue()))
+    return CompressedImage(header=head, format=JPEG_FORMAT, data=array('B', jpeg_of(rgb)))
 
 
 def camera_info(found: Intrinsics) -> CameraInfo:
