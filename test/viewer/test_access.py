@@ -6,6 +6,7 @@
 import asyncio
 import contextlib
 import http.client
+import logging
 import socket
 
 import pytest
@@ -193,3 +194,10 @@ def test_what_is_no_request_does_not_fill_the_log(server, caplog):
                     pass
     assert get(server, f'/{TOKEN}/', [('Host', own(server))])[0] == 200
     assert caplog.records == []
+
+
+def test_another_server_adds_nothing_to_the_log(server):
+    filters = logging.getLogger('websockets.server').filters
+    before = [*filters]
+    close_server(open_server('127.0.0.1', 0, Access.of({}, [])))
+    assert filters == before

@@ -120,6 +120,11 @@ def _first(path: str) -> str:
     return path.partition('?')[0].lstrip('/').partition('/')[0]
 
 
+def _is_of_interest(record: logging.LogRecord) -> bool:
+    """Return whether to log: whoever sends what is no request must not fill the log."""
+    return record.getMessage() != 'opening handshake failed'
+
+
 @contextlib.contextmanager
 def guarding(access: Access) -> Iterator[None]:
     """
@@ -134,9 +139,8 @@ def guarding(access: Access) -> Iterator[None]:
         nonlocal guarded
         guarded = True
         options.update(create_connection=CheckedConnection, max_size=_MAX_BYTES)
-        # Whoever sends what is no request must not fill the log.
-        logging.getLogger('websockets.server').addFilter(
-            lambda record: record.getMessage() != 'opening handshake failed')
+        # A filter that is there already is not added again.
+        logging.getLogger('websockets.server').addFilter(_is_of_interest)
         return serve(handler, *arguments, process_request=_check(access, process_request),
                      **options)
 
