@@ -10,6 +10,8 @@ Types and names are those of common_interfaces and rcl_interfaces, release Jazzy
 from __future__ import annotations
 
 from collections.abc import Callable
+import functools
+from typing import Any
 
 #: Fields of each type, without the separator `/msg/` in its name.
 _FIELDS = {
@@ -48,6 +50,25 @@ def definition(name: str) -> str:
     """Return the definition of a type such as ``std_msgs/Bool``, and of those it refers to."""
     return joined(full_name(name), lambda kind: _FIELDS[kind.replace('/msg/', '/')].replace(
         '; ', '\n'))
+
+
+@functools.cache
+def encoder(name: str) -> Callable[[Any], bytes]:
+    """Return what writes messages of a type such as ``std_msgs/Bool``, as mappings, as CDR."""
+    # It is public only as part of a writer of files.
+    from mcap_ros2._dynamic import serialize_dynamic
+    encode: Callable[[Any], bytes] = serialize_dynamic(full_name(name), definition(name))[
+        full_name(name)]
+    return encode
+
+
+@functools.cache
+def decoder(name: str) -> Callable[[bytes], Any]:
+    """Return what reads messages of a type such as ``std_msgs/Bool`` from CDR."""
+    from mcap_ros2._dynamic import generate_dynamic
+    decode: Callable[[bytes], Any] = generate_dynamic(full_name(name), definition(name))[
+        full_name(name)]
+    return decode
 
 
 def joined(kind: str, text_of: Callable[[str], str]) -> str:

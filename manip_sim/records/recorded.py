@@ -21,7 +21,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
 from manip_sim.models.regular_files import opened
 from manip_sim.quoting import one_line, quoted
-from manip_sim.records.definitions import definition, full_name
+from manip_sim.records.definitions import decoder, full_name
 from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE
 from manip_sim.records.untrusted_records import (
     BoundedFile, check_about, check_name, check_topic, CutOff, MAX_BYTES, MAX_RECORD,
@@ -174,8 +174,7 @@ class RecordedEpisode(Recorded):
 
 
 def _decoder(type_name: str) -> Callable[[bytes], Any]:
-    from mcap_ros2._dynamic import generate_dynamic
-    decode = generate_dynamic(full_name(type_name), definition(type_name))[full_name(type_name)]
+    decode = decoder(type_name)
 
     def checked(content: bytes) -> Any:
         try:

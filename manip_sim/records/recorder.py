@@ -20,7 +20,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.cdr_patching import PatchedBytes
 from manip_sim.errors import RecordError
 from manip_sim.interface.scope import Scope
-from manip_sim.records.definitions import definition, full_name
+from manip_sim.records.definitions import definition, encoder, full_name
 from manip_sim.records.record_file import RecordFile
 from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
 from manip_sim.resources import package_version
@@ -177,7 +177,6 @@ class _Topics:
         self._file = file
         self._simulation = simulation = episode.simulation
         self._channels: dict[str, int] = {}
-        self._encoders: dict[str, Callable[[Any], bytes]] = {}
         self._numbers: list[tuple[int, PatchedBytes, _Read]] = []
         self._action: tuple[int, PatchedBytes] | None = None
         self._add('/clock', 'rosgraph_msgs/Clock', lambda stamp, _: {'clock': stamp},
@@ -213,20 +212,13 @@ class _Topics:
                               self._patched(kind, make, len(read())), read))
 
     def _patched(self, kind: str, make: _Make, count: int) -> PatchedBytes:
-        encode = self._encoder(kind)
+        encode = encoder(kind)
         return PatchedBytes(lambda time_ns, numbers: encode(make(_stamp(time_ns), numbers)), count)
 
     def _channel(self, topic: str, kind: str) -> int:
         if topic not in self._channels:
             self._channels[topic] = self._file.channel(topic, full_name(kind), definition(kind))
         return self._channels[topic]
-
-    def _encoder(self, kind: str) -> Callable[[Any], bytes]:
-        if kind not in self._encoders:
-            from mcap_ros2._dynamic import serialize_dynamic
-            self._encoders[kind] = serialize_dynamic(full_name(kind), definition(kind))[
-                full_name(kind)]
-        return self._encoders[kind]
 
     def write_numbers(self) -> None:
         """Write all states of the present instant."""
@@ -249,7 +241,7 @@ class _Topics:
         kind = {str: 'std_msgs/String', float: 'std_msgs/Float64', bool: 'std_msgs/Bool'}[
             type(value)]
         self._file.write(self._channel(topic, kind), self._simulation.time_ns,
-                         self._encoder(kind)({'data': value}))
+                         encoder(kind)({'data': value}))
 
     def write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         """Write images by camera as JPEG; the topics are those of cameras of the node."""
@@ -257,7 +249,7 @@ class _Topics:
         for camera, rgb in images.items():
             self._file.write(
                 self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
-                self._encoder(kind)({
+                encoder(kind)({
                     'header': _header(_stamp(time_ns), f'{camera}_optical_frame'),
                     'format': JPEG_FORMAT, 'data': jpeg_of(rgb)}))
 

@@ -8,14 +8,13 @@ from dataclasses import replace
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import CompressionType, Writer
-from mcap_ros2._dynamic import serialize_dynamic
 
-from manip_sim.records.definitions import definition, full_name
+from manip_sim.records.definitions import encoder
 
 
 def encoded(kind, **content):
     """Return a message as CDR."""
-    return serialize_dynamic(full_name(kind), definition(kind))[full_name(kind)](content)
+    return encoder(kind)(content)
 
 
 def rewrite(source, target, change):

@@ -7,7 +7,6 @@ import json
 
 from hostile_records import encoded, rewrite
 from mcap.records import Message
-from mcap_ros2._dynamic import generate_dynamic
 import numpy as np
 import pytest
 
@@ -18,7 +17,7 @@ from manip_sim.models import compose_robot
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.physics.object_spawning import plan_with
-from manip_sim.records.definitions import definition, full_name
+from manip_sim.records.definitions import decoder, definition, full_name
 from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import NODE
 from manip_sim.runtime import SimulationThread
@@ -171,7 +170,7 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
 
 def changed(tmp_path, change):
     """Write a record in which a function has changed the messages of the journal, or dropped."""
-    decode = generate_dynamic(full_name(TEXT), definition(TEXT))[full_name(TEXT)]
+    decode = decoder(TEXT)
 
     def of(item, topic):
         if not isinstance(item, Message):

@@ -17,10 +17,8 @@ from manip_sim.tasks import create_task, Episode
 for needed in ('mcap', 'mcap_ros2'):
     pytest.importorskip(needed, reason='needs the extra records')
 
-from mcap_ros2._dynamic import serialize_dynamic  # noqa: E402
-
 from manip_sim.records import EpisodeRecorder  # noqa: E402
-from manip_sim.records.definitions import definition, full_name  # noqa: E402
+from manip_sim.records.definitions import encoder  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.records.recorder import ACTION, FORMAT  # noqa: E402
 from manip_sim.records.repeating import Replay  # noqa: E402
@@ -36,8 +34,7 @@ def first(recording):
 
 def with_action(recorded, period, change):
     """Return an episode in which an action is changed."""
-    encode = serialize_dynamic(full_name(_SIZE_ARRAY), definition(_SIZE_ARRAY))[
-        full_name(_SIZE_ARRAY)]
+    encode = encoder(_SIZE_ARRAY)
     messages = dict(recorded.messages)
     action = recorded.actions[period - 1] + change
     found = list(messages[ACTION])
