@@ -91,15 +91,18 @@ def whole_number(value: object, least: int, what: str, error: type[ManipSimError
     return int(value)
 
 
-def positive_number(value: Any, what: str, error: type[ManipSimError] = ModelError) -> float:
+def positive_number(value: Any, what: str, error: type[ManipSimError] = ModelError,
+                    or_zero: bool = False) -> float:
     """
     Return a number above 0.
 
-    :raises ManipSimError: that exception, if it is no finite number above 0
+    :param or_zero: whether 0 is allowed too
+    :raises ManipSimError: that exception, if it is no such finite number
     """
     if (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
-            or not 0 < value <= sys.float_info.max):
-        raise error(f'{what} must be positive and finite, got {shown(value)}')
+            or not (0 < value <= sys.float_info.max or or_zero and value == 0)):
+        raise error(f'{what} must be positive and finite{", or 0" if or_zero else ""}, '
+                    f'got {shown(value)}')
     return float(value)
 
 

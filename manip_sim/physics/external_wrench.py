@@ -18,6 +18,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.physics.physics import Physics
+from manip_sim.validation import positive_number
 
 #: How many steps are kept before they are summed up.
 _ROWS = 64
@@ -170,9 +171,8 @@ class ExternalWrench:
         :param cutoff_hz: where it halves the power, of simulated time [Hz]; 0 for no filter
         :raises CommandError: if it is negative or not finite
         """
-        if not (math.isfinite(cutoff_hz) and cutoff_hz >= 0.0):
-            raise CommandError('the cutoff of a wrench must be a finite frequency from 0, '
-                               f'got {cutoff_hz:g} Hz')
+        cutoff_hz = positive_number(
+            cutoff_hz, 'the cutoff of a wrench', CommandError, or_zero=True)
         self._cutoff_hz = cutoff_hz
         if cutoff_hz == 0.0:
             self._filtered = None

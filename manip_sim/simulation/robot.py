@@ -225,11 +225,13 @@ class SimulatedRobot:
         :param part: such as ``arm``
         :param timeout_s: simulation time [s]; 0 for no timeout
         :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
-        :raises CommandError: if the part is a gripper
+        :raises CommandError: if the part is a gripper, or the timeout negative or not finite
         :raises UnknownNameError: if there is no such part
         """
         self._check_no_gripper(part)
-        self.joints.set_timeout(part, timeout_s, ends_targets)
+        self.joints.set_timeout(
+            part, positive_number(timeout_s, 'timeout_s', CommandError, or_zero=True),
+            ends_targets)
 
     def set_stream(self, part: str, longest_s: float | None = None, hold_s: float | None = None
                    ) -> None:
@@ -243,10 +245,14 @@ class SimulatedRobot:
         :param longest_s: longest interval of a stream, above 0 [s]; None: no change
         :param hold_s: how long joints go on at the velocity of the stream after a command was due
             [s]; 0 for two message intervals; None: no change
-        :raises CommandError: if the part is a gripper
+        :raises CommandError: if the part is a gripper, or a time is not in its range
         :raises UnknownNameError: if there is no such part
         """
         self._check_no_gripper(part)
+        if longest_s is not None:
+            longest_s = positive_number(longest_s, 'longest_s', CommandError)
+        if hold_s is not None:
+            hold_s = positive_number(hold_s, 'hold_s', CommandError, or_zero=True)
         self.joints.set_stream(part, longest_s, hold_s)
 
     def _check_no_gripper(self, part: str) -> None:
@@ -349,11 +355,12 @@ class SimulatedRobot:
         :param quantity: ``velocity`` or ``effort``, as multiples of the limits of the joints, or
             ``force`` [N] or ``torque`` [N m], of the external wrench on the tool of an arm
         :param limit: 0 for none
-        :raises CommandError: if the part is a gripper
+        :raises CommandError: if the part is a gripper, or the limit negative or not finite
         :raises UnknownNameError: if there is no such part or quantity
         """
         self._check_no_gripper(part)
-        self.reflexes.set(part, quantity, limit)
+        self.reflexes.set(
+            part, quantity, positive_number(limit, 'a limit', CommandError, or_zero=True))
 
     def reset_reflexes(self) -> None:
         """Let parts that a reflex has stopped take commands again."""

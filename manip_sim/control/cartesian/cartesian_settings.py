@@ -12,6 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.validation import positive_number
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,4 @@ class CartesianSettings:
         names = [field.name for field in fields(self)]
         if name not in names:
             raise UnknownNameError('Cartesian setting', name, names)
-        if not 0.0 < value < math.inf:
-            raise CommandError(f'{name} must be positive and finite, got {value}')
-        return replace(self, **{name: value})
+        return replace(self, **{name: positive_number(value, name, CommandError)})
