@@ -17,6 +17,7 @@ from manip_sim.control.modes import EFFORT, POSITION
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.arenas import Arena
 from manip_sim.models.robots.subsystems import driven_joint
+from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
@@ -33,6 +34,7 @@ class Surroundings:
     Mocap bodies, joints of the arena, such as those of doors, and actuators of no part.
 
     :param physics: of the world
+    :param efforts: of its actuators in the last step
     :param arena: the arena of the world
     :param of_parts: actuators of the robots' parts and grippers
     :ivar of_parts: the same; robots that come or go have to change it before the model is replaced
@@ -44,8 +46,9 @@ class Surroundings:
         ``actuators``
     """
 
-    def __init__(self, physics: Physics, arena: Arena, of_parts: Collection[str]) -> None:
-        self._physics, model = physics, physics.model
+    def __init__(self, physics: Physics, efforts: ActuatorEfforts, arena: Arena,
+                 of_parts: Collection[str]) -> None:
+        self._physics, self._efforts, model = physics, efforts, physics.model
         self.joints = tuple(name for name in arena.joints
                             if int(model.joint(name).type[0]) in _SCALAR)
         joint_of = {name: driven_joint(model, model.actuator(name).id)
@@ -81,7 +84,7 @@ class Surroundings:
         """
         data = self._physics.data
         return np.concatenate([data.qpos[self._qpos], data.qvel[self._dofs],
-                               data.qfrc_actuator[self._dofs]])
+                               self._efforts.values[self._dofs]])
 
     def state_of_actuators(self) -> FloatArray:
         """

@@ -106,11 +106,16 @@ def _module(where: str) -> Any:
                 sys.path.insert(0, '')
             return importlib.import_module(where)
         file = Path(where).resolve()
-        spec = importlib.util.spec_from_file_location(file.stem, file)
+        # A name of its own: a policy in random.py must not replace the module random.
+        spec = importlib.util.spec_from_file_location(f'policy_{file.stem}', file)
         assert spec is not None and spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[spec.name] = module
-        spec.loader.exec_module(module)
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[spec.name]
+            raise
         return module
 
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 import json
 from pathlib import Path
 import platform
@@ -197,15 +198,12 @@ class _Topics:
         self._add(f'/{scope.topic("joint_states")}', 'sensor_msgs/JointState',
                   _joint_state(robot.joint_names), robot.measured)
         for arm, reader in robot.end_effectors.items():
-            for topic, read in (('wrench', reader.wrench),
-                                ('external_wrench', reader.external_wrench)):
+            for topic in ('wrench', 'external_wrench'):
                 self._add(f'/{scope.topic(f"{arm}/{topic}")}', 'geometry_msgs/WrenchStamped',
-                          _wrench(reader.ft_frame), self._at_present(read))
+                          _wrench(reader.ft_frame),
+                          partial(robot.sensing.measured, f'{arm}/{topic}'))
             self._add(f'/{scope.topic(f"{arm}/eef_pose")}', 'geometry_msgs/PoseStamped', _pose,
-                      self._at_present(reader.pose))
-
-    def _at_present(self, read: Callable[[mujoco.MjData], FloatArray]) -> _Read:
-        return lambda: read(self._simulation.data)
+                      partial(robot.sensing.measured, f'{arm}/pose'))
 
     def _add(self, topic: str, kind: str, make: _Make, read: _Read) -> None:
         self._numbers.append((self._channel(topic, kind),

@@ -189,7 +189,13 @@ class CommandThread:
         return self._thread.is_alive()
 
     def take(self) -> None:
-        """Wait until the messages that have come are taken, of a flood only the first ones."""
+        """
+        Wait until the messages that have come are taken, of a flood only the first ones.
+
+        In a callback of a message this does nothing: it would wait for itself.
+        """
+        if threading.current_thread() is self._thread:
+            return
         taken = threading.Event()
         with self._lock:
             self._taken.append(taken)

@@ -23,16 +23,13 @@ class SimulationServices:
 
     They are ``~/pause``, ``~/step``, ``~/reset``, ``~/reset_reflex``, ``~/tare_wrench``,
     ``~/save_state`` and ``~/restore_state``.
-
-    Commands that have come count before ``~/pause`` and ``~/step``.
     """
 
     def __init__(self, node: SimNode) -> None:
         thread = self._thread = node.thread
-        self._take_commands = node.take_commands
         node.create_service(SetBool, '~/pause', self._pause)
         for name, function, done in (
-                ('~/step', self._step, 'advanced by one control period'),
+                ('~/step', thread.step, 'advanced by one control period'),
                 ('~/reset', thread.reset, 'back at the start'),
                 ('~/reset_reflex', partial(thread.change, 'reset_reflexes'),
                  'all parts take commands again'),
@@ -43,14 +40,9 @@ class SimulationServices:
             node.create_service(Trigger, name, partial(_answer, function, done))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._take_commands()
         already = 'already ' if self._thread.paused == request.data else ''
         return _answer(lambda: self._thread.pause(request.data),
                        already + ('paused' if request.data else 'running'), request, response)
-
-    def _step(self) -> None:
-        self._take_commands()
-        self._thread.step()
 
 
 def _answer(function: Callable[[], str | None], done: str, _: Any, response: Any) -> Any:

@@ -118,7 +118,8 @@ class SimNode(Node):
             {robot.name: self._lockstep_parts(scope, robot)
              for scope, robot in self.robots.items()},
             value('start_paused'), self._report_failure, self.inbox if lockstep else None,
-            self.publishing.flush if self.publishing is not None else None,
+            None if self._command_thread is None else self._command_thread.take,
+            None if self.publishing is None else self.publishing.flush,
             lockstep and any(ARENA in value(scope.parameter('lockstep_parts'))
                              for scope in self.robots))
         self._check_lockstep()
@@ -327,10 +328,6 @@ class SimNode(Node):
         if self.actions is not None:
             self.actions.destroy()
         super().destroy_node()
-
-    def take_commands(self) -> None:
-        if self._command_thread is not None:
-            self._command_thread.take()
 
     @property
     def ended_thread(self) -> str:

@@ -88,6 +88,11 @@ class Calls:
                 future.set_result(function())
             except Exception as error:
                 future.set_exception(error)
+            except BaseException as error:  # It ends the thread, for which nobody may wait then.
+                for _, other in waiting:
+                    if not other.done():
+                        other.set_exception(error)
+                raise
 
     def end(self) -> None:
         """Cancel the functions that wait, and accept no more."""

@@ -77,8 +77,10 @@ class PendingChanges:
 
     @property
     def _misses_arena(self) -> bool:
-        return self._waits_for_arena and not any(
-            key.startswith(f'{ARENA}/') for key in self._waiting)
+        if not self._waits_for_arena:
+            return False
+        with self._lock:
+            return not any(key.startswith(f'{ARENA}/') for key in self._waiting)
 
     @property
     def complete(self) -> bool:

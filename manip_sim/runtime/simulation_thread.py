@@ -29,6 +29,10 @@ _TAKEN_BEFORE_CALLS = 10
 _REPEAT_S = 0.1
 
 
+def _nothing() -> None:
+    pass
+
+
 class SimulationThread:
     """
     A thread that runs a simulation.
@@ -43,6 +47,8 @@ class SimulationThread:
         command, and the exception
     :param inbox: what the thread waits for besides deadlines; may bring commands
     :param waits_for_arena: whether ``lockstep`` needs a command for joints of the arena, too
+    :param take: waits until commands that have come are here; called at the beginning of each
+        :meth:`call` of another thread, in that thread
     :param flush: waits until others have seen what observers passed on; called at the end of each
         :meth:`call` of another thread, in that thread
     :ivar stepping: as given
@@ -58,10 +64,10 @@ class SimulationThread:
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
                  report_failure: Callable[[str, Exception], None] | None = None,
-                 inbox: Inbox | None = None, flush: Callable[[], None] | None = None,
-                 waits_for_arena: bool = False) -> None:
+                 inbox: Inbox | None = None, take: Callable[[], None] | None = None,
+                 flush: Callable[[], None] | None = None, waits_for_arena: bool = False) -> None:
         self._simulation = simulation
-        self._flush = flush
+        self._take, self._flush = take or _nothing, flush or _nothing
         self._steps = steps
         self.period_s = steps * simulation.timestep_s
         self.stepping = stepping
@@ -221,11 +227,11 @@ class SimulationThread:
         with self._lock:
             if self._thread.ident is None and not self._stopping:
                 return function()
+        self._take()
         try:
             return self._calls.run(function)
         finally:
-            if self._flush is not None:
-                self._flush()
+            self._flush()
 
     def pause(self, paused: bool) -> None:
         """

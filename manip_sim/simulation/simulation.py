@@ -67,7 +67,9 @@ class Simulation:
     def __init__(self, world: World, visual: bool = False) -> None:
         self.physics = Physics(plan_world(
             compose_base(world, visual), tuple(world.objects), world.name))
-        self.surroundings = Surroundings(self.physics, world.arena, actuators_of(world))
+        self.efforts = ActuatorEfforts(self.physics)
+        self.surroundings = Surroundings(
+            self.physics, self.efforts, world.arena, actuators_of(world))
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
@@ -75,7 +77,6 @@ class Simulation:
         self._free_roots = FreeRoots(self.physics, [robot.root_body for robot in world.robots])
         self.episode_start = EpisodeStart(world, self.physics, self.surroundings, self._free_roots)
         self.episode_start.place()
-        self.efforts = ActuatorEfforts(self.physics)
         self._present = PresentRobots(self.physics, self.efforts, self._clock, world.robots)
         self.robots = self._present.by_name
         self._steps = PhysicsSteps(

@@ -34,6 +34,19 @@ def test_an_actuator_of_the_arena_moves_its_joint_to_the_goal(simulation):
     assert arena.checked(['slide'], [np.nan], [], []) == {}
 
 
+def test_the_effort_of_an_arena_joint_is_what_moved_it(simulation):
+    simulation.reset()
+    arena, joint = simulation.surroundings, simulation.data.joint('slide')
+    arena.commands['arena'].command({'slide': 0.2})
+    for _ in range(20):
+        before = joint.qvel[0]
+        simulation.advance(1)
+        acceleration = (joint.qvel[0] - before) / simulation.timestep_s
+        # The drawer of 1 kg slides level; its joint has a damping of 5 N s/m.
+        assert arena.state()[5] == pytest.approx(acceleration + 5.0 * joint.qvel[0], abs=1e-6)
+        simulation.advance(4)
+
+
 def test_a_drawer_stays_where_a_keyframe_has_it():
     simulation = Simulation(compose('Panda', arena=ROOM, keyframe='high'))
     for _ in range(100):

@@ -211,6 +211,18 @@ def test_a_policy_that_changes_the_folder_moves_no_file(whole, tmp_path, monkeyp
     assert not [*(tmp_path / 'there').iterdir()]
 
 
+def test_the_file_of_a_policy_replaces_no_module(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path('random.py').write_text(POLICIES.read_text())
+    Path('json.py').write_text('raise ValueError("broken")')
+    modules = {name: sys.modules[name] for name in ('random', 'json')}
+    for file in modules:
+        main(['run', 'reach', '--policy', f'{file}.py:Towards', '--seeds', '0:1', '--out', file])
+    assert 'broken' in capsys.readouterr().err
+    assert {name: sys.modules[name] for name in modules} == modules
+    assert 'policy_json' not in sys.modules
+
+
 def test_a_policy_that_writes_into_its_observation_changes_no_row(whole, tmp_path):
     assert run(tmp_path / 'writes', policy='Writes', seeds='0:3', worlds='1') == 0
     assert rows(tmp_path / 'writes') == rows(whole)[:3]

@@ -155,3 +155,29 @@ def test_arguments_that_are_no_json_are_an_error(tmp_path):
     with pytest.raises(RecordError, match='arguments of reach cannot be recorded: .*ndarray'):
         EpisodeRecorder(tmp_path / 'a.mcap', Episode(task, Simulation(task.world)))
     assert not list(tmp_path.iterdir())
+
+
+def test_what_noise_and_latency_change_is_recorded_as_it_is_measured(tmp_path):
+    task = create_task('reach', 'UR5e')
+    episode = Episode(task, Simulation(task.world))
+    robot, expert = episode.simulation.robot, task.expert(episode.simulation)
+    for name, value in (('noise.wrench_force', 1.0), ('latency.state', 0.04)):
+        robot.sensing.set(name, value)
+    path, measured, exact = tmp_path / 'noisy.mcap', [], []
+    with EpisodeRecorder(path, episode) as recorder:
+        episode.reset(3)
+        expert.reset(3)
+        recorder.begin(3)
+        for _ in range(5):
+            action = expert.act()
+            episode.step(action)
+            recorder.period(action)
+            for found, read in ((measured, robot.sensing.measured), (exact, robot.sensing.exact)):
+                found.append(np.concatenate([read('right/wrench')[:3], read('right/pose')[:3]]))
+        recorder.end()
+    recorded = [[w.wrench.force.x, w.wrench.force.y, w.wrench.force.z,
+                 p.pose.position.x, p.pose.position.y, p.pose.position.z]
+                for w, p in zip(messages(path, '/right/wrench'),
+                                messages(path, '/right/eef_pose'))]
+    np.testing.assert_array_equal(recorded[1:], measured)
+    assert not np.isclose(measured, exact).any()

@@ -5,6 +5,7 @@
 
 import subprocess
 import sys
+import threading
 
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -112,6 +113,36 @@ def test_commands_that_wait_are_dropped_by_a_reset(serve, client):
     for _ in range(5):
         trigger(client, 'step')
     assert abs(node.simulation.robot.state().position[0]) < 1e-4
+
+
+@pytest.mark.parametrize('kind, name', [
+    (Trigger, 'reset'), (Trigger, 'save_state'), (SetBool, 'pause')])
+def test_a_command_that_came_before_a_call_takes_effect_before_it(serve, client, kind, name):
+    node = serve()
+    client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.1]))
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    take, begun, goes_on = node.inbox._take, threading.Event(), threading.Event()
+
+    def taken_slowly(subscription):
+        begun.set()
+        assert goes_on.wait(60.0)
+        take(subscription)
+    node.inbox._take = taken_slowly
+    client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
+    client.spin_until(begun.is_set)
+    caller = client.node.create_client(kind, f'manip_sim/{name}')
+    client.spin_until(caller.service_is_ready)
+    answer = caller.call_async(kind.Request())
+    for _ in range(20):
+        client.executor.spin_once(timeout_sec=0.02)
+        assert not answer.done()
+    goes_on.set()
+    client.spin_until(answer.done)
+    assert answer.result().success
+    assert node.commands[0].statistics['arm'].accepted == 2
+    if name == 'reset':
+        client.settled(lambda: node.simulation.time_ns > 0)
+        assert abs(node.simulation.robot.state().position[0]) < 1e-3
 
 
 def test_a_diverged_simulation_is_held_told_and_mended_by_reset(serve, client):

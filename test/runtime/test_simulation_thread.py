@@ -5,6 +5,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 import re
+import sys
 from threading import Event
 import time
 
@@ -92,6 +93,28 @@ def wait_until(condition):
     end = time.monotonic() + 300.0
     while not condition():
         assert time.monotonic() < end, 'timed out'
+
+
+def test_a_call_that_ends_the_thread_keeps_no_other_waiting(thread):
+    def leave():
+        raise SystemExit('over')
+    begun = Event()
+    with ThreadPoolExecutor(3) as pool:
+        thread.start()
+        first = pool.submit(thread.call, lambda: begun.wait(60.0))
+        while not thread._showing and first.running() and thread._calls:
+            time.sleep(0.001)
+        others = [pool.submit(thread.call, function) for function in (leave, leave)]
+        deadline = time.monotonic() + 60.0
+        while len(thread._calls._waiting) < 2 and time.monotonic() < deadline:
+            time.sleep(0.001)
+        begun.set()
+        assert first.result(60.0)
+        for other in others:
+            with pytest.raises(SystemExit, match='over'):
+                other.result(60.0)
+    thread.stop()
+    assert isinstance(thread.error, SystemExit)
 
 
 def test_a_command_that_fails_is_told_and_the_simulation_goes_on():
@@ -293,6 +316,23 @@ def test_lockstep_waits_for_the_arena_only_if_it_is_told_to():
         assert thread.changes.missing == {}
 
 
+def test_operations_may_come_while_lockstep_looks_for_those_of_the_arena():
+    thread = SimulationThread(Simulation(World([Panda()])), 5, 'lockstep',
+                              lockstep_parts={}, waits_for_arena=True)
+    numbers = iter(range(3_000))
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(1) as pool:
+            adding = pool.submit(lambda: [
+                thread.changes.at_next_period(f'other/{n}', 'reset') for n in numbers])
+            while not adding.done():
+                assert not thread.changes.complete
+    finally:
+        sys.setswitchinterval(interval)
+    assert len(thread.changes._waiting) == 3_000
+
+
 def test_lockstep_waits_for_the_parts_of_every_robot(free):
     thread = free(Panda(), UR5e(idn=1), stepping='lockstep',
                   lockstep_parts={'robot0': ['arm'], 'robot1': ['arm']})
@@ -422,7 +462,7 @@ def test_a_reset_by_an_observer_is_shown_after_the_present_state(free):
     thread.step()
     thread.step()
     wait_until(lambda: seen.count((10_000_000, True)) >= 3)
-    assert list(dict.fromkeys(seen)) == [(10_000_000, True), (20_000_000, False)]
+    assert list(dict.fromkeys(seen)) == [(10_000_000, True), (3_000_000, False)]
     assert thread.progress.time_ns == 10_000_000
     assert thread.error is None
 
