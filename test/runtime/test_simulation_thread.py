@@ -462,7 +462,7 @@ def test_a_reset_by_an_observer_is_shown_after_the_present_state(free):
     thread.step()
     thread.step()
     wait_until(lambda: seen.count((10_000_000, True)) >= 3)
-    assert list(dict.fromkeys(seen)) == [(10_000_000, True), (3_000_000, False)]
+    assert list(dict.fromkeys(seen)) == [(10_000_000, True), (20_000_000, False)]
     assert thread.progress.time_ns == 10_000_000
     assert thread.error is None
 
