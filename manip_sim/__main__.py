@@ -36,7 +36,7 @@ def main() -> int:
 
 def _run() -> int:
     arguments = sys.argv[1:]
-    ours = arguments[:arguments.index('--ros-args')] if '--ros-args' in arguments else arguments
+    ours = _without_ros(arguments)
     if ours and ours[0] in ('-h', '--help'):
         print(_HELP)
         return 0
@@ -55,6 +55,19 @@ def _run() -> int:
     except ManipSimError as error:
         return _fail(str(error))
     return run(arguments)
+
+
+def _without_ros(arguments: list[str]) -> list[str]:
+    """Return the arguments that are not between ``--ros-args`` and ``--``."""
+    ours, ros = [], False
+    for argument in arguments:
+        if argument == '--ros-args':
+            ros = True
+        elif not ros:
+            ours.append(argument)
+        elif argument == '--':
+            ros = False
+    return ours
 
 
 def _fail(message: str) -> int:

@@ -93,7 +93,9 @@ class ParameterSpec:
         """
         if found == self.type:
             return None
-        return f"parameter '{self.name}' must be of type {self.type}, got {value!r}"
+        hint = (f': quote it, as in {str(value)!r}'
+                if self.type == 'string' and not self.choices else '')
+        return f"parameter '{self.name}' must be of type {self.type}, got {value!r}{hint}"
 
     def problem_with(self, value: Any) -> str | None:
         """Return what is wrong with a value that has the right type, or None."""
@@ -121,7 +123,8 @@ class ParameterSpec:
                     f'got {list(value)}')
         if (self.minimum is not None and self.maximum is not None
                 and not self.minimum <= value <= self.maximum):
-            return (f"parameter '{self.name}' must be from {self.minimum:g} to "
-                    f'{self.maximum:g}{self.unit and " " + self.unit}, got '
-                    f'{_as_double(value):g}')
+            low, high, got = (f'{x:.0f}' if type(value) is int else f'{_as_double(x):g}'
+                              for x in (self.minimum, self.maximum, value))
+            return (f"parameter '{self.name}' must be from {low} to "
+                    f'{high}{self.unit and " " + self.unit}, got {got}')
         return None

@@ -262,10 +262,10 @@ class SimulationThread:
         def advance() -> None:
             if self._showing:
                 raise CommandError('an observer cannot step the simulation')
-            if not self._paused:
-                raise CommandError('the simulation is running: pause it first')
             if self._simulation.diverged is not None:
                 raise CommandError(f'{self._simulation.diverged}; reset it first')
+            if not self._paused:
+                raise CommandError('the simulation is running: pause it first')
             self._period()
         self.call(advance)
 

@@ -45,6 +45,8 @@ REJECTED = [
     ('real_time_factor:=100.0', "parameter 'real_time_factor'", 'from 0.1 to 10'),
     ('lockstep_parts:=[legs]', "parameter 'lockstep_parts'", 'arm, right, right/gripper'),
     ('command_timeout.arm:=-1.0', "parameter 'command_timeout.arm'", 'from 0'),
+    ('seed:=-1', "parameter 'seed'", 'from 0 to 2147483647, got -1'),
+    ('armature.arm:=0.1', "parameter 'armature.arm'", "got 0.1: quote it, as in '0.1'"),
 ]
 
 
@@ -81,9 +83,10 @@ def test_ros_arguments_that_make_no_sense_end_the_start_with_one_line(process):
 
 
 def test_other_arguments_are_rejected_and_help_is_given(process):
-    node = process('Panda')
-    assert "unknown argument 'Panda': parameters such as" in node.communicate(timeout=300.0)[1]
-    assert node.returncode == 2
+    for before in ((), ('--ros-args', '-p', 'robot:=UR5e', '--')):
+        node = process(*before, 'Panda')
+        assert "unknown argument 'Panda': parameters such as" in node.communicate(timeout=300.0)[1]
+        assert node.returncode == 2
     node = process('--help')
     assert '--ros-args' in node.communicate(timeout=300.0)[0]
     assert node.returncode == 0

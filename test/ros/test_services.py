@@ -157,6 +157,7 @@ def test_a_diverged_simulation_is_held_told_and_mended_by_reset(serve, client):
     state = client.state()
     assert np.isfinite([state.position, state.velocity, state.effort]).all()
     assert nanoseconds(client.state()) == nanoseconds(client.state())
+    assert 'reset it first' in trigger(client, 'step').message
     pause(client, True)
     assert 'reset it first' in trigger(client, 'step').message
     assert trigger(client, 'reset').success
