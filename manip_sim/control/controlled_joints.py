@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -175,9 +175,13 @@ class ControlledJoints:
         :param modes: of all joints, as :attr:`modes` was when they were looked up; a thread beside
             that of the simulation has to look once only; None: the present ones
         """
+        return self._of_modes(lambda mode: MODES[mode].ranges(self._servos), indices, modes)
+
+    def _of_modes(self, find: Callable[[str], FloatArray], indices: IntArray,
+                  modes: Sequence[str] | None) -> FloatArray:
         modes = self.modes if modes is None else modes
-        ranges = {mode: MODES[mode].ranges(self._servos) for mode in set(modes)}
-        return np.array([ranges[modes[i]][i] for i in indices]).reshape(-1, 2)
+        found = {mode: find(mode) for mode in set(modes)}
+        return np.array([found[modes[i]][i] for i in indices]).reshape(-1, 2)
 
     def acceleration_limits(self, indices: IntArray) -> FloatArray:
         """Return the acceleration limits of setpoints [rad/s^2 or m/s^2], shape (n,), a copy."""
@@ -193,9 +197,7 @@ class ControlledJoints:
 
         :param modes: of all joints, as for :meth:`ranges`
         """
-        modes = self.modes if modes is None else modes
-        clamps = {mode: MODES[mode].clamps(self._servos) for mode in set(modes)}
-        return np.array([clamps[modes[i]][i] for i in indices]).reshape(-1, 2)
+        return self._of_modes(lambda mode: MODES[mode].clamps(self._servos), indices, modes)
 
     def efforts_allowed(self, indices: IntArray) -> FloatArray:
         """Return the greatest efforts of joints [N m or N], shape (n,)."""
