@@ -24,6 +24,7 @@ from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
 from manip_sim.tasks import Episode, Latency, read_description, Setting
 from manip_sim.tasks.expert import Expert, Policy
+from manip_sim.tasks.observation import IMAGE
 
 
 @dataclass(frozen=True)
@@ -157,8 +158,8 @@ class Worker:
 
 
 def _images(observation: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {key.removeprefix('image/'): value for key, value in (observation or {}).items()
-            if key.startswith('image/')}
+    return {key.removeprefix(IMAGE): value for key, value in (observation or {}).items()
+            if key.startswith(IMAGE)}
 
 
 def _plain(value: Any) -> Any:
