@@ -107,14 +107,19 @@ class JointChannel(Channel):
         self.step = np.repeat([resolution, 0.0, 0.0], count) if resolution else None
 
 
+def _wrench_noise(settings: SensingSettings) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return standard deviation, offset and drift of force and torque, each of shape (6,)."""
+    return (np.repeat([settings['noise.wrench_force'], settings['noise.wrench_torque']], 3),
+            settings['noise.wrench_bias'] * _WRENCH_SCALE,
+            settings['noise.wrench_drift'] * _WRENCH_SCALE)
+
+
 class WrenchChannel(Channel):
     """Force and torque, shape (6,)."""
 
     def adapt(self, settings: SensingSettings) -> None:
         """Take over the settings of the robot."""
-        self.sd = np.repeat([settings['noise.wrench_force'], settings['noise.wrench_torque']], 3)
-        self.bias = settings['noise.wrench_bias'] * _WRENCH_SCALE
-        self.drift = settings['noise.wrench_drift'] * _WRENCH_SCALE
+        self.sd, self.bias, self.drift = _wrench_noise(settings)
 
 
 class InstrumentChannel(Channel):
@@ -145,10 +150,8 @@ class InstrumentChannel(Channel):
             if 'framequat' in self._types:
                 self.sd[ORIENTATION] += settings['noise.imu_orientation']
         elif self._kind == WRENCH:
-            self.sd[:3] += settings['noise.wrench_force']
-            self.sd[3:] += settings['noise.wrench_torque']
-            self.bias = settings['noise.wrench_bias'] * _WRENCH_SCALE
-            self.drift = settings['noise.wrench_drift'] * _WRENCH_SCALE
+            white, self.bias, self.drift = _wrench_noise(settings)
+            self.sd += white
         else:
             name = 'range' if self._kind == RANGE else _ALONE.get(self._types[0])
             if name:
