@@ -46,7 +46,7 @@ MAY_IMPORT = {
     'experiments': ({'experiments', 'records', 'tasks'},
                     PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
     'cli': ({'cli', 'control', 'experiments', 'interface', 'models', 'moveit', 'physics',
-             'records', 'simulation', 'rendering', 'tasks'}, PURE | {'PIL', 'tqdm'}),
+             'records', 'sensing', 'simulation', 'rendering', 'tasks'}, PURE | {'PIL', 'tqdm'}),
     'gallery.py': ({'cli', 'models', 'rendering', 'simulation', 'tasks'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.

@@ -32,6 +32,7 @@ from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.physics.parts import Part
 from manip_sim.quaternion import wxyz_to_xyzw
+from manip_sim.sensing.instruments import sensor_type
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 _TARGET = {
@@ -86,7 +87,7 @@ def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
         element = int(model.sensor_objid[index])
         rows.append({
             'name': name,
-            'type': mujoco.mjtSensor(int(model.sensor_type[index])).name[7:].lower(),
+            'type': sensor_type(model, index),
             'of': mujoco.mj_id2name(model, kind, element) if element >= 0 else None,
             'length': int(model.sensor_dim[index])})
     return rows
