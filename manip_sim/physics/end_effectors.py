@@ -66,7 +66,7 @@ class EndEffectorReader:
         sensors, sites = gripper.important_sensors, gripper.important_sites
         self._names = sensors['force_ee'], sensors['torque_ee'], sites['grip_site']
         physics.on_change(self._find)
-        self.external = ExternalWrench(physics, self._ft_frame)
+        self.external = ExternalWrench(physics, sensors['force_ee'])
 
     def _find(self) -> None:
         model = self._physics.model
@@ -75,8 +75,6 @@ class EndEffectorReader:
             model.sensor(name).adr[0] + np.arange(3) for name in (force, torque)])
         self._ft_frame = int(model.sensor(force).objid[0])
         self._grip_site = model.site(grip_site).id
-        if hasattr(self, 'external'):
-            self.external.site = self._ft_frame
 
     @property
     def ft_frame(self) -> str:

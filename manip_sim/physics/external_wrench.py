@@ -38,18 +38,18 @@ class ExternalWrench:
     reading of the sensor minus gravity and inertia of the tool.
 
     :param physics: of the world
-    :param site: of the frame of the sensor
-    :ivar site: the same; its id in a new model has to be set before the model is looked at
+    :param sensor: name of a sensor of its frame
+    :ivar site: id of that frame
     :ivar forces: on the bodies of the tool in the last step, a view
     :ivar no_forces: the same where there are none, as bytes
     """
 
-    #: Of the period that has passed; nothing in the next one depends on it.
-    not_in_digest = ('_rows', '_centres', 'no_forces', '_sum', '_mean', '_steps')
+    #: A name, and the period that has passed; nothing in the next one depends on that.
+    not_in_digest = ('_sensor', '_rows', '_centres', 'no_forces', '_sum', '_mean', '_steps')
 
-    def __init__(self, physics: Physics, site: int) -> None:
+    def __init__(self, physics: Physics, sensor: str) -> None:
         self._physics = physics
-        self.site = site
+        self._sensor = sensor
         #: Sum over the steps that are no longer in the rows.
         self._sum = _ZERO
         #: Forces on the bodies in each step, and the centre of mass of the tree, as bytes.
@@ -67,6 +67,7 @@ class ExternalWrench:
         model, data = self._physics.model, self._physics.data
         if self._mean is None:
             self._compute_mean()
+        self.site = int(model.sensor(self._sensor).objid[0])
         body = int(model.site_bodyid[self.site])
         #: The tool: bodies are in depth-first order.
         self.bodies = slice(body, body + _subtree_size(model, body))
