@@ -84,6 +84,20 @@ def check_arguments(parameters: Iterable[ArenaParameter], arena: str, **argument
             parameter.check(arguments[parameter.argument], arena)
 
 
+def position_at(robot: RobotModel, arena: str, table_length_m: float) -> FloatArray:
+    """
+    Return the place that a robot declares for an arena, in ``world`` [m], else zero, shape (3,).
+
+    :param arena: its name
+    :param table_length_m: edge of its table along x [m]
+    """
+    placement = robot.placement_in(arena)
+    if placement is None:
+        return np.zeros(3)
+    return finite_numbers(placement(table_length_m) if callable(placement) else placement, 3,
+                          f"base_xpos_offset['{arena}'] of {robot.name}")
+
+
 class Arena(MujocoXMLModel):
     """
     What is around the robots; its names have no prefix.
@@ -143,12 +157,7 @@ class Arena(MujocoXMLModel):
 
         :param robot: the robot to place
         """
-        placement = robot.placement_in(self.arena_name)
-        if placement is None:
-            return np.zeros(3)
-        return finite_numbers(
-            placement(self.table_length_m) if callable(placement) else placement, 3,
-            f"base_xpos_offset['{self.arena_name}'] of {robot.name}")
+        return position_at(robot, self.arena_name, self.table_length_m)
 
     @property
     def table_length_m(self) -> float:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.arenas.arena import Arena, ArenaParameter, check_arguments
+from manip_sim.models.arenas.arena import Arena, ArenaParameter, check_arguments, position_at
 from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.resources import asset_path
@@ -18,6 +18,8 @@ _CUBE_EDGE_M = 0.05
 _CUBE_MASS_KG = 0.1
 #: Distance from the edges of a table to the middle of its legs [m].
 _LEG_INSET_M = 0.1
+#: Edge of a table along x unless another is given [m].
+_TABLE_LENGTH_M = 0.8
 #: Height of the table that the cameras in the file look at [m].
 _TABLE_HEIGHT_M = 0.8
 #: Height of the bins' floors above the floor in their file [m].
@@ -44,7 +46,7 @@ class TableArena(Arena):
 
     arena_name = 'table'
     parameters = (
-        ArenaParameter('table_length', 0.8, 'edge of the table along x', 'm', 0.3, 5.0,
+        ArenaParameter('table_length', _TABLE_LENGTH_M, 'edge of the table along x', 'm', 0.3, 5.0,
                        'table_length_m'),
         ArenaParameter('table_width', 0.8, 'edge of the table along y', 'm', 0.3, 5.0,
                        'table_width_m'),
@@ -53,7 +55,7 @@ class TableArena(Arena):
         ArenaParameter('friction', 1.0, 'sliding friction of the top', '', 0.0, 10.0),
         ArenaParameter('cube', True, 'put a free cube of 0.05 m and 0.1 kg on the table'))
 
-    def __init__(self, table_length_m: float = 0.8, table_height_m: float = 0.8,
+    def __init__(self, table_length_m: float = _TABLE_LENGTH_M, table_height_m: float = 0.8,
                  cube: bool = True, *, table_width_m: float = 0.8, friction: float = 1.0) -> None:
         check_arguments(self.parameters, self.arena_name, table_length_m=table_length_m,
                         table_height_m=table_height_m, cube=cube, table_width_m=table_width_m,
@@ -101,7 +103,7 @@ class DrawerArena(Arena):
         """Return the place of a robot in ``world`` [m], shape (3,), by default as at a table."""
         if robot.placement_in(self.arena_name) is not None:
             return super().robot_position(robot)
-        return TableArena(cube=False).robot_position(robot)
+        return position_at(robot, TableArena.arena_name, _TABLE_LENGTH_M)
 
 
 class BinsArena(Arena):
