@@ -9,9 +9,10 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameter_files import read_parameters
 
 
-def test_a_node_in_a_namespace_has_its_own_section(written):
-    file = written('cell:\n  manip_sim:\n    ros__parameters: {a: {b: 1}}\n')
-    assert read_parameters(file, '/cell/manip_sim') == {'a.b': 1}
+def test_sections_of_nodes_in_namespaces_are_left_out(written):
+    file = written('cell:\n  manip_sim:\n    ros__parameters: {a: {b: 1}}\n'
+                   'manip_sim:\n  ros__parameters: {a: {c: 2}}\n')
+    assert read_parameters(file) == {'a.c': 2}
 
 
 @pytest.mark.parametrize(('text', 'what'), [

@@ -39,24 +39,23 @@ _Loader.add_constructor('tag:yaml.org,2002:float', lambda loader, node: float(
     loader.construct_scalar(node).lower().replace('.inf', 'inf').replace('.nan', 'nan')))
 
 
-def read_parameters(file: Path, node_name: str = NODE) -> dict[str, Any]:
+def read_parameters(file: Path) -> dict[str, Any]:
     """
-    Return the parameters that a file has for a node, by name with dots.
+    Return the parameters that a file has for the node, by name with dots.
 
     Where several sections are for it, later ones override earlier ones.
 
-    :param node_name: with its namespace
     :raises ModelError: if the file cannot be read, or is not plain YAML
     :raises ParameterError: if nothing in it is for the node, or a section is no mapping
     """
     sections = list(sections_of(read_yaml(file, _Loader)))
-    if not any(matches(node, node_name) for node, _ in sections):
+    if not any(matches(node, NODE) for node, _ in sections):
         has = f'is for {quoted_names([node for node, _ in sections])}' if sections else (
             f"has no key '{_PARAMETERS}' below the name of a node")
-        raise ParameterError(f'{file} has no parameters for {node_name}, it {has}')
+        raise ParameterError(f'{file} has no parameters for {NODE}, it {has}')
     found: dict[str, Any] = {}
     for node, parameters in sections:
-        if matches(node, node_name):
+        if matches(node, NODE):
             if not isinstance(parameters, dict):
                 raise ParameterError(f'{file}: {quoted(node)}: {_PARAMETERS} must hold names and '
                                      'values')

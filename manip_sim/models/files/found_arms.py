@@ -122,7 +122,7 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
             _length(tree, tip, joints) < 2 for tip in tips):
         return {}  # Such as a laser that turns.
     by_side = _by_side(tree, tips, joints, notes)
-    arms = {side: _end_of(tree, tip, hands, len(by_side)) for side, tip in by_side.items()}
+    arms = {side: _end_of(tree, tip, hands) for side, tip in by_side.items()}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
 
 
@@ -232,7 +232,7 @@ def _length(tree: BodyTree, body: int, joints: Collection[int]) -> int:
     return len(set(tree.joints(tree.path(body))) & set(joints))
 
 
-def _end_of(tree: BodyTree, tip: int, hands: Collection[FoundHand], count: int) -> FoundArm:
+def _end_of(tree: BodyTree, tip: int, hands: Collection[FoundHand]) -> FoundArm:
     below = tree.below(tip)
     hand = next((hand for hand in hands if hand.body in below), None)
     if hand is not None:

@@ -51,8 +51,8 @@ def find_place(spec: mujoco.MjSpec, name: str, where: str) -> tuple[str, Any]:
         element.name for element in [*spec.bodies[1:], *spec.sites]])
 
 
-def add_body_at(spec: mujoco.MjSpec, model: mujoco.MjModel, place: tuple[str, Any], name: str,
-                position: ArrayLike, orientation: ArrayLike) -> Any:
+def add_body_at(model: mujoco.MjModel, place: tuple[str, Any], name: str, position: ArrayLike,
+                orientation: ArrayLike) -> Any:
     """
     Add a body without mass.
 

@@ -70,7 +70,7 @@ class HandFromFile(GripperModel, registered=False):
             at=at, position=list(map(float, position)),
             orientation=np.asarray(orientation, dtype=float).tolist())
         self._eef_body = free_name({body.name for body in spec.bodies}, f'{prefix}eef')
-        eef = add_body_at(spec, tree.model, place, self._eef_body, position, orientation)
+        eef = add_body_at(tree.model, place, self._eef_body, position, orientation)
         add_standard_elements(spec, spec.body(mount), eef, prefix)
         self._has_grasp_frame = True
         self._important_sites = {role: prefix + name for role, name in

@@ -240,7 +240,7 @@ def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
         return arm.name
     frame = mount if isinstance(mount, FrameDescription) else FrameDescription()
     name = free_name({body.name for body in spec.bodies}, f'{side}_hand')
-    add_body_at(spec, tree.model, place, name, frame.position, frame.orientation)
+    add_body_at(tree.model, place, name, frame.position, frame.orientation)
     notes.append(f"new body '{name}' at {arm.kind} '{arm.name}' for a gripper")
     return name
 

@@ -98,7 +98,7 @@ class PlotPanel:
         if self._choice.value != self._shown:
             self._shown = self._choice.value
             self._history = History()
-            self._rebuild(*found)
+            self._rebuild(found[1])
         self._record(found[0], found[1], latest)
         if now_s >= self._next_s:
             self._next_s = now_s + _PERIOD_S
@@ -118,7 +118,7 @@ class PlotPanel:
         elif (robot.space, what) in latest.wrenches:
             self._history.add(states.time_s, latest.wrenches[robot.space, what])
 
-    def _rebuild(self, robot: Robot, what: ShownPart | str) -> None:
+    def _rebuild(self, what: ShownPart | str) -> None:
         for plot, _ in self._plots:
             plot.remove()
         self._plots = []
