@@ -29,6 +29,20 @@ class Contacts:
     body: IntArray
 
 
+def bodies_in_contact(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[IntArray, IntArray]:
+    """
+    Return the contacts of geoms that carry a force, or may, at the last ``mj_forward``.
+
+    :param model: the ``mujoco.MjModel``
+    :param data: its ``mujoco.MjData``
+    :returns: their numbers, shape (n,), and the ids of the two bodies of each, shape (n, 2)
+    """
+    contact = data.contact
+    # Contacts of geoms, as opposed to flexes, that are among the constraints.
+    used = np.flatnonzero((contact.efc_address >= 0) & (contact.geom >= 0).all(axis=1))
+    return used, model.geom_bodyid[contact.geom[used]].astype(np.int64).reshape(-1, 2)
+
+
 def read_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:
     """
     Return the contacts of geoms at the instant of the last ``mj_forward``, copies.
@@ -37,14 +51,12 @@ def read_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:
     :param data: its ``mujoco.MjData``
     """
     contact = data.contact
-    # Contacts of geoms, as opposed to flexes, that are among the constraints.
-    used = np.flatnonzero((contact.efc_address >= 0) & (contact.geom >= 0).all(axis=1))
+    used, body = bodies_in_contact(model, data)
     local = np.empty((len(used), 6))
     for row, index in zip(local, used.tolist()):
         mujoco.mj_contactForce(model, data, index, row)
     # MuJoCo gives the force on the second body, in axes that are the rows of the contact frame.
     force = np.einsum('nij,ni->nj', contact.frame[used].reshape(-1, 3, 3), local[:, :3])
-    body = model.geom_bodyid[contact.geom[used]].astype(np.int64).reshape(-1, 2)
     first = (body[:, 0] > body[:, 1]) & (model.body_weldid[body[:, 0]] > 0)
     first |= model.body_weldid[body[:, 1]] == 0
     force[first] *= -1.0

@@ -13,7 +13,9 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.models.urdf_writer.kinematic_tree import subtree
-from manip_sim.models.urdf_writer.link_shapes import collides, geoms_of_body, unit_sphere
+from manip_sim.models.urdf_writer.link_shapes import (
+    collides, geoms_of_body, triangles_of, unit_sphere)
+from manip_sim.physics.contacts import bodies_in_contact
 from manip_sim.quaternion import matrix_of, relative_quat_wxyz, wxyz_to_xyzw
 
 BOX, SPHERE, CYLINDER, MESH = 'box', 'sphere', 'cylinder', 'mesh'
@@ -189,19 +191,12 @@ class PlanningScene:
         """Yield which objects are grasped by which gripper."""
         if not (self._free and self._grippers):
             return
-        used, pairs = _used(self._model, data)
+        used, pairs = bodies_in_contact(self._model, data)
         for obstacle in self._free:
             for gripper in self._grippers:
                 if _is_grasped(self._model, data, used, pairs, obstacle.body, gripper):
                     yield obstacle.name, gripper
                     break
-
-
-def _used(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[IntArray, IntArray]:
-    """Return the contacts that carry forces, and the two bodies of each, shape (n, 2)."""
-    contact = data.contact
-    used = np.flatnonzero((contact.efc_address >= 0) & (contact.geom >= 0).all(axis=1))
-    return used, model.geom_bodyid[contact.geom[used]].astype(np.int64).reshape(-1, 2)
 
 
 def _is_grasped(model: mujoco.MjModel, data: mujoco.MjData, used: IntArray, pairs: IntArray,
@@ -254,11 +249,8 @@ def solids_of(model: mujoco.MjModel, geom: int, inset: float = 0.0) -> Iterator[
     elif kind == int(_GEOM.mjGEOM_ELLIPSOID):
         yield solid(MESH, triangles=unit_sphere(2) * (size - inset))
     elif kind == int(_GEOM.mjGEOM_MESH):
-        mesh = int(model.geom_dataid[geom])
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        vertices = np.asarray(model.mesh_vert[first:first + count], dtype=float)
-        first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-        yield solid(MESH, triangles=vertices[model.mesh_face[first:first + count]])
+        yield solid(MESH, triangles=np.asarray(
+            triangles_of(model, int(model.geom_dataid[geom])), dtype=float))
 
 
 def _insets(model: mujoco.MjModel, own: set[int]) -> dict[int, float]:

@@ -10,6 +10,7 @@ from collections.abc import Collection
 import mujoco
 import numpy as np
 
+from manip_sim.physics.contacts import bodies_in_contact
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 
@@ -19,10 +20,8 @@ def touching(simulation: Simulation, body: str) -> set[int]:
 
     :param body: of the object, which is one body
     """
-    model, contact = simulation.model, simulation.data.contact
-    own = model.body(body).id
-    used = (contact.efc_address >= 0) & (contact.geom >= 0).all(axis=1)
-    pairs = model.geom_bodyid[contact.geom[used]].reshape(-1, 2)
+    own = simulation.model.body(body).id
+    _, pairs = bodies_in_contact(simulation.model, simulation.data)
     found: set[int] = set(pairs[pairs[:, 0] == own, 1].tolist())
     return found | set(pairs[pairs[:, 1] == own, 0].tolist())
 
@@ -49,8 +48,8 @@ def pressure(simulation: Simulation, bodies: Collection[int], on: Collection[str
     """
     model, data = simulation.model, simulation.data
     total, force = 0.0, np.empty(6)
-    for number in range(data.ncon):
-        one, other = model.geom_bodyid[data.contact.geom[number]].tolist()
+    used, pairs = bodies_in_contact(model, data)
+    for number, (one, other) in zip(used.tolist(), pairs.tolist()):
         if (one in bodies) == (other in bodies):
             continue
         name = model.body(other if one in bodies else one).name

@@ -87,12 +87,17 @@ def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel,
     return found
 
 
-def stl_of(model: mujoco.MjModel, mesh: int) -> bytes:
-    """Return a compiled mesh as binary STL, in its own frame."""
+def triangles_of(model: mujoco.MjModel, mesh: int) -> Any:
+    """Return the corners of a compiled mesh, in its own frame [m], shape (n, 3, 3), a copy."""
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first:first + count]
     first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    return binary_stl(vertices[model.mesh_face[first:first + count]])
+    return vertices[model.mesh_face[first:first + count]]
+
+
+def stl_of(model: mujoco.MjModel, mesh: int) -> bytes:
+    """Return a compiled mesh as binary STL, in its own frame."""
+    return binary_stl(triangles_of(model, mesh))
 
 
 def binary_stl(triangles: Any) -> bytes:
