@@ -122,6 +122,12 @@ def _end_signals() -> list[signal.Signals]:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN]
 
 
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
+        os.cpu_count() or 1)
+
+
 def use_one_blas_thread() -> None:
     """
     Let NumPy start without threads for linear algebra.

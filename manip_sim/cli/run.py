@@ -22,13 +22,14 @@ from manip_sim.experiments import (
     Experiment, parse_seeds, parse_shard, RunFolder, Worker)
 from manip_sim.experiments.on_ray import run_on_ray
 from manip_sim.experiments.policies import ROS
-from manip_sim.experiments.processes import processors, run_in_processes
+from manip_sim.experiments.processes import run_in_processes
 from manip_sim.experiments.run_folder import read_json, RUN, Shard
 from manip_sim.experiments.summary import Row
 from manip_sim.interface.parameter_files import read_parameters
 from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
+from manip_sim.startup import processors
 from manip_sim.tasks import create_task, Latency, Setting
 
 #: Files of noise in the package, ``config/noise_NAME.yaml``.

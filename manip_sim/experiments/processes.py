@@ -153,9 +153,3 @@ def _serve(pipe: Connection, experiment: Experiment) -> None:
         pass
     finally:
         pipe.close()
-
-
-def processors() -> int:
-    """Return the number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
-        os.cpu_count() or 1)

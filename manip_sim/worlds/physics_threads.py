@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-import os
 
+from manip_sim.startup import processors
 from manip_sim.validation import whole_number
 
 
@@ -23,7 +23,7 @@ class PhysicsThreads:
     """
 
     def __init__(self, count: int | None) -> None:
-        self.count = _processors() if count is None else whole_number(count, 1, 'threads')
+        self.count = processors() if count is None else whole_number(count, 1, 'threads')
         self._others = (
             ThreadPoolExecutor(self.count - 1, 'manip_sim_worlds') if self.count > 1 else None)
 
@@ -54,9 +54,3 @@ class PhysicsThreads:
 def _call(work: Sequence[Callable[[], object]]) -> None:
     for function in work:
         function()
-
-
-def _processors() -> int:
-    if hasattr(os, 'sched_getaffinity'):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
