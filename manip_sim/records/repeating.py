@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import json
 from typing import Any
 import warnings
-import weakref
 
 import mujoco
 import numpy as np
 
-from manip_sim.control.commands import Command, CommandHandle, GripperCommand, NoCommand, Status
+from manip_sim.control.commands import Command, GripperCommand, NoCommand, Status
 from manip_sim.errors import CommandError, DivergenceError, ManipSimError, ModelError, RecordError
 from manip_sim.interface.composition import compose_world, Composition
 from manip_sim.interface.given_parameters import GivenParameters
@@ -28,7 +27,8 @@ from manip_sim.records.recorder import physics_state
 from manip_sim.records.untrusted_records import files_of
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import check_sum, decoded, restore_plain
+from manip_sim.simulation.json_state import (
+    check_sum, decoded, NumberedHandles, restore_plain)
 from manip_sim.simulation.operations import Operations
 from manip_sim.tasks import create_task, Episode, start
 
@@ -248,12 +248,9 @@ class _World:
         if self._task is not None:
             self._operations.restart = self._restart
             self._restart(None)
-        #: Handles of commands by their numbers, as long as something has them.
-        self._handles: weakref.WeakValueDictionary[int, CommandHandle] = (
-            weakref.WeakValueDictionary())
-        self._numbers = 0
+        self._handles = NumberedHandles()
         self._operations.make_objects(about['objects'])
-        self._number(restore_plain(self.simulation, state))
+        self._handles.add(restore_plain(self.simulation, state))
         self._entries: dict[str, Callable[..., None]] = {
             'commands': self._commands, 'withdrawn': self._withdrawn,
             'operation': self._operation, 'period': self._period, 'digest': self._digest}
@@ -262,11 +259,6 @@ class _World:
         self._seed = self._seed if seed is None else seed
         assert self._task is not None
         start(self._task, self.simulation, self._seed)
-
-    def _number(self, handles: list[CommandHandle]) -> None:
-        for handle in handles:
-            self._handles[self._numbers] = handle
-            self._numbers += 1
 
     def take(self, kind: str, *content: Any) -> None:
         """Repeat an entry."""
@@ -278,7 +270,7 @@ class _World:
 
     def _commands(self, content: Any) -> None:
         commands, handles = decoded(self.simulation, content)
-        self._number(handles)
+        self._handles.add(handles)
         for robot, command in commands:
             if not isinstance(command, Command):
                 raise ModelError('a command is none')

@@ -5,15 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
-import weakref
 
 from manip_sim.control.commands import Command, CommandHandle, GripperCommand
 from manip_sim.errors import ModelError
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.json_codec import Encoder
-from manip_sim.simulation.json_state import check_sum, plain_state
+from manip_sim.simulation.json_state import check_sum, NumberedHandles, plain_state
 
 #: How often there is a digest [control periods].
 DIGEST_PERIODS = 100
@@ -43,10 +42,7 @@ class Journal:
         self._write: Write | None = None
         self._entries: list[Any] = []
         self._periods = 0
-        #: Handles of commands, by their numbers since the start.
-        self._handles: weakref.WeakValueDictionary[int, CommandHandle] = (
-            weakref.WeakValueDictionary())
-        self._numbers = 0
+        self._handles = NumberedHandles()
         self._saved = False
         #: Whether a start has to follow.
         self.incomplete = False
@@ -65,15 +61,14 @@ class Journal:
         """
         self.flush()
         self._write, self.incomplete, self._periods = write, False, 0
-        self._handles.clear()
-        self._numbers, self._saved = 0, False
+        self._handles, self._saved = NumberedHandles(), False
         try:
             state, handles = plain_state(self._simulation)
         except ModelError as error:
             self._entries.append(['unknown', f'the state: {error}'])
             self.end()
             return
-        self._number(handles)
+        self._handles.add(handles)
         self._entries.append(['start', about, state])
         self.flush()
 
@@ -93,11 +88,6 @@ class Journal:
         if len(self._entries) >= _MOST:
             self.flush()
 
-    def _number(self, handles: Iterable[CommandHandle]) -> None:
-        for handle in handles:
-            self._handles[self._numbers] = handle
-            self._numbers += 1
-
     def commands(self, commands: Sequence[tuple[str, Command]]) -> None:
         """Note commands that take effect now, with the names of their robots."""
         if self._write is None or not commands:
@@ -108,7 +98,7 @@ class Journal:
         except ModelError as error:
             self.unknown(f'a command: {error}')
             return
-        self._number(met for met in encoder.met if isinstance(met, CommandHandle))
+        self._handles.add(met for met in encoder.met if isinstance(met, CommandHandle))
         self._add('commands', encoded)
 
     def withdrawn(self, robot: str, command: Command, reason: str) -> None:
@@ -116,9 +106,8 @@ class Journal:
         if self._write is None:
             return
         part = next(iter(command.parts)) if isinstance(command, GripperCommand) else None
-        for number, handle in self._handles.items():
-            if handle is command.handle:
-                self._add('withdrawn', robot, number, part, reason)
+        for number in self._handles.numbers_of(command.handle):
+            self._add('withdrawn', robot, number, part, reason)
 
     def operation(self, name: str, arguments: Sequence[Any], failed: bool) -> None:
         """Note an operation that was run."""

@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 from base64 import b64decode, b64encode
+from collections.abc import Iterable
 from dataclasses import replace
 import json
 from typing import Any
+import weakref
 import zlib
 
 from manip_sim.control.commands import CommandHandle
@@ -22,6 +24,33 @@ from manip_sim.simulation.simulation import Simulation
 _BYTES = ('physics', 'computed_from')
 _NUMBERS = ('versions', 'model', 'step_count', 'control_steps', 'contacts_change', 'diverged',
             'seed', 'layout')
+
+
+class NumberedHandles:
+    """
+    Handles of commands by their numbers since the start, as long as something else has them.
+
+    A journal and what repeats it number them alike.
+    """
+
+    def __init__(self) -> None:
+        self._handles: weakref.WeakValueDictionary[int, CommandHandle] = (
+            weakref.WeakValueDictionary())
+        self._count = 0
+
+    def add(self, handles: Iterable[CommandHandle]) -> None:
+        """Give handles the next numbers."""
+        for handle in handles:
+            self._handles[self._count] = handle
+            self._count += 1
+
+    def get(self, number: int) -> CommandHandle | None:
+        """Return the handle of a number, or None if nothing has it any more."""
+        return self._handles.get(number)
+
+    def numbers_of(self, wanted: CommandHandle) -> list[int]:
+        """Return the numbers of a handle; one for each time that it was added."""
+        return [number for number, handle in self._handles.items() if handle is wanted]
 
 
 def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHandle]]:
