@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import math
 import numbers
 import sys
@@ -17,6 +17,9 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.quoting import counted, shown
+
+#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
+_NORM_TOLERANCE = 1e-2
 
 
 def as_numbers(values: ArrayLike, what: str, error: type[ManipSimError] = ModelError
@@ -77,6 +80,21 @@ def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
     if not norm < math.inf:
         raise ModelError(f'{what} must have a finite norm')
     return quat / norm
+
+
+def norm_of_unit_quaternion(quat_xyzw: Sequence[float], what: str,
+                            error: type[Exception] = ModelError) -> float:
+    """
+    Return the norm of a quaternion x, y, z, w that is of length 1 but for rounding.
+
+    :param quat_xyzw: finite numbers, shape (4,)
+    :raises Exception: that exception, if it is of another length
+    """
+    norm = math.hypot(*quat_xyzw)  # The norm of numpy warns of an overflow.
+    if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
+        raise error(f'{what} must be a quaternion x, y, z, w of length 1, got {list(quat_xyzw)} '
+                    f'of length {norm:g}')
+    return norm
 
 
 def whole_number(value: object, least: int, what: str, error: type[ManipSimError] = ModelError

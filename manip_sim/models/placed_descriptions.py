@@ -24,12 +24,11 @@ from manip_sim.models.strict_descriptions import (
     StrictInt)
 from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.quoting import counted, quoted, shown
+from manip_sim.validation import norm_of_unit_quaternion
 
 #: Greatest distance of an object or camera from the origin along an axis [m].
 _MAX_DISTANCE_M = 1e4
 _MIN_SIZE_M, _MAX_SIZE_M = 1e-4, 100.0
-#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
-_NORM_TOLERANCE = 1e-2
 #: Of water, as in MuJoCo [kg/m^3].
 _DEFAULT_DENSITY = 1000.0
 #: The shape that is in a file.
@@ -92,10 +91,7 @@ class PlacedDescription(Strict):
             return self
         if self.rpy is not None:
             raise ValueError("give 'rpy' or 'quat_xyzw', not both")
-        norm = math.hypot(*self.quat_xyzw)
-        if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
-            raise ValueError(f"'quat_xyzw' must be a quaternion x, y, z, w of length 1, got "
-                             f'{self.quat_xyzw} of length {norm:g}')
+        norm_of_unit_quaternion(self.quat_xyzw, "'quat_xyzw'", ValueError)
         return self
 
     @property

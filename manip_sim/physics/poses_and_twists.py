@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import math
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +13,12 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.clamping import finite_numbers
 from manip_sim.errors import CommandError
+from manip_sim.validation import norm_of_unit_quaternion
 
 #: Largest coordinate of a position that is accepted [m].
 MAX_DISTANCE_M = 1e4
 #: Largest component of a velocity that is accepted; faster ones tunnel in a step [m/s, rad/s].
 MAX_VELOCITY = 1e3
-#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
-_NORM_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -48,11 +46,8 @@ class Pose:
         if np.abs(place).max() > MAX_DISTANCE_M:
             raise CommandError(f'position must be within {MAX_DISTANCE_M:g} m of the origin, got '
                                f'{place.tolist()}')
-        norm = math.hypot(*quat)  # The norm of numpy warns of an overflow.
-        if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
-            raise CommandError('orientation must be a quaternion x, y, z, w of length 1, got '
-                               f'{quat.tolist()} of length {norm:g}')
-        return cls(place, quat / norm)
+        return cls(place, quat / norm_of_unit_quaternion(
+            quat.tolist(), 'orientation', CommandError))
 
 
 @dataclass(frozen=True)
