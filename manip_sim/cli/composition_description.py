@@ -28,6 +28,7 @@ from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.models.mechanism import actuated_joints, moved_joints
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.setpoint_activation import position_servos
 from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.physics.parts import Part
@@ -71,9 +72,10 @@ def _servo_type(model: mujoco.MjModel, index: int) -> str:
     fixed = int(model.actuator_gaintype[index]) == int(mujoco.mjtGain.mjGAIN_FIXED)
     bias = int(model.actuator_biastype[index])
     stiffness, damping = -model.actuator_biasprm[index, 1:3]
-    if fixed and bias == int(mujoco.mjtBias.mjBIAS_AFFINE) and stiffness > 0.0:
+    if position_servos(model, index):
         return 'position servo'
-    if fixed and bias == int(mujoco.mjtBias.mjBIAS_AFFINE) and damping > 0.0:
+    if (fixed and bias == int(mujoco.mjtBias.mjBIAS_AFFINE) and stiffness == 0.0
+            and damping > 0.0):
         return 'velocity servo'
     return 'motor' if fixed and bias == int(mujoco.mjtBias.mjBIAS_NONE) else 'other'
 

@@ -10,7 +10,6 @@ length of its transmission matches it. Any other actuator, such as a motor, has 
 
 from __future__ import annotations
 
-
 import mujoco
 import numpy as np
 
@@ -18,6 +17,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.declared_limits import declared_velocity
+from manip_sim.models.setpoint_activation import position_servos
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
@@ -54,9 +54,7 @@ class GripperActuators:
         self.ids: IntArray = part.actuator_ids
         self._gain = model.actuator_gainprm[self.ids, 0].copy()
         self._bias = model.actuator_biasprm[self.ids, :2].copy()
-        fixed = model.actuator_gaintype[self.ids] == int(mujoco.mjtGain.mjGAIN_FIXED)
-        affine = model.actuator_biastype[self.ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        self.is_servo = fixed & affine & (self._gain > 0.0) & (self._bias[:, 1] < 0.0)
+        self.is_servo = position_servos(model, self.ids)
         dynamics = model.actuator_dyntype[self.ids]
         self._integrates = self.is_servo & (dynamics == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
         self._settles = self._integrates | (self.is_servo & np.isin(dynamics, _FILTERS))

@@ -14,7 +14,10 @@ from collections.abc import Iterable
 from typing import Any
 
 import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
 
+from manip_sim.arrays import BoolArray
 from manip_sim.errors import ModelError
 
 
@@ -27,6 +30,20 @@ def is_position_servo(actuator: Any) -> bool:
     return bool(int(actuator.gaintype) == int(mujoco.mjtGain.mjGAIN_FIXED)
                 and int(actuator.biastype) == int(mujoco.mjtBias.mjBIAS_AFFINE)
                 and actuator.gainprm[0] > 0.0 and actuator.biasprm[1] < 0.0)
+
+
+def position_servos(model: mujoco.MjModel, actuators: ArrayLike) -> BoolArray:
+    """
+    Return which actuators of a compiled model are position servos, as :func:`is_position_servo`.
+
+    :param actuators: their ids, of any shape
+    :returns: of that shape
+    """
+    ids = np.asarray(actuators, dtype=int)
+    return np.asarray((model.actuator_gaintype[ids] == int(mujoco.mjtGain.mjGAIN_FIXED))
+                      & (model.actuator_biastype[ids] == int(mujoco.mjtBias.mjBIAS_AFFINE))
+                      & (model.actuator_gainprm[ids, 0] > 0.0)
+                      & (model.actuator_biasprm[ids, 1] < 0.0))
 
 
 def position_servos_without_dynamics(spec: mujoco.MjSpec, names: Iterable[str]) -> list[str]:

@@ -13,6 +13,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.models.declared_limits import declared_velocity, velocity_of_servos
+from manip_sim.models.setpoint_activation import position_servos
 
 #: Lag of a position servo whose gains are derived [s]: damping over stiffness.
 _LAG_S = 0.013
@@ -64,7 +65,7 @@ def stiffness_and_damping(model: mujoco.MjModel, ids: IntArray, dofs: IntArray
     kp = -model.actuator_biasprm[ids, 1].copy()
     kv = -model.actuator_biasprm[ids, 2].copy()
     affine = model.actuator_biastype[ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    position_servo = affine & (kp > 0.0)
+    position_servo = position_servos(model, ids)
     velocity_servo = affine & (kp == 0.0) & (kv > 0.0)
     # The inertia of the joint as the actuator sees it through its gear.
     inertia = model.dof_M0[dofs] / model.actuator_gear[ids, 0]**2

@@ -14,6 +14,7 @@ import numpy as np
 from manip_sim.arrays import BoolArray
 from manip_sim.models.mechanism import actuated_joints, moved_joints
 from manip_sim.models.robots.subsystems import driven_joint
+from manip_sim.models.setpoint_activation import position_servos
 from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.quoting import quoted_names
 from manip_sim.simulation.start_defect import StartDefect
@@ -24,7 +25,7 @@ _AT_LIMIT = 1e-6
 _LISTED = 8
 _FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
-_FIXED, _INTEGRATOR = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 
 
 def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
@@ -116,7 +117,7 @@ def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int
 def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int], reported: set[int]
                    ) -> Iterator[StartDefect]:
     """Yield the servos whose control is so far from the start that they exert their full force."""
-    is_servo = (model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
+    is_servo = (model.actuator_forcelimited != 0) & position_servos(model, np.arange(model.nu))
     for actuator in np.flatnonzero(is_servo).tolist():
         driven = actuated_joints(model, actuator)
         if not joints.intersection(driven) or reported.intersection(driven):
@@ -137,12 +138,10 @@ def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int],
 
 def _control_without_force(model: mujoco.MjModel, actuator: int, length: float) -> float | None:
     """Return the control in range at which a servo exerts no force at rest, or None."""
-    gain = model.actuator_gainprm[actuator, 0]
-    if (int(model.actuator_gaintype[actuator]) != _FIXED or gain == 0.0
-            or int(model.actuator_dyntype[actuator]) == _INTEGRATOR):
+    if int(model.actuator_dyntype[actuator]) == _INTEGRATOR:
         return None
     constant, slope = model.actuator_biasprm[actuator, :2]
-    control = float(-(constant + slope * length) / gain)
+    control = float(-(constant + slope * length) / model.actuator_gainprm[actuator, 0])
     low, high = model.actuator_ctrlrange[actuator]
     limited = bool(model.actuator_ctrllimited[actuator])
     return control if not limited or low <= control <= high else None

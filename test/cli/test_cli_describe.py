@@ -106,6 +106,7 @@ def test_frames_stand_where_forward_kinematics_puts_them(described):
     ('<velocity joint="j" kv="2"/>', 'velocity servo'),
     ('<motor joint="j"/>', 'motor'), ('<muscle joint="j"/>', 'other'),
     ('<general joint="j" biastype="affine"/>', 'other'),
+    ('<general joint="j" gainprm="-9" biastype="affine" biasprm="0 -9 -1"/>', 'other'),
     ('<general joint="j" gaintype="affine" biastype="affine" biasprm="0 -1 0"/>', 'other'),
     ('<general joint="j" gaintype="affine"/>', 'other')])
 def test_an_actuator_is_called_as_the_element_that_makes_it(actuator, kind):

@@ -13,7 +13,7 @@ from sampling import Driven, sampled, whole_robot
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.robots import robot_names
-from manip_sim.models.setpoint_activation import is_position_servo
+from manip_sim.models.setpoint_activation import is_position_servo, position_servos
 from manip_sim.models.world import World
 from manip_sim.physics.actuator_properties import stiffness_and_damping
 from manip_sim.simulation import Simulation
@@ -59,14 +59,18 @@ def command(simulation, mode, joint, value):
     simulation.robot.apply(*simulation.robot.parse.joint_command([joint], **{mode: [value]}))
 
 
-@pytest.mark.parametrize(('gain', 'bias', 'expected'), [
-    ('fixed', 'affine', True), ('affine', 'affine', False), ('fixed', 'none', False)])
-def test_a_position_servo_has_a_fixed_gain_and_an_affine_bias(gain, bias, expected):
+@pytest.mark.parametrize(('gain', 'bias', 'factor', 'slope', 'expected'), [
+    ('fixed', 'affine', 9, -9, True), ('fixed', 'affine', 1, -4, True),
+    ('affine', 'affine', 9, -9, False), ('fixed', 'none', 9, -9, False),
+    ('fixed', 'affine', -9, -9, False), ('fixed', 'affine', 0, -9, False),
+    ('fixed', 'affine', 9, 9, False), ('fixed', 'affine', 9, 0, False)])
+def test_a_position_servo_pulls_towards_its_control(gain, bias, factor, slope, expected):
     spec = mujoco.MjSpec.from_string(f"""
 <mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody>
-  <actuator><general name="a" joint="a" gaintype="{gain}" gainprm="9" biastype="{bias}"
-    biasprm="0 -9"/></actuator></mujoco>""")
+  <actuator><general name="a" joint="a" gaintype="{gain}" gainprm="{factor}"
+    biastype="{bias}" biasprm="0 {slope}"/></actuator></mujoco>""")
     assert is_position_servo(spec.actuator('a')) is expected
+    assert position_servos(spec.compile(), [0]).tolist() == [expected]
 
 
 @pytest.mark.parametrize('joint', range(7))
@@ -648,6 +652,17 @@ def test_the_gains_of_a_servo_are_those_of_the_model_however_small(actuator, gai
     assert kv == pytest.approx([gains[1]])
     if gains[0] is not None:
         assert kp == pytest.approx([gains[0]])
+
+
+@pytest.mark.parametrize('gain', [0.0, -3.0])
+def test_a_spring_that_no_control_moves_forward_gets_the_gains_of_a_motor(gain):
+    models = [mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody>{LINK}</worldbody><actuator>{actuator}</actuator></mujoco>')
+        for actuator in ('<motor joint="joint1"/>', f'<general joint="joint1" gainprm="{gain}" '
+                         'biastype="affine" biasprm="0 -3 -0.5"/>')]
+    motor, spring = (stiffness_and_damping(model, np.array([0]), np.array([0]))
+                     for model in models)
+    np.testing.assert_array_equal(spring, motor)
 
 
 @pytest.mark.parametrize('gear', [1.0, 4.0])

@@ -203,6 +203,7 @@ def test_a_control_range_that_ends_a_little_beyond_the_joint_presses(tmp_path):
     ('<damper joint="j" kv="1" ctrlrange="0 9"/>', (0.0, 9.0)),
     ('<general joint="j" gainprm="4" biastype="affine" biasprm="0 0.5 0"/>', None),
     ('<general joint="j" gainprm="-0.5" biastype="affine" biasprm="0 -4 0"/>', None),
+    ('<general joint="j" gaintype="affine" gainprm="4" biastype="affine" biasprm="0 -4"/>', None),
     ('<general joint="j" gainprm="4" forcerange="-8 2"/>', (-2.0, 0.5)),
     ('<general joint="j" gainprm="0.5" forcerange="-8 2"/>', (-16.0, 4.0)),
     ('<general joint="j" gainprm="0" forcerange="-8 2"/>', None),

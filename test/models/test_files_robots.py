@@ -289,8 +289,13 @@ def test_a_base_and_its_first_link_may_overlap_where_they_start(tmp_path):
     assert bodies == {('robot0_base', 'robot0_link2')}
 
 
-def test_of_two_actuators_on_a_joint_the_servo_stays(tmp_path):
-    text = ARM.replace('<actuator>', '<actuator><motor name="extra" joint="turn"/>')
+@pytest.mark.parametrize('extra', [
+    '<motor name="extra" joint="turn"/>',
+    # Its bias is not used, and the other pushes away from what it is given.
+    '<general name="extra" joint="turn" gainprm="9" biastype="none" biasprm="0 -9"/>',
+    '<general name="extra" joint="turn" gainprm="-9" biastype="affine" biasprm="0 -9"/>'])
+def test_of_two_actuators_on_a_joint_the_servo_stays(tmp_path, extra):
+    text = ARM.replace('<actuator>', f'<actuator>{extra}')
     text = text.replace(' ctrl="', ' ctrl="0 ')
     robot = load_robot(write(tmp_path / 'arm.xml', text))
     assert robot.arm_actuators == ['robot0_turn', 'robot0_lift', 'robot0_bend']
@@ -312,10 +317,11 @@ def test_a_tendon_over_tied_joints_is_driven_by_one_of_them(tmp_path):
     assert actuator.gear[0] == pytest.approx(1.5)
 
 
-def test_a_light_joint_with_a_strong_motor_gets_rotor_inertia(tmp_path):
+@pytest.mark.parametrize('motor', ['<motor', '<general biastype="none" biasprm="0 -9 -9"'])
+def test_a_light_joint_with_a_strong_motor_gets_rotor_inertia(tmp_path, motor):
     text = ARM.replace(' armature="0.1"', '')
     text = text.replace('<position name="bend" joint="bend" kp="900" kv="60" ctrlrange="0 1"/>',
-                        '<motor name="bend" joint="bend" ctrlrange="-100 100"/>')
+                        f'{motor} name="bend" joint="bend" ctrlrange="-100 100"/>')
     robot = load_robot(write(tmp_path / 'arm.xml', text))
     model = robot.compile()
     np.testing.assert_allclose(model.dof_armature[1:], [0.0, 100.0 / 5000.0])

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.models.files.body_tree import BodyTree
+from manip_sim.models.setpoint_activation import position_servos
 from manip_sim.quoting import counted
 
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -72,7 +73,7 @@ def _give_rotors(spec: mujoco.MjSpec, model: mujoco.MjModel, owner: Mapping[int,
     for joint, actuator in owner.items():
         dof = int(model.jnt_dofadr[joint])
         bias, gear = model.actuator_biasprm[actuator, :3], model.actuator_gear[actuator, 0]
-        if bias.any():
+        if int(model.actuator_biastype[actuator]) == _AFFINE and bias.any():
             # Otherwise such a servo would have to be softened to be stable at its force limit.
             needed, times = _DAMPED_S * max(-bias[2], 0.0) * gear**2, _MUCH_TOO_LIGHT
         else:
@@ -99,7 +100,7 @@ def _greatest_force(model: mujoco.MjModel, joint: int, actuator: int) -> float:
 
 
 def _is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
-    return bool(_is_usable(model, actuator) and model.actuator_biasprm[actuator, 1] < 0.0)
+    return _is_usable(model, actuator) and bool(position_servos(model, actuator))
 
 
 def _is_usable(model: mujoco.MjModel, actuator: int) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
 import copy
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -17,6 +18,7 @@ from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.found_hands import FoundHand
+from manip_sim.models.setpoint_activation import position_servos
 
 #: Words in the names of frames between the fingertips, in order of preference.
 _GRASP_WORDS = (
@@ -31,7 +33,6 @@ _STILL = 0.1
 _BEYOND = 0.5
 #: Time constant of the fingers in a trial [s].
 _SLOWNESS_S = 0.01
-_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 def _apart(points: FloatArray) -> float:
@@ -75,7 +76,8 @@ def control_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float] |
     if reach:
         return reach
     gain = model.actuator_gainprm[actuator, 0]
-    if model.actuator_forcelimited[actuator] and gain > 0.0 and not _is_servo(model, actuator):
+    if (model.actuator_forcelimited[actuator] and gain > 0.0
+            and not position_servos(model, actuator)):
         low, high = model.actuator_forcerange[actuator] / gain
         return float(low), float(high)
     return None
@@ -85,18 +87,12 @@ def _reach(model: mujoco.MjModel, actuator: int) -> tuple[float, float] | None:
     """Return the controls at which a servo rests at the ends of its joint's range, or None."""
     joint = int(model.actuator_trnid[actuator, 0])
     is_joint = int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_JOINT)
-    if not (is_joint and _is_servo(model, actuator) and model.jnt_limited[joint]):
+    if not (is_joint and position_servos(model, actuator) and model.jnt_limited[joint]):
         return None
     bias = model.actuator_biasprm[actuator]
     ends = (-(bias[0] + bias[1] * model.jnt_range[joint] * model.actuator_gear[actuator, 0])
             / model.actuator_gainprm[actuator, 0])
     return float(ends.min()), float(ends.max())
-
-
-def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
-    return bool(int(model.actuator_biastype[actuator]) == _AFFINE
-                and model.actuator_gainprm[actuator, 0] > 0.0
-                and model.actuator_biasprm[actuator, 1] < 0.0)
 
 
 class Fingers:
@@ -242,7 +238,7 @@ class Fingers:
         mujoco.mju_sparse2dense(moments, data.actuator_moment.reshape(-1), data.moment_rownnz,
                                 data.moment_rowadr, data.moment_colind)
         stiffness = np.zeros(model.nv)
-        for actuator in filter(lambda a: _is_servo(model, a), self._hand.actuators):
+        for actuator in filter(partial(position_servos, model), self._hand.actuators):
             stiffness += -model.actuator_biasprm[actuator, 1] * moments[actuator]**2
         model.dof_armature[:] += stiffness * _SLOWNESS_S**2
         damping = np.asarray(model.dof_damping).reshape(model.nv, -1)
@@ -261,7 +257,7 @@ class Fingers:
 
     def _holding_control(self, actuator: int) -> float:
         model = self._model
-        if not _is_servo(model, actuator):
+        if not position_servos(model, actuator):
             return 0.0
         bias, length = model.actuator_biasprm[actuator], self._data.actuator_length[actuator]
         return float(-(bias[0] + bias[1] * length) / model.actuator_gainprm[actuator, 0])
