@@ -97,7 +97,7 @@ def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, flo
 
 
 def _interrupted(options: argparse.Namespace) -> tuple[str, int]:
-    return f'{options.out}: interrupted; the same command goes on', 130
+    return f'{options.out}: interrupted; run the same command again to continue', 130
 
 
 def _sweep_text(found: list[tuple[float, dict[str, Any]]], kind: str) -> tuple[str, int]:
