@@ -98,10 +98,10 @@ def whole_steps(duration_s: float, timestep_s: float, what: str) -> int:
 
     :raises ModelError: if it is no whole number of timesteps
     """
-    return whole_number(duration_s, timestep_s, what, 'timesteps')
+    return number_of_parts(duration_s, timestep_s, what, 'timesteps')
 
 
-def whole_number(duration_s: float, part_s: float, what: str, parts: str) -> int:
+def number_of_parts(duration_s: float, part_s: float, what: str, parts: str) -> int:
     """
     Return the number of parts in a duration.
 

@@ -30,7 +30,7 @@ from manip_sim.clamping import finite_numbers
 from manip_sim.env.task_env import (
     action_space, check_options, observation_space, SEEDS, TaskEnv)
 from manip_sim.errors import CommandError, ManipSimError
-from manip_sim.tasks.latency import whole_number
+from manip_sim.tasks.latency import number_of_parts
 from manip_sim.tasks.observation import IMAGE, Observation
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -73,7 +73,8 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if late.command_jitter_s or late.state_jitter_s:
             raise ManipSimError('latency with jitter cannot be used with a node')
         self._command_periods, state_periods = (
-            whole_number(late_s, period_s, f'latency of a {kind} with a node', 'control periods')
+            number_of_parts(late_s, period_s, f'latency of a {kind} with a node',
+                            'control periods')
             for kind, late_s in (('command', late.command_s), ('state', late.state_s)))
         self._images = {key: value.shape for key, value in seen.items() if key.startswith(IMAGE)}
         #: Actions and observations that are on their way.
