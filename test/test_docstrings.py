@@ -1,14 +1,19 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Docstrings of what is exported describe each argument; their form is checked by ruff."""
+"""Docstrings describe arguments that are there, and all of what is exported."""
 
+import ast
 import importlib
 import inspect
+from pathlib import Path
 import pkgutil
 import re
 
 import manip_sim
+
+
+SOURCES = sorted((Path(__file__).resolve().parents[1] / 'manip_sim').rglob('*.py'))
 
 
 def exported():
@@ -51,6 +56,34 @@ def test_every_argument_of_what_is_exported_is_described():
                             if argument != 'self' and not argument.startswith('_')
                             and not re.search(rf':(param|ivar) {argument}:', doc or '')])}
     assert missing == {}
+
+
+def arguments_of(node):
+    """Return the names of the arguments of a function, or of what makes an object of a class."""
+    if isinstance(node, ast.ClassDef):
+        own = [part for part in node.body if getattr(part, 'name', '') == '__init__']
+        return arguments_of(own[0]) if own else {
+            part.target.id for part in node.body if isinstance(part, ast.AnnAssign)}
+    found = node.args
+    return {arg.arg for arg in (*found.posonlyargs, *found.args, *found.kwonlyargs,
+                                *filter(None, (found.vararg, found.kwarg)))}
+
+
+def described(path):
+    """Yield the name of what has a docstring, the arguments that it describes, and all it has."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            names, there = re.findall(
+                r':param (\w+):', ast.get_docstring(node) or ''), arguments_of(node)
+            # A class without any has those of its base.
+            if names and (there or isinstance(node, ast.FunctionDef)):
+                yield f'{path.stem}.{node.name}', set(names), there
+
+
+def test_every_argument_that_is_described_is_there_in_all_modules():
+    found = [entry for path in SOURCES for entry in described(path)]
+    assert len(found) > 500
+    assert {name: gone for name, names, there in found if (gone := names - there)} == {}
 
 
 def test_there_are_functions_to_look_at():

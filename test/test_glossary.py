@@ -23,10 +23,12 @@ NOT_USED = {'tell', 'tells', 'told', 'untold', 'heard', 'bear', 'bears', 'borne'
 
 def named(node):
     """Return the name that a node of the syntax tree gives to something."""
-    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+    if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
         return node.name
     if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
         return node.attr
+    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+        return node.id
     return node.arg if isinstance(node, ast.arg) else ''
 
 
@@ -78,9 +80,9 @@ def names():
 
 
 def test_names_avoid_words_that_the_style_replaces(names):
-    # A file has a method tell.
-    assert not {(file, name) for file, name in names
-                if name != 'tell' and NOT_USED & set(words_of(name))}
+    # What is written like a file has its method tell.
+    assert {(file, name) for file, name in names if NOT_USED & set(words_of(name))} == {
+        ('manip_sim/records/record_file.py', 'tell')}
 
 
 def test_only_models_have_hands_as_what_is_commanded_is_an_end_effector(names):

@@ -88,14 +88,14 @@ class Command:
     indices: IntArray
     sent_ns: int = 0
     messages: int = 1
+    clamped: int = 0
+    clamped_example: str = ''
+    handle: CommandHandle = field(default_factory=CommandHandle, compare=False)
 
     @property
     def sent_s(self) -> float:
         """When it was sent [s], small enough to keep its nanoseconds; 0: unknown."""
         return self.sent_ns % _STAMPS_NS * 1e-9
-    clamped: int = 0
-    clamped_example: str = ''
-    handle: CommandHandle = field(default_factory=CommandHandle, compare=False)
 
     @property
     def goal(self) -> FloatArray | None:

@@ -197,15 +197,15 @@ class SimNode(Node):
         self._at_start: list[Callable[[], None]] = [
             partial(model.publish, world), self.descriptions.publish, self.dynamics.publish]
 
-    def publish_truth_by(self, scope: Scope, tell: Callable[[], None], images: bool = False
+    def publish_truth_by(self, scope: Scope, publish: Callable[[], None], images: bool = False
                          ) -> None:
         """
         Call a function once when noise or latency of a robot is set.
 
-        :param tell: publishes exact values beside those that are measured
+        :param publish: publishes exact values beside those that are measured
         :param images: only when noise or latency of images is set
         """
-        self._truths.append((scope, tell, images))
+        self._truths.append((scope, publish, images))
 
     def forget_truths(self, scope: Scope) -> None:
         """Forget what :meth:`publish_truth_by` was told about a robot, which is deleted."""

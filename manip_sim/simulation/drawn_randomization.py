@@ -322,7 +322,7 @@ class Randomized:
         :param before: what :meth:`free_poses` has returned before that
         :param keeps: whether the poses that are known are to be taken instead of draws
         """
-        rules, told = self._rules(), dict(self.drawn)
+        rules, drawn = self._rules(), dict(self.drawn)
         old = dict(zip(self._posed, before.reshape(-1, 7)))
         for key, pose in old.items():
             at = self._free(key)
@@ -332,9 +332,9 @@ class Randomized:
             stays = np.array_equal(here, pose[:3] if len(here) == 3 else pose[3:])
             if keeps or key not in rules or stays:
                 continue
-            told[key] = self._drawn_value(key, rules[key], self._seed,
-                                          self._physics.plan.compiled, here)
-        self.drawn = told
+            drawn[key] = self._drawn_value(key, rules[key], self._seed,
+                                           self._physics.plan.compiled, here)
+        self.drawn = drawn
         self.place(data)
 
 

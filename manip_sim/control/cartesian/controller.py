@@ -58,8 +58,7 @@ class CartesianController:
     setpoints go unless it exceeds the effort limits. In effort mode operational space control runs
     in every tick, on the measured joints.
 
-    :param model: the compiled ``mujoco.MjModel``
-    :param data: the ``mujoco.MjData`` at the start, whose joint positions are the posture
+    :param physics: of the world at the start, whose joint positions are the posture
     :param chains: by arm
     :param names: of the joints
     :param servos: of all driven joints
