@@ -57,8 +57,8 @@ def caught_up(stages: FloatArray, missing: FloatArray, limit: FloatArray, terms:
     """
     Return the velocities of what is caught up after an interval, before and after each stage.
 
-    :param stages: the same before it, shape (3, n)
-    :param missing: way that is missing [rad or m], shape (n,)
+    :param stages: the same before it, shape (3, ..., n)
+    :param missing: way that is missing [rad or m], shape (..., n)
     :param limit: of the acceleration, shape (n,)
     :param duration_s: length of the interval [s]
     """

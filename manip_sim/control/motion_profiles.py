@@ -102,11 +102,12 @@ def low_pass(before: FloatArray, present: FloatArray, smoothing_s: FloatArray, i
     """
     Smooth velocities by first-order stages, each of which averages what goes into it.
 
-    :param before: velocities before an interval: the input, and after each stage, shape (k, n)
-    :param present: the input after the interval, shape (n,)
+    :param before: velocities before an interval: the input, and after each stage, shape
+        (k, ..., n)
+    :param present: the input after the interval, shape (..., n)
     :param smoothing_s: time constant of each stage [s], shape (n,)
     :param interval_s: [s]
-    :returns: velocities after the interval, shape (k, n); the first input counts in full
+    :returns: velocities after the interval, shape (k, ..., n); the first input counts in full
     """
     share = interval_s / (smoothing_s + interval_s / 2.0)
     after = np.empty_like(before)

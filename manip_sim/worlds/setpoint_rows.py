@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.control.catching_up import caught_up
 from manip_sim.control.motion_profiles import (
-    braking_velocity, change_before_the_end, low_pass, Plan, plan_ramps, ramp,
-    velocity_before_the_end, way_of_ramp, within)
+    change_before_the_end, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp, within)
 from manip_sim.control.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
 from manip_sim.worlds.shared_goals import SharedGoals
 
@@ -282,7 +282,7 @@ class SetpointRows(SetpointGenerator):
                          self._now_s - estimator.sent_s - 1.5 * estimator.interval_s, 0.0)
         missing = (self._goal + goal * age_s - self.position
                    - way_of_ramp(reference, goal, self._ramp))
-        caught_up = self._stages.any(axis=(0, 2))
+        has_stages = self._stages.any(axis=(0, 2))
         missing -= self._get_terms().smoothing_s * (self._stages[1] + self._stages[2])
         seeks, brakes = self._seeks, self._brakes.any(axis=1)
         if np.count_nonzero(brakes):
@@ -290,7 +290,7 @@ class SetpointRows(SetpointGenerator):
             seeks = seeks & ~self._brakes
         missing = np.where(seeks, missing, 0.0)
         far = (np.abs(missing) >= ARRIVED).any(axis=1)
-        catches = self._catching & (caught_up | brakes | far)
+        catches = self._catching & (has_stages | brakes | far)
         self._catching = catches
         return missing, catches
 
@@ -316,12 +316,8 @@ class SetpointRows(SetpointGenerator):
         return self._ends[:, rows]
 
     def _catch_up_rows(self, missing: FloatArray, catches: BoolArray, duration_s: float) -> None:
-        limit, terms, stages = self._acceleration_limit, self._get_terms(), self._stages
-        change = limit * duration_s
-        raw = within(braking_velocity(missing, limit, duration_s),
-                     stages[0] - change, stages[0] + change)
-        raw = within(raw, terms.lowest, terms.highest)
-        stages = low_pass(stages, raw, terms.smoothing_s, duration_s)
+        stages = caught_up(self._stages, missing, self._acceleration_limit, self._get_terms(),
+                           duration_s)
         largest = np.maximum(np.abs(missing).max(axis=1, initial=0.0),
                              np.abs(stages).max(axis=(0, 2), initial=0.0))
         goes_on = catches & ((largest >= ARRIVED) | self._brakes.any(axis=1))
