@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.motion_profiles import braking_velocity, low_pass, within
+from manip_sim.control.motion_profiles import braking_velocity, low_pass, way_of_ramp, within
 from manip_sim.control.stream_estimation import StreamEstimator
 
 #: Time constant of each of the two low-pass stages that smooth what is caught up [s].
@@ -25,7 +25,7 @@ _SMOOTHING_INTERVALS, _SMOOTHING_JITTERS = 1.0, 20.0
 
 
 class Terms(NamedTuple):
-    """What the way that is caught up depends on from message to message, each of shape (n,)."""
+    """What the way that is caught up depends on from message to message, shape (..., n)."""
 
     #: Time constants of the low-pass stages [s].
     smoothing_s: FloatArray
@@ -41,15 +41,41 @@ def terms_of(estimator: StreamEstimator, streams: BoolArray, seeks: BoolArray, g
     Return the terms of setpoints.
 
     :param estimator: of the streams of their goals
-    :param streams: which of them follow a stream, shape (n,)
-    :param seeks: which of them come to a goal, shape (n,)
-    :param goal: velocity that their references come to, shape (n,)
+    :param streams: which of them follow a stream, shape (..., n)
+    :param seeks: which of them come to a goal, shape (..., n)
+    :param goal: velocity that their references come to, shape (..., n)
     :param top: limit of their velocity, shape (n,)
     """
     stream_s = np.maximum(np.maximum(_SMOOTHING_INTERVALS * estimator.interval_s,
                                      _SMOOTHING_JITTERS * estimator.jitter_s), _SMOOTHING_S)
     return Terms(np.where(streams & (goal != 0.0), stream_s, _SMOOTHING_S),
                  np.where(seeks, top, np.inf), -top - goal, top - goal)
+
+
+def lateness(estimator: StreamEstimator, streams: BoolArray, now_s: float | FloatArray
+             ) -> FloatArray:
+    """
+    Return how long ago references should have been at the goals of streams [s], shape (..., n).
+
+    :param estimator: of the streams
+    :param streams: which coordinates follow one, shape (..., n); others are never late
+    :param now_s: simulation time [s]
+    """
+    return np.where(streams, now_s - estimator.sent_s - 1.5 * estimator.interval_s, 0.0)
+
+
+def missing_way(goal: FloatArray, late_s: FloatArray, position: FloatArray, begin: FloatArray,
+                end: FloatArray, slope: FloatArray) -> FloatArray:
+    """
+    Return how far behind setpoints will be whose references only ramp, shape (..., n).
+
+    :param goal: where they should have been [rad or m], shape (..., n)
+    :param late_s: how long ago, as :func:`lateness` returns
+    :param position: where they are [rad or m], shape (..., n)
+    :param begin: velocity of the references; they come to ``end`` with accelerations of the size
+        ``slope``, each of shape (..., n)
+    """
+    return np.asarray(goal + end * late_s - position - way_of_ramp(begin, end, slope))
 
 
 def caught_up(stages: FloatArray, missing: FloatArray, limit: FloatArray, terms: Terms,

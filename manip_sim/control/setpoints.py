@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.catching_up import caught_up, Terms, terms_of
+from manip_sim.control.catching_up import caught_up, lateness, missing_way, Terms, terms_of
 from manip_sim.control.motion_profiles import (
-    change_before_the_end, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp, within)
+    change_before_the_end, Plan, plan_ramps, ramp, velocity_before_the_end, within)
 from manip_sim.control.setpoint_goals import SetpointGoals
 
 #: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
@@ -231,11 +231,10 @@ class SetpointGenerator(SetpointGoals):
 
         :returns: None if nothing is to be caught up
         """
-        estimator, goal, reference = self._estimator, self._reference_goal, self._reference
-        age_s = np.where(self._until_s < np.inf,
-                         self.now_s - estimator.sent_s - 1.5 * estimator.interval_s, 0.0)
-        missing = (self._goal + goal * age_s - self.position
-                   - way_of_ramp(reference, goal, self._ramp))
+        reference = self._reference
+        missing = missing_way(
+            self._goal, lateness(self._estimator, self._until_s < np.inf, self.now_s),
+            self.position, reference, self._reference_goal, self._ramp)
         caught_up = np.count_nonzero(self._stages)
         if caught_up:
             missing -= self._get_terms().smoothing_s * (self._stages[1] + self._stages[2])

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.catching_up import caught_up
+from manip_sim.control.catching_up import caught_up, lateness, missing_way
 from manip_sim.control.motion_profiles import (
-    change_before_the_end, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp, within)
+    change_before_the_end, Plan, plan_ramps, ramp, velocity_before_the_end, within)
 from manip_sim.control.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
 from manip_sim.worlds.shared_goals import SharedGoals
 
@@ -277,16 +277,14 @@ class SetpointRows(SetpointGenerator):
 
     def _missing_of_rows(self) -> tuple[FloatArray, BoolArray]:
         """Return what is missing of the ways, and which rows have something to catch up."""
-        estimator, goal, reference = self._estimator, self._reference_goal, self._reference
-        age_s = np.where(self._until_s < np.inf,
-                         self._now_s - estimator.sent_s - 1.5 * estimator.interval_s, 0.0)
-        missing = (self._goal + goal * age_s - self.position
-                   - way_of_ramp(reference, goal, self._ramp))
+        missing = missing_way(
+            self._goal, lateness(self._estimator, self._until_s < np.inf, self._now_s),
+            self.position, self._reference, self._reference_goal, self._ramp)
         has_stages = self._stages.any(axis=(0, 2))
         missing -= self._get_terms().smoothing_s * (self._stages[1] + self._stages[2])
         seeks, brakes = self._seeks, self._brakes.any(axis=1)
         if np.count_nonzero(brakes):
-            self._brakes = self._brakes & ((reference != 0.0) | ~self._catching[:, None])
+            self._brakes &= self._reference != 0.0
             seeks = seeks & ~self._brakes
         missing = np.where(seeks, missing, 0.0)
         far = (np.abs(missing) >= ARRIVED).any(axis=1)
