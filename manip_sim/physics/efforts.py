@@ -124,7 +124,12 @@ class ActuatorEfforts:
         explicit = at_actuator & (limited != 0) & ((force <= lowest) | (force >= highest))
         affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
         moment, dofs = data.actuator_moment, data.moment_colind
-        actuators = np.repeat(np.arange(len(force)), data.moment_rownnz)
+        counts = data.moment_rownnz
+        actuators = np.repeat(np.arange(len(force)), counts)
+        if len(actuators) < len(moment):  # Rows of sites, cranks and adhesion have room left.
+            first = np.cumsum(counts) - counts
+            held = np.repeat(data.moment_rowadr - first, counts) + np.arange(len(actuators))
+            moment, dofs = moment[held], dofs[held]
         change = np.bincount(actuators, moment * end[dofs], len(force)) - velocity
         missing = np.where(affine & ~explicit, damping * change, 0.0)
         missing = np.bincount(dofs, moment * missing[actuators], model.nv)

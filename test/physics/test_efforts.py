@@ -126,6 +126,33 @@ def test_everything_that_tells_an_effort_tells_the_same(panda_sim):
     np.testing.assert_array_equal(robot.measured('arm')[14:], effort)
 
 
+@pytest.mark.parametrize('other', [
+    '<adhesion name="cup" body="right_hand" ctrlrange="0 1"/>',
+    '<motor name="jet" site="tip" gear="0 1 0 0 0 0"/>'])
+def test_effort_of_a_servo_does_not_depend_on_actuators_of_no_joint(one_joint_arm, other):
+    worldbody = """
+    <body name="base"><geom size="0.05" mass="1"/>
+      <body name="link1" pos="0 0 1"><joint name="joint1" axis="0 1 0" range="-2 2"/>
+        <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/>
+        <body name="right_hand" pos="0.5 0 0"><geom size="0.01" mass="0.1"/>
+          <site name="tip"/></body>
+      </body>
+    </body>"""
+    servo = '<position name="turn" joint="joint1" kp="200" kv="20" forcerange="-90 90"/>'
+    efforts = []
+    for actuators in (servo, other + servo):
+        simulation = Simulation(World([one_joint_arm(actuators, worldbody)]))
+        simulation.robot.apply(*simulation.robot.parse.joint_command(
+            ['robot0_joint1'], position=[0.8]))
+        found = []
+        for _ in range(60):
+            simulation.advance(5)
+            found.append(simulation.robot.state().effort[0])
+        efforts.append(found)
+    assert np.ptp(efforts[0]) > 1.0
+    np.testing.assert_array_equal(efforts[1], efforts[0])
+
+
 def test_effort_outlasts_a_change_of_the_objects(panda_sim):
     moved(panda_sim)
     effort = panda_sim.robot.state().effort
