@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -142,3 +142,24 @@ class RecordedTopics:
         """Return the names of the topics of a type that have a message, with a leading slash."""
         return [name for name, messages in self._messages.items()
                 if messages and isinstance(messages[0], message_type)]
+
+    def give_up(self, patience: int, kind: str, name: str, message_type: Any,
+                listed: Callable[[], Iterable[tuple[str, Sequence[str]]]]) -> Callable[[], None]:
+        """
+        Return a check whether it takes too long until a topic or service is there.
+
+        :param patience: how often the node may repeat its state until then
+        :param kind: what is waited for, such as ``service``
+        :param listed: returns the names and types of those that are there
+        :returns: a function that raises UnknownNameError, with the names of this type
+        """
+        self.repeats = 0
+        package, interface = message_type.__module__.split('.')[:2]
+        type_name = f'{package}/{interface}/{message_type.__name__}'
+
+        def check() -> None:
+            if self.repeats > patience:
+                names = [found.lstrip('/') for found, types in listed() if type_name in types]
+                raise UnknownNameError(f'{kind} of the type {type_name}', name,
+                                       [other for other in names if other != name.lstrip('/')])
+        return check

@@ -292,11 +292,15 @@ class SimulationUnderTest:
 
         :param topic: such as ``arm/joint_command``
         :param message: of the type of the topic
-        :raises ManipSimError: if the node has ended
+        :raises ManipSimError: if nobody subscribes to it with this type, or the node has ended
         """
         if topic not in self._publishers:
             publisher = self.node.create_publisher(type(message), topic, 100)
-            self._spin_until(lambda: publisher.get_subscription_count() > 0)
+            give_up = self._recorded.give_up(
+                _PATIENCE, 'subscribed topic', topic, type(message), lambda: [
+                    found for found in self.node.get_topic_names_and_types()
+                    if self.node.count_subscribers(found[0])])
+            self._spin_until(lambda: publisher.get_subscription_count() > 0, give_up)
             self._publishers[topic] = publisher
         self._publishers[topic].publish(message)
 
@@ -309,7 +313,7 @@ class SimulationUnderTest:
         :param request: None for an empty one
         :param again: ask again if there is no answer for some seconds, as DDS may lose it; the
             service may then be executed twice
-        :raises ManipSimError: if the node has ended
+        :raises ManipSimError: if nobody offers it with this type, or the node has ended
         """
         request = request or service_type.Request()
         futures: list[Any] = []
@@ -328,7 +332,8 @@ class SimulationUnderTest:
         if key not in self._clients:
             self._clients[key] = self.node.create_client(service_type, name)
         client = self._clients[key]
-        self._spin_until(client.service_is_ready)
+        self._spin_until(client.service_is_ready, self._recorded.give_up(
+            _PATIENCE, 'service', name, service_type, self.node.get_service_names_and_types))
         return client.call_async(request)
 
     def spin(self, node: Node) -> None:

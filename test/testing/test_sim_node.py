@@ -107,6 +107,18 @@ def test_lock_step_without_a_controller_is_told(sim_node, monkeypatch):
         sim.run_for(0.1)
 
 
+def test_topics_and_services_that_nobody_serves_are_told(sim_node, monkeypatch):
+    from manip_sim.testing import simulation_under_test
+    sim = sim_node()
+    monkeypatch.setattr(simulation_under_test, '_PATIENCE', 3)
+    with pytest.raises(UnknownNameError, match="'arm/joint_comand': did you mean 'arm/joint_comm"):
+        sim.publish('arm/joint_comand', JointState())
+    with pytest.raises(UnknownNameError, match='of the type std_msgs/msg/String'):
+        sim.publish('joint_comand', String())
+    with pytest.raises(UnknownNameError, match="did you mean 'manip_sim/tare_wrench'"):
+        sim.call(Trigger, 'manip_sim/tare_wrenches')
+
+
 def test_what_a_test_asks_wrongly_is_told(sim_node):
     with pytest.raises(ManipSimError, match=r'parameter .robot.: unknown value'):
         sim_node(robot='Pandaa')
