@@ -1,21 +1,17 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""
-When the messages of streams were sent, and which coordinates have their messages in common.
-
-Nothing here knows what messages bring: a coordinate is any number that they do.
-"""
+"""When the messages of a stream were sent; nothing here knows what they bring."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-import copy
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from manip_sim.arrays import as_slice, FloatArray, IntArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.sender_rate import SenderRate
 
 #: Messages no farther apart than this are a stream, unless set otherwise [s].
@@ -55,6 +51,34 @@ _PAUSE_LATER = 0.3
 _TIME_SPREAD = 0.15
 #: Intervals by the schedule and by the arrivals that differ by less than this share are equal.
 _SAME_INTERVAL = 1e-6
+
+
+class _Arrival(NamedTuple):
+    """
+    How messages that came continue a stream, before its clock takes them in.
+
+    :ivar streams: whether they do
+    :ivar since_s: how long after the last one they came [s]
+    :ivar number: of messages in the stream
+    :ivar known: whether the interval of the stream was known before
+    :ivar stamped: whether stamps tell when they were sent
+    :ivar interval_s: from message to message [s]
+    :ivar jitter_s: how far arrivals were off the even schedule before [s]
+    :ivar sent: how many messages were sent, lost ones included
+    :ivar ticks: how many intervals ago the last one was due, which need not be whole
+    :ivar off_s: how much later than due the last one has come [s]
+    """
+
+    streams: bool
+    since_s: float
+    number: int
+    known: bool
+    stamped: bool
+    interval_s: float
+    jitter_s: float
+    sent: int
+    ticks: float
+    off_s: float
 
 
 class MessageClock:
@@ -148,6 +172,32 @@ class MessageClock:
             of the last steps in the prediction of the next one, shape (2, 2)
         :returns: how many messages seem to have been lost; -1 if one less than before
         """
+        came = self._arrival(now_s, period_s, stamp_s, messages, by_goal)
+        elapsed_s = came.ticks * came.interval_s if came.streams else period_s
+        slack_s, jitter_s = self._deviations(came, elapsed_s, period_s)
+        due_s, changed_s = self._fitted(came, now_s)
+        self._note_schedule(came, messages, jitter_s)
+        skips = came.streams and not came.stamped and came.sent > messages
+        self._skipped = self._skipped + 1 if skips else 0
+        far = abs(came.off_s) > 0.5 * max(came.interval_s, period_s)
+        far_off = int(math.copysign(far, came.off_s))
+        self._astray = self._astray + far_off if far_off * self._astray > 0 else far_off
+        slower, again = self._skipped >= _SKIPPED, abs(self._astray) >= _ASTRAY
+        self.interval_s = changed_s * came.sent / messages if slower else changed_s
+        self._due_s = now_s if again else due_s
+        self.number = _RESUMES if again else came.number
+        self._astray = 0 if again else self._astray
+        self._skipped = 0 if slower else self._skipped
+        self.spread_s, self._arrived_s = jitter_s, now_s
+        self._share_out(came, now_s, (
+            elapsed_s, max(came.since_s, 1e-9) if came.streams else period_s), errors)
+        self.slack_s = (1.0 - self._share) * slack_s
+        return self._lose(came.sent - messages if skips else 0,
+                          came.off_s < -0.5 * came.interval_s)
+
+    def _arrival(self, now_s: float, period_s: float, stamp_s: float, messages: int,
+                 by_goal: Callable[[float, float], tuple[float, float]] | None) -> _Arrival:
+        """Return how messages that came continue the stream, as :meth:`take` gets them."""
         streams, since_s = self.continues(now_s), now_s - self._arrived_s
         number = self.number + 1 if streams else 1
         known = number > 2
@@ -155,9 +205,8 @@ class MessageClock:
             interval_s, jitter_s = self.interval_s, self.spread_s
         else:
             interval_s, jitter_s = (since_s / messages if streams else period_s), 0.0
-        follows = known and self._share > _SHARES[1]
         count = messages
-        if follows:
+        if known and self._share > _SHARES[1]:
             late_s = since_s - _PAUSE_LATER * interval_s
             count = max(round(late_s / interval_s), messages)
         elif known:
@@ -172,52 +221,59 @@ class MessageClock:
                 interval_s, ticks = stamp_interval_s, stamp_ticks
                 count = max(round(ticks), 1)
         off_s = now_s - self._due_s - ticks * interval_s if known else 0.0
-        size = abs(off_s)
-        # A line through the arrivals: these gains are those of least squares.
-        memory = min(float(number), _MEMORY)
+        return _Arrival(streams, since_s, number, known, stamped, interval_s, jitter_s, count,
+                        ticks, off_s)
+
+    def _deviations(self, came: _Arrival, elapsed_s: float, period_s: float
+                    ) -> tuple[float, float]:
+        """Return the slack with a message that came, and how far arrivals are off the schedule."""
+        size = abs(came.off_s)
+        missed_s = max(elapsed_s - max(came.interval_s, period_s), 0.0)
+        slack_s = max(_SLACK_KEPT * self.slack_s if came.streams else 0.0,
+                      min(size + _MISSED * missed_s, 2.0 * came.interval_s))
+        rise = min(size, came.interval_s) - came.jitter_s
+        return slack_s, came.jitter_s + (_ATTACK if rise > 0.0 else _DECAY) * rise
+
+    def _fitted(self, came: _Arrival, now_s: float) -> tuple[float, float]:
+        """Return when a message was due, and the interval, by a line through the arrivals."""
+        # These gains are those of least squares.
+        memory = min(float(came.number), _MEMORY)
         gain = 2.0 * (2.0 * memory - 1.0) / (memory * (memory + 1.0))
-        slope = 0.0 if stamped else 6.0 / (memory * (memory + 1.0))
-        bound_s = max(3.0 * jitter_s, 0.25 * interval_s) if number > 4 else math.inf
-        pull_s = min(max(off_s, -bound_s), bound_s)
-        due_s = self._due_s + ticks * interval_s + gain * pull_s if known else now_s
-        elapsed_s = ticks * interval_s if streams else period_s
-        changed_s = max(interval_s + slope * pull_s / ticks, 0.2 * interval_s)
-        missed_s = max(elapsed_s - max(interval_s, period_s), 0.0)
-        slack_s = max(_SLACK_KEPT * self.slack_s if streams else 0.0,
-                      min(size + _MISSED * missed_s, 2.0 * interval_s))
-        rise = min(size, interval_s) - jitter_s
-        jitter_s += (_ATTACK if rise > 0.0 else _DECAY) * rise
-        even = (count == messages == self._together
-                and max(size, jitter_s) < _ON_TIME * interval_s)
-        self.even = self.even + 1 if streams and (even or stamped and self._stamped) else 0
+        slope = 0.0 if came.stamped else 6.0 / (memory * (memory + 1.0))
+        interval_s = came.interval_s
+        bound_s = max(3.0 * came.jitter_s, 0.25 * interval_s) if came.number > 4 else math.inf
+        pull_s = min(max(came.off_s, -bound_s), bound_s)
+        due_s = (self._due_s + came.ticks * interval_s + gain * pull_s if came.known else now_s)
+        return due_s, max(interval_s + slope * pull_s / came.ticks, 0.2 * interval_s)
+
+    def _note_schedule(self, came: _Arrival, messages: int, jitter_s: float) -> None:
+        """Count how many messages in a row are on schedule."""
+        even = (came.sent == messages == self._together
+                and max(abs(came.off_s), jitter_s) < _ON_TIME * came.interval_s)
+        even = even or came.stamped and self._stamped
+        self.even = self.even + 1 if came.streams and even else 0
         self.relapsed = self.on_time and not self.even
-        self.on_time = self.even > (_MEMORY if stamped else _TRUSTED)
-        self._together, self._stamped = messages, stamped
-        far = int(math.copysign(size > 0.5 * max(interval_s, period_s), off_s))
-        self._astray = self._astray + far if far * self._astray > 0 else far
-        skips = streams and not stamped and count > messages
-        self._skipped = self._skipped + 1 if skips else 0
-        slower, again = self._skipped >= _SKIPPED, abs(self._astray) >= _ASTRAY
-        self.interval_s = changed_s * count / messages if slower else changed_s
-        self._due_s = now_s if again else due_s
-        self.number = _RESUMES if again else number
-        self._astray = 0 if again else self._astray
-        self._skipped = 0 if slower else self._skipped
-        self.spread_s, self._arrived_s = jitter_s, now_s
-        intervals_s = elapsed_s, max(since_s, 1e-9) if streams else period_s
-        if stamped or not streams or errors is None:
+        self.on_time = self.even > (_MEMORY if came.stamped else _TRUSTED)
+        self._together, self._stamped = messages, came.stamped
+
+    def _share_out(self, came: _Arrival, now_s: float, intervals_s: tuple[float, float],
+                   errors: Callable[[FloatArray], FloatArray] | None) -> None:
+        """
+        Take the message to have been sent between the schedule and its arrival.
+
+        :param intervals_s: since the last one, by the schedule and by the arrivals
+        """
+        if came.stamped or not came.streams or errors is None:
             self._share, self._errors, self._before = 0.0, (0.0, 0.0), None
         else:
-            self._compare(number > _SETTLED, intervals_s, errors)
+            self._compare(came.number > _SETTLED, intervals_s, errors)
         self._before = (intervals_s, self._before[0] if self._before else intervals_s)
-        share = self._share
-        sent_s = self._due_s
+        share, sent_s, elapsed_s = self._share, self._due_s, intervals_s[0]
         if share:
             sent_s += share * (now_s - sent_s)
             elapsed_s = max(sent_s - self.sent_s, _SHORTEST * intervals_s[1])
         self.sent_s, self.elapsed_s = sent_s, elapsed_s
-        self.jitter_s, self.slack_s = (1.0 - share) * jitter_s, (1.0 - share) * slack_s
-        return self._lose(count - messages if skips else 0, off_s < -0.5 * interval_s)
+        self.jitter_s = (1.0 - share) * self.spread_s
 
     def _lose(self, lost: int, early: bool) -> int:
         """Return how many messages were lost, less those that only had seemed to be."""
@@ -298,93 +354,3 @@ class MessageClock:
 
 def _unmoved(interval_s: float, most: float) -> tuple[float, float]:
     return 0.0, 0.0
-
-
-class MessageClocks:
-    """
-    The clocks of coordinates, of which those that come in the same messages share one.
-
-    :param count: number of coordinates
-    """
-
-    def __init__(self, count: int) -> None:
-        self._of: list[MessageClock | None] = [None] * count
-        self._by_indices: dict[bytes, MessageClock] = {}
-        self._settings = [(STREAM_INTERVAL_S, 0.0)] * count
-
-    def begun_anew(self) -> MessageClocks:
-        """Return the clocks of no stream yet, with the settings of these."""
-        clocks = MessageClocks(len(self._of))
-        clocks._settings = self._settings
-        return clocks
-
-    def set(self, indices: IntArray, longest_s: float | None = None,
-            hold_s: float | None = None) -> None:
-        """
-        Change what counts as a stream, and how long one goes on that stops.
-
-        :param longest_s: longest interval between messages of a stream [s]; None: no change
-        :param hold_s: after a message was due [s]; 0: two intervals; None: no change
-        """
-        for index in indices.tolist():
-            before = self._settings[index]
-            self._settings[index] = (before[0] if longest_s is None else longest_s,
-                                     before[1] if hold_s is None else hold_s)
-        # A clock that has seen no message would be a part of the state without meaning.
-        known = [index for index in indices.tolist() if self._of[index] is not None]
-        for clock, _ in self.of(np.array(known, dtype=np.int64), -math.inf):
-            clock.longest_s, clock.hold_s = self._settings[clock.indices[0]]
-
-    def settings(self, index: int) -> tuple[float, float]:
-        """Return what :meth:`set` has set for a coordinate: longest interval, hold time [s]."""
-        return self._settings[index]
-
-    def forget(self, indices: IntArray) -> None:
-        """Let the next messages of some coordinates be the first of a stream."""
-        if self._by_indices:
-            for clock, _ in self.of(indices, -math.inf):
-                clock.forget()
-
-    def of(self, indices: IntArray, now_s: float
-           ) -> list[tuple[MessageClock, slice | IntArray]]:
-        """
-        Return the clocks for a message that comes now, and which of its coordinates are theirs.
-
-        Coordinates that do not continue a stream begin one together.
-
-        :param indices: of the coordinates that the message brings
-        """
-        clock = self._by_indices.get(indices.tobytes())
-        if clock is not None:
-            return [(clock, slice(None))]
-        shares: dict[MessageClock | tuple[float, float], list[int]] = {}
-        for place, index in enumerate(indices.tolist()):
-            known = self._of[index]
-            shares.setdefault(known if known is not None and known.continues(now_s)
-                              else self._settings[index], []).append(place)
-        return [(self._own(of, indices[places]), np.array(places))
-                for of, places in shares.items()]
-
-    def _own(self, of: MessageClock | tuple[float, float], indices: IntArray) -> MessageClock:
-        """Return a clock for these coordinates alone, which continues that of more of them."""
-        if not isinstance(of, MessageClock):
-            clock = MessageClock(*of)
-        else:
-            clock = of if len(of.indices) == len(indices) else copy.copy(of)
-        for index in indices.tolist():
-            other = self._of[index]
-            if other is not None and other is not clock:
-                self._place(other, other.indices[other.indices != index])
-            self._of[index] = clock
-        self._place(clock, indices)
-        return clock
-
-    def _place(self, clock: MessageClock, indices: IntArray) -> None:
-        key = clock.indices.tobytes()
-        if self._by_indices.get(key) is clock:
-            del self._by_indices[key]
-        clock.indices, clock.where = indices, indices
-        if not indices.size:
-            return
-        self._by_indices[indices.tobytes()] = clock
-        clock.where = as_slice(indices)

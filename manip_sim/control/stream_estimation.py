@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.message_clock import MessageClock, MessageClocks
+from manip_sim.control.message_clock import MessageClock
+from manip_sim.control.message_clocks import MessageClocks
 
 #: For how many intervals after a message was due the goals go on, unless set otherwise.
 _HOLD_INTERVALS = 2.0

@@ -18,7 +18,8 @@ from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.targets import Target
 from manip_sim.control.command_parser import CommandParser
-from manip_sim.control.message_clock import MessageClock, MessageClocks
+from manip_sim.control.message_clock import MessageClock
+from manip_sim.control.message_clocks import MessageClocks
 from manip_sim.control.stream_estimation import RampEstimator, StreamEstimator, WaitingGoals
 from manip_sim.control.streamed_trajectories import PointStreams
 from manip_sim.control.velocity_stream import VelocityStream
