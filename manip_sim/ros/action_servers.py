@@ -166,7 +166,7 @@ class ActionServers:
         self._node, self._offer = node, offer
         self._ended: queue.SimpleQueue[ActionGoal] = queue.SimpleQueue()
         self._guard = node.create_guard_condition(self._report_ends)
-        self.tracker = GoalTracker(node.thread, self._has_ended)
+        self.tracker = GoalTracker(node.thread, node.simulation, self._has_ended)
         # The timer runs while there are goals.
         self._timer = node.create_timer(_FEEDBACK_S, self._send_feedback,
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -114,6 +114,11 @@ class ActionGoal(ABC):
             else:
                 self.abort(rival.reason or _NEWER)
 
+    def look(self, simulation: Simulation) -> None:
+        """Replace :attr:`view` by the present instant, unless the goal has ended."""
+        if self.outcome is None:
+            self._look(simulation)
+
     def abort(self, reason: str, code: GoalCode = GoalCode.INVALID_GOAL) -> None:
         """End the goal without success; joints or fingers that are still its own come to rest."""
         self._give_up(Outcome(Ending.ABORTED, code, reason))

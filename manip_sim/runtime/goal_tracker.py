@@ -22,12 +22,14 @@ class GoalTracker:
     waits for the result does not have to command them too.
 
     :param thread: runs the simulation; any number of trackers may observe it
+    :param simulation: is used in its thread only
     :param ended: is called in the simulation's thread, with each goal that has ended
     :ivar goals: those that have not ended, oldest first
     """
 
-    def __init__(self, thread: SimulationThread, ended: Callable[[ActionGoal], None]) -> None:
-        self._thread = thread
+    def __init__(self, thread: SimulationThread, simulation: Simulation,
+                 ended: Callable[[ActionGoal], None]) -> None:
+        self._thread, self._simulation = thread, simulation
         self._ended = ended
         self._lock = threading.Lock()
         self.goals: tuple[ActionGoal, ...] = ()
@@ -53,6 +55,7 @@ class GoalTracker:
         :returns: whether this ended it; False if it or the simulation had ended before
         """
         def cancel() -> bool:
+            goal.look(self._simulation)
             cancelled = goal.cancel()
             self._sweep()
             return cancelled
@@ -70,6 +73,7 @@ class GoalTracker:
         def abort() -> None:
             for goal in self.goals:
                 if robot in (None, goal.robot.name):
+                    goal.look(self._simulation)
                     goal.abort(reason)
             self._sweep()
         self._thread.call(abort)

@@ -110,8 +110,9 @@ class GripperGoal(ActionGoal):
             self._still_since_ns = None
         elif self._still_since_ns is None:
             self._still_since_ns = time_ns
-        reached = abs(position - self._position) < self._near
-        stalled = (not reached and self.command.handle.status is Status.DONE
+        status = self.command.handle.status
+        reached = status is not Status.WAITING and abs(position - self._position) < self._near
+        stalled = (not reached and status is Status.DONE
                    and self._still_since_ns is not None
                    and time_ns - self._still_since_ns >= _STALL_NS)
         effort = float(simulation.efforts.values[simulation.model.joint(self._joint).dofadr[0]])

@@ -38,7 +38,7 @@ class Session:
         composition = compose_world(GivenParameters(given))
         self.simulation = Simulation(composition.world)
         self.thread = SimulationThread(self.simulation, composition.steps, paused=True)
-        self.goals = GoalTracker(self.thread, lambda goal: None)
+        self.goals = GoalTracker(self.thread, self.simulation, lambda goal: None)
         self.thread.start()
         self._file = RecordFile(path)
         self._file.describe(NODE, {'node': '/manip_sim'})

@@ -31,7 +31,7 @@ class TrackedThread:
         self.simulation = Simulation(world)
         self.thread = SimulationThread(self.simulation, steps=5, **arguments)
         self.ended = SimpleQueue()
-        self.tracker = GoalTracker(self.thread, self.ended.put)
+        self.tracker = GoalTracker(self.thread, self.simulation, self.ended.put)
         self.thread.start()
 
     def start(self, position=0.3, seconds=0.5, robot=None, joint=J1, **more):
@@ -66,6 +66,20 @@ def test_goal_runs_to_its_end_and_is_forgotten(tracked_thread):
     assert running.next_end() is goal
     assert goal.outcome.ending is Ending.SUCCEEDED
     assert running.tracker.goals == ()
+
+
+@pytest.mark.parametrize('end', ['cancel', 'abort_all'])
+def test_a_gripper_goal_that_ends_at_once_says_where_the_fingers_are(end, tracked_thread):
+    running = tracked_thread(paused=True)
+    robot = running.simulation.robot
+    goal = GripperGoal(robot, 'right/gripper', GripperRequest(0.021))
+    # The observers are not called in between.
+    running.thread.call(lambda: running.tracker.start(goal) or (
+        running.tracker.cancel(goal) if end == 'cancel' else running.tracker.abort_all('test')))
+    assert running.next_end() is goal
+    finger = running.simulation.data.joint(goal.view.joint)
+    assert goal.view.position == finger.qpos[0] > 0.01
+    assert not goal.view.reached
 
 
 def test_cancelled_goal_ends_at_once_also_while_paused_and_once_only(tracked_thread):

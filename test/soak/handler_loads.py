@@ -174,7 +174,7 @@ def actions(count: int, seed: int) -> Row:
 
     def count_end(goal: ActionGoal) -> None:
         ended[goal.robot.name] += 1
-    tracker = GoalTracker(thread, count_end)
+    tracker = GoalTracker(thread, simulation, count_end)
     offered = list(messages_of(TYPES, simulation.robot, lambda: thread.progress.time_ns))
     started = rejected = 0
     thread.start()
