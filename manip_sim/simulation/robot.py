@@ -83,7 +83,6 @@ class SimulatedRobot:
 
     def _find_frames(self) -> None:
         self.parse_cartesian.look_at_model(self._physics.model)
-        self.joints.cartesian.look_at_model(self._physics.model)
 
     @property
     def name(self) -> str:

@@ -89,19 +89,16 @@ class CartesianController:
         #: Efforts for the next interval, by arm, where they were computed with those of others.
         self._found: dict[str, tuple[EndEffectorEfforts, int]] = {}
         self._operational = OperationalSpaceController(physics, servos, self._posture)
-        physics.on_change(self._make_room)
-
-    def look_at_model(self, model: mujoco.MjModel) -> None:
-        """Take over the ids of the frames of the end effectors in another model."""
-        for chain in self._chains.values():
-            chain.tip.look_at_model(model)
-            chain.origin.look_at_model(model)
+        physics.on_change(self._look_at_model)
 
     def look_at_joints(self) -> None:
         """Take over the damping of the joints, which was changed in the model."""
         self._operational.look_at_joints()
 
-    def _make_room(self) -> None:
+    def _look_at_model(self) -> None:
+        for chain in self._chains.values():
+            chain.tip.look_at_model(self._physics.model)
+            chain.origin.look_at_model(self._physics.model)
         self._scratch: Any = mujoco.MjData(self._physics.model) if self._chains else None
 
     def set(self, arm: str, name: str, value: float) -> None:
