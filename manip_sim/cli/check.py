@@ -19,6 +19,7 @@ from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.quoting import counted
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.episode_start import start_without_control
 from manip_sim.simulation.start_check import find_start_defects
 from manip_sim.simulation.start_defect import StartDefect
 
@@ -52,10 +53,7 @@ def _defects_of(world: World) -> list[StartDefect]:
     except ModelError as error:
         # It cannot be controlled; the defects of its start may explain why.
         model = world.compile()
-        data = mujoco.MjData(model)
-        for joint, position in world.init_qpos().items():
-            data.joint(joint).qpos = position
-        mujoco.mj_forward(model, data)
+        data = start_without_control(model, world.init_qpos())
         return [StartDefect('control', f'this cannot be simulated: {error}',
                             'change the model as the message says'),
                 *find_start_defects(model, data, roots)]

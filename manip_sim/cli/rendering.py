@@ -35,8 +35,6 @@ _SPECULAR = 0.35
 _SAMPLES, _SHADOW_SIZE = 8, 8192
 #: Height above the floor of the lowest shape of a part that is shown alone [m].
 _ABOVE_FLOOR = 0.01
-#: How long couplings are simulated to bring their joints to the start [s].
-_SETTLE_S = 0.5
 #: How long grippers are given to open; the slowest one takes eight to nine seconds [s].
 _OPENING_S = 12.0
 #: What a picture of an arena without furniture shows: a part of its floor, by its corners [m].
@@ -117,6 +115,7 @@ def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
     from manip_sim.models import create_arena
     from manip_sim.models.grippers import GripperModel
     from manip_sim.models.loading import compile_spec
+    from manip_sim.simulation.episode_start import start_without_control
 
     frame, height = {}, 0.0
     by_joint: dict[str, float] = {}
@@ -129,7 +128,7 @@ def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         part.attach_to(spec, spec.worldbody.add_frame(pos=[0.0, 0.0, height], **frame))
         model = compile_spec(spec, part.name)
-        data = _at_start(model, by_joint)
+        data = start_without_control(model, by_joint)
         corners = _visible_corners(model, data)
         if not len(corners):
             raise ModelError(f'{part.name} has no visible shapes (group 0 to 2), so no picture')
@@ -182,6 +181,7 @@ def picture_of_state(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int
 def _start_of(world: World, grippers_open: bool = False) -> tuple[Any, Any]:
     """Return model and data of a world at its start, even if it cannot be controlled."""
     from manip_sim.simulation import Simulation
+    from manip_sim.simulation.episode_start import start_without_control
     if world.robots:
         with contextlib.suppress(ModelError):
             simulation = Simulation(world, visual=True)
@@ -189,7 +189,7 @@ def _start_of(world: World, grippers_open: bool = False) -> tuple[Any, Any]:
                 _open_grippers(simulation)
             return simulation.model, simulation.data
     model = world.compile()
-    return model, _at_start(model, world.init_qpos())
+    return model, start_without_control(model, world.init_qpos())
 
 
 def _open_grippers(simulation: Simulation) -> None:
@@ -198,23 +198,6 @@ def _open_grippers(simulation: Simulation) -> None:
             robot.apply(robot.parse.action(part, [-1.0] * gripper.dof))
     with contextlib.suppress(DivergenceError):
         simulation.advance(round(_OPENING_S / simulation.timestep_s))
-
-
-def _at_start(model: mujoco.MjModel, start: dict[str, float]) -> Any:
-    """Return the state at the start, with coupled joints where their couplings put them."""
-    import mujoco
-    data = mujoco.MjData(model)
-    for joint, position in start.items():
-        data.joint(joint).qpos = position
-    if model.neq:
-        gravity, flags = model.opt.gravity.copy(), model.opt.disableflags
-        model.opt.gravity[:] = 0.0
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT
-                                      | mujoco.mjtDisableBit.mjDSBL_ACTUATION)
-        mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
-        model.opt.gravity[:], model.opt.disableflags = gravity, flags
-    mujoco.mj_forward(model, data)
-    return data
 
 
 def _visible_corners(model: mujoco.MjModel, data: mujoco.MjData) -> Any:

@@ -19,8 +19,40 @@ from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation.drawn_randomization import Randomized
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
-#: How long the coupled joints of grippers are simulated so that they settle at their start [s].
+#: How long coupled joints are simulated so that they settle at their start [s].
 _SETTLE_S = 0.5
+
+
+def _settle(model: mujoco.MjModel, data: mujoco.MjData, disabled: int = 0) -> None:
+    """Let couplings move their joints, without gravity; ``disabled`` are further flags."""
+    gravity, flags = model.opt.gravity.copy(), model.opt.disableflags
+    model.opt.gravity[:] = 0.0
+    # Only the couplings matter here, not what a gripper overlaps.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | disabled
+    mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
+    model.opt.gravity[:], model.opt.disableflags = gravity, flags
+
+
+def start_without_control(model: mujoco.MjModel, positions: Mapping[str, float]
+                          ) -> mujoco.MjData:
+    """
+    Return the state at a start, at rest, with coupled joints where their couplings put them.
+
+    It needs no controllers, so it is for parts alone and for robots that cannot be controlled.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param positions: of joints, by name [rad or m]; others are where the model has them
+    """
+    data = mujoco.MjData(model)
+    for joint, position in positions.items():
+        data.joint(joint).qpos = position
+    if model.neq:
+        _settle(model, data, int(mujoco.mjtDisableBit.mjDSBL_ACTUATION))
+        settled = data.qpos.copy()
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = settled
+    mujoco.mj_forward(model, data)
+    return data
 
 
 class EpisodeStart:
@@ -126,11 +158,6 @@ class EpisodeStart:
         model, data = self._physics.model, self._physics.data
         if not model.neq + model.ntendon:
             return
-        gravity, flags = model.opt.gravity.copy(), model.opt.disableflags
-        model.opt.gravity[:] = 0.0
-        # Only the couplings matter here, not what a gripper overlaps.
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
-        model.opt.gravity[:], model.opt.disableflags = gravity, flags
+        _settle(model, data)
         for part in grippers:
             self.positions.update(zip(part.joints, data.qpos[part.qpos_addresses].tolist()))

@@ -122,6 +122,19 @@ def test_what_cannot_be_controlled_is_a_defect_beside_the_others(
     assert "joint 'robot0_joint1' is driven by 2 actuators, 'robot0_m', 'robot0_n'" in text
 
 
+def test_what_cannot_be_controlled_is_checked_where_its_couplings_put_it(
+        here, one_joint_arm, composing):
+    two = '<motor name="m" joint="joint1"/><motor name="n" joint="joint1"/>'
+    tied = """<body name="base"><geom size="0.05"/><body name="link1" pos="0 0 1">
+        <joint name="joint1" axis="0 1 0" range="-2 2"/><geom size="0.02"/>
+        <body name="crank"><joint name="tied" range="0.4 1"/><geom size="0.01"/></body>
+        <body name="right_hand" pos="0.5 0 0"/></body></body>"""
+    equality = '<equality><joint joint1="tied" polycoef="0.6"/></equality>'
+    composing('check', one_joint_arm(two, tied, equality))
+    _, text, _ = here('check')
+    assert 'this cannot be simulated: joint ' in text and 'outside its range' not in text
+
+
 @pytest.mark.parametrize(('content', 'what'), [
     (None, 'no such MJCF file'), ('<mujoco><worldbody>', 'is not well-formed XML'),
     ('<mujoco><worldbody><geom size="-1"/></worldbody></mujoco>', 'does not compile'),
