@@ -11,6 +11,8 @@ from manip_sim.arrays import IntArray
 
 #: A point of a stream is due before so many intervals between the messages have passed.
 _DUE_INTERVALS = 2.5
+#: A stream goes on after a gap of so many of its longest intervals.
+_GAP_INTERVALS = 10.0
 
 
 class PointStreams:
@@ -36,7 +38,9 @@ class PointStreams:
         :param longest_s: longest interval between messages of a stream [s]
         """
         since_s = now_s - float(self._came_s[indices].min())
-        streams = since_s <= longest_s and (
-            bool(self._streams[indices].all()) or due_s <= _DUE_INTERVALS * since_s)
+        # Of a stream, messages may have come together, or were lost.
+        goes_on = bool(self._streams[indices].all()) and since_s <= _GAP_INTERVALS * longest_s
+        streams = (goes_on or since_s <= longest_s) and (
+            due_s <= _DUE_INTERVALS * (longest_s if goes_on else since_s))
         self._came_s[indices], self._streams[indices] = now_s, streams
         return streams

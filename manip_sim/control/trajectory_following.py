@@ -65,8 +65,9 @@ class TrajectoryFollowing:
         if own.trajectory.points_after(now_s - start_s) > 2:
             return False
         longest_s = min(self._setpoints.stream_settings(i)[0] for i in own.indices.tolist())
-        return self._points.take(
-            own.indices, now_s, start_s + own.trajectory.end_s - now_s, longest_s)
+        # As a stream, it need not be slowed down to keep to the velocity limits.
+        due_s = start_s + own.trajectory.end_s / own.slowed - now_s
+        return self._points.take(own.indices, now_s, due_s, longest_s)
 
     def _begin(self, own: JointTrajectory, start_s: float, now_s: float) -> None:
         try:

@@ -130,3 +130,26 @@ def test_a_single_point_after_a_pause_is_a_motion():
     sender.run(0.2)
     assert command.handle.status is Status.DONE
     assert sender.place == pytest.approx(before + 0.1, abs=1e-3)
+
+
+@pytest.mark.parametrize('name', ['Panda', 'Sawyer'])
+@pytest.mark.parametrize('gap_s', [0.15, 0.5, 0.9])
+def test_a_point_after_a_gap_of_a_stream_is_approached_within_the_limits(name, gap_s):
+    sender = Sender(name)
+    gap = range(150, 150 + round(gap_s * 100))
+    sender.stream(100, [0.01], False, lost=set(gap), lasts_s=3.0)
+    assert sender.hardest < 1.3 * sender.robot.joints._servos.acceleration_limit[0]
+    wanted = SIZE * np.sin(RATE * np.arange(1450, 1500) * PERIOD_S)
+    np.testing.assert_allclose(np.array(sender.places[1450:]) - sender.begin, wanted, atol=0.01)
+
+
+def test_a_motion_right_after_a_stream_takes_its_time():
+    sender = Sender()
+    last = sender.stream(100, [0.02], False, lasts_s=1.3)
+    command = sender.robot.parse.trajectory('arm', [sender.joint], [2.0], [[last + 0.4]])
+    sender.robot.apply(command, period_s=PERIOD_S)
+    sender.run(1.9)
+    assert command.handle.status is Status.RUNNING
+    sender.run(0.11)
+    assert command.handle.status is Status.DONE
+    assert sender.place == pytest.approx(last + 0.4, abs=1e-3)
