@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
 from manip_sim.examples.demonstration import Demonstration, TaskFailed
+from manip_sim.quaternion import rotation_vector
 
 _DAMPING = 1e-3
 _ITERATIONS = 500
@@ -98,7 +99,7 @@ class InverseKinematics:
         jacobian = np.zeros((6, self._model.nv))
         for _ in range(_ITERATIONS):
             here, turned = self.forward(joints)
-            error = np.concatenate([position - here, _rotation_vector(rotation @ turned.T)])
+            error = np.concatenate([position - here, rotation_vector(rotation @ turned.T)])
             if np.abs(error).max() < _TOLERANCE:
                 return joints
             mujoco.mj_jacSite(self._model, self._data, jacobian[:3], jacobian[3:], self._site)
@@ -108,13 +109,6 @@ class InverseKinematics:
             joints = np.clip(joints + step, *self._range.T)
         raise ValueError('no joint positions found that bring the end effector to '
                          f'({", ".join(f"{value:.3f}" for value in position)}) m')
-
-
-def _rotation_vector(rotation: FloatArray) -> FloatArray:
-    quat_wxyz, vector = np.empty(4), np.empty(3)
-    mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(rotation).ravel())
-    mujoco.mju_quat2Vel(vector, quat_wxyz, 1.0)
-    return vector
 
 
 class Arm:
