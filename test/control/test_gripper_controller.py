@@ -58,7 +58,7 @@ def test_full_stroke_takes_as_long_as_the_data_sheet_says_whatever_the_message_r
 
 @pytest.mark.parametrize('steps', [1, 4, 5, 25])
 def test_format_action_is_called_twenty_times_a_second(panda_sim, run, steps):
-    gripper, calls = panda_sim.robot.robot_model.grippers['right'], []
+    gripper, calls = panda_sim.robot.parts[GRIPPER].gripper, []
 
     def slowly_open(action):
         if action[0] == 1.0:
