@@ -10,14 +10,14 @@ from functools import partial
 
 import numpy as np
 
-from manip_sim import validation
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
+from manip_sim.validation import as_numbers, finite_numbers
 
 
-#: The functions of the same name, for numbers of commands: they raise ``CommandError``.
-as_numbers = partial(validation.as_numbers, error=CommandError)
-finite_numbers = partial(validation.finite_numbers, error=CommandError)
+#: ``as_numbers`` and ``finite_numbers`` for numbers of commands: they raise ``CommandError``.
+command_numbers = partial(as_numbers, error=CommandError)
+finite_command_numbers = partial(finite_numbers, error=CommandError)
 
 
 def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import (
-    action_example, as_numbers, clamp, clamped_example, finite_numbers)
+    action_example, clamp, clamped_example, command_numbers, finite_command_numbers)
 from manip_sim.control.commands import (
     BaseTwist, Command, GripperAction, JointSetpoint, JointTrajectory, TrajectoryStop)
 from manip_sim.control.gripper_controller import GripperController
@@ -58,13 +58,13 @@ class CommandParser(JointCommandParser):
         """
         if part in self._grippers:
             gripper = self._grippers[part]
-            numbers = finite_numbers(action, gripper.dof, f'{part}: an action')
+            numbers = finite_command_numbers(action, gripper.dof, f'{part}: an action')
             inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
             return GripperAction(
                 robot=self._robot, parts=frozenset([part]), indices=gripper.indices,
                 action=inside, clamped=clamped, clamped_example=action_example(numbers, inside))
         indices, modes = self._joints.indices_of(part), self._joints.modes
-        numbers = finite_numbers(action, len(indices), f'{part}: an action')
+        numbers = finite_command_numbers(action, len(indices), f'{part}: an action')
         inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
         return JointSetpoint(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices,
@@ -105,7 +105,7 @@ class CommandParser(JointCommandParser):
         """
         joints = self._joints
         indices, names = joints.indices_of(part), as_names(names, part)
-        times = as_numbers(times_s, f'{part}: time_from_start')
+        times = command_numbers(times_s, f'{part}: time_from_start')
         if names or times.size:
             check_names(names, [joints.names[i] for i in indices], part)
             indices = joints.find(names)
@@ -121,7 +121,7 @@ class CommandParser(JointCommandParser):
         if times.size > MAX_POINTS:
             raise CommandError(f'{part}: a trajectory may have at most {MAX_POINTS} points, got '
                                f'{times.size}')
-        times = finite_numbers(times, times.size, f'{part}: time_from_start')
+        times = finite_command_numbers(times, times.size, f'{part}: time_from_start')
         check_times(times)
         shape = (len(times), len(names))
         wanted = _points(part, 'positions', positions, shape)
@@ -157,7 +157,7 @@ class CommandParser(JointCommandParser):
         indices = self._joints.twist_indices
         if indices is None:
             raise CommandError('base: this robot has no base that takes a twist')
-        values = finite_numbers([forward, side, yaw], 3, 'base: a twist')
+        values = finite_command_numbers([forward, side, yaw], 3, 'base: a twist')
         modes = self._joints.modes
         if not MODES[modes[indices[0]]].takes_twists:
             able = names_of_modes(lambda mode: mode.takes_twists)
@@ -172,7 +172,7 @@ class CommandParser(JointCommandParser):
 
 def _points(part: str, field: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
     try:
-        numbers = as_numbers(values, f'{part}: {field}')
+        numbers = command_numbers(values, f'{part}: {field}')
     except CommandError:  # No numbers, or points of different lengths.
         numbers = np.empty(0)
     if numbers.shape != shape:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.clamping import as_numbers, clamp, clamped_example
+from manip_sim.clamping import clamp, clamped_example, command_numbers
 from manip_sim.control.commands import (
     Command, GripperSetpoint, JointSetpoint, NoCommand)
 from manip_sim.control.gripper_joints import GripperJoints
@@ -120,7 +120,7 @@ class JointCommandParser:
         given: dict[str, FloatArray] = {}
         for field, of in zip(FIELDS, (position, velocity, effort)):
             if not (isinstance(of, (tuple, array)) and not of):
-                given[field] = as_numbers(of, f'{what}: {field}')
+                given[field] = command_numbers(of, f'{what}: {field}')
         if not len(names) and all(np.isnan(numbers).all() for numbers in given.values()):
             return []
         modes = self._joints.modes  # They may change while this thread reads the command.

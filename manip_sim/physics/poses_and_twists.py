@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_numbers
+from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError
 from manip_sim.validation import norm_of_unit_quaternion
 
@@ -41,8 +41,8 @@ class Pose:
         :raises CommandError: if a number is not finite, the position is too far away or the
             quaternion is not of unit length
         """
-        place = finite_numbers(position, 3, 'position')
-        quat = finite_numbers(quat_xyzw, 4, 'orientation')
+        place = finite_command_numbers(position, 3, 'position')
+        quat = finite_command_numbers(quat_xyzw, 4, 'orientation')
         if np.abs(place).max() > MAX_DISTANCE_M:
             raise CommandError(f'position must be within {MAX_DISTANCE_M:g} m of the origin, got '
                                f'{place.tolist()}')
@@ -69,8 +69,8 @@ class Twist:
 
         :raises CommandError: if a number is not finite or too great
         """
-        speeds = {'linear velocity': finite_numbers(linear, 3, 'linear velocity'),
-                  'angular velocity': finite_numbers(angular, 3, 'angular velocity')}
+        speeds = {'linear velocity': finite_command_numbers(linear, 3, 'linear velocity'),
+                  'angular velocity': finite_command_numbers(angular, 3, 'angular velocity')}
         for what, values in speeds.items():
             if np.abs(values).max() > MAX_VELOCITY:
                 raise CommandError(f'{what} must be within {MAX_VELOCITY:g}, got '

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_numbers
+from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import Physics
@@ -125,7 +125,7 @@ class Pulls:
         """
         self.check_body(body)
         for name, values in (('the point', point), ('the target', target)):
-            if np.abs(finite_numbers(values, 3, f'pull: {name}')).max() > MAX_DISTANCE_M:
+            if np.abs(finite_command_numbers(values, 3, f'pull: {name}')).max() > MAX_DISTANCE_M:
                 raise CommandError(f'pull: {name} must be within {MAX_DISTANCE_M:g} m of the '
                                    'origin')
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_numbers
+from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.sensing.delays import InTransit
@@ -123,7 +123,7 @@ class Episode:
         :param action: as ``actions`` takes it
         :raises CommandError: if it cannot be used; then nothing changes
         """
-        numbers = finite_numbers(action, self.actions.size, 'an action')
+        numbers = finite_command_numbers(action, self.actions.size, 'an action')
         count = self.periods * self._steps
         self._commands.send_in_order(numbers, count + self._command_delay.steps(count))
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_numbers
+from manip_sim.clamping import finite_command_numbers
 from manip_sim.control.cartesian.kinematic_chains import find_chains, KinematicChain
 from manip_sim.control.commands import Command
 from manip_sim.errors import UnknownNameError
@@ -103,7 +103,7 @@ class Actions(ABC):
         :raises CommandError: if the length is wrong or a number is not finite; then nothing
             changes
         """
-        numbers = finite_numbers(action, self.size, 'an action')
+        numbers = finite_command_numbers(action, self.size, 'an action')
         for item in self.arms:
             item.robot.apply(*self._commands(item, numbers[item.goals]), period_s=period_s)
             closing = numbers[item.gripper]

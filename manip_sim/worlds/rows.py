@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.clamping import as_numbers
+from manip_sim.clamping import command_numbers
 from manip_sim.errors import CommandError
 from manip_sim.quoting import shown
 
@@ -43,7 +43,7 @@ def rows(values: ArrayLike, count: int, what: str) -> FloatArray:
     :returns: shape (count, ...), a copy
     :raises CommandError: if they are no numbers, or there is not one row for each world
     """
-    numbers = as_numbers(values, what)
+    numbers = command_numbers(values, what)
     if numbers.ndim == 0 or len(numbers) != count:
         raise CommandError(f'{what} must have a leading axis of {count}, one row for each world, '
                            f'got the shape {numbers.shape}')

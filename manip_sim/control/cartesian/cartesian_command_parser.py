@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.clamping import action_example, clamp, finite_numbers
+from manip_sim.clamping import action_example, clamp, finite_command_numbers
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianPose, CartesianTwist, PoseAction)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
@@ -100,7 +100,7 @@ class CartesianParser:
         :raises UnknownNameError: if there is no such arm with a gripper
         """
         indices = self._indices_of(arm)
-        numbers = finite_numbers(action, 6, f'{arm}: a pose action')
+        numbers = finite_command_numbers(action, 6, f'{arm}: a pose action')
         inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
         return PoseAction(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,

@@ -26,7 +26,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_numbers
+from manip_sim.clamping import finite_command_numbers
 from manip_sim.env.task_env import (
     action_space, check_options, observation_space, SEEDS, TaskEnv)
 from manip_sim.errors import CommandError, ManipSimError
@@ -249,7 +249,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         """
         if self._periods < 0:
             raise gymnasium.error.ResetNeeded('call reset() before step()')
-        numbers = finite_numbers(action, self._like.actions.size, 'an action')
+        numbers = finite_command_numbers(action, self._like.actions.size, 'an action')
         self._actions.append(numbers)
         if len(self._actions) <= self._command_periods:
             self._call(self._step, Trigger.Request())
