@@ -19,6 +19,7 @@ from rclpy.task import Future
 from manip_sim.errors import SimulationEnded
 from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
+from manip_sim.ros.background import Rounds
 from manip_sim.ros.command_subscribers import CommandSubscribers
 from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.rejection_log import kind_of
@@ -151,6 +152,8 @@ def _key(goal_handle: Any) -> bytes:
 _FEEDBACK_S = 0.05
 #: How long the node waits at its end until clients have their results, wall time [s].
 _END_S = 1.0
+#: Ends of goals, results and their answers each take a round of the executor.
+_ROUNDS = 6
 
 
 class ActionServers:
@@ -222,16 +225,16 @@ class ActionServers:
                 return
             self.tracker.abort_all('the node is ending')
         answered = threading.Event()
-        executor = self._node.executor
 
-        def after(rounds: int) -> None:
-            # Ends, results and their answers each take a round of the executor.
-            if rounds:
-                executor.create_task(after, rounds - 1)
-            else:
-                answered.set()
-        executor.create_task(after, 5)
+        async def wait() -> None:
+            await self.answered()
+            answered.set()
+        self._node.executor.create_task(wait)
         answered.wait(_END_S)
+
+    def answered(self) -> Rounds:
+        """Return an awaitable for the clients of goals that end now to know that."""
+        return Rounds(self._node, _ROUNDS)
 
 
 def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int]

@@ -26,7 +26,7 @@ from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted, shown
-from manip_sim.ros.background import in_background, Rounds
+from manip_sim.ros.background import in_background
 from manip_sim.ros.standard_answers import Rejection, ResultCode, SpawnCode
 from manip_sim.ros.startup_log import inferred
 from manip_sim.simulation.robot_spawning import plan_without_robot, RobotsPlan
@@ -34,8 +34,6 @@ from manip_sim.simulation.robot_spawning import plan_without_robot, RobotsPlan
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
 
-#: Ends of goals, results and their answers each take a round of the executor.
-_ROUNDS = 6
 #: Name of a robot that is sent as text.
 UNNAMED = 'robot'
 
@@ -215,7 +213,7 @@ class SpawnedRobots:
         self._thread.change_robots(plan)
         if node.actions is not None:
             # Clients get their results before the servers are gone.
-            await Rounds(node, _ROUNDS)
+            await node.actions.answered()
             node.actions.remove(robot)
         node.commands.remove(served.commands)
         node.descriptions.remove(scope)

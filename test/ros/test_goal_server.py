@@ -3,8 +3,8 @@
 
 """The action servers in a running node, with an action type that has wheels: Fibonacci."""
 
+import threading
 import time
-from types import SimpleNamespace
 
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,7 +18,7 @@ pytest.importorskip('test_msgs', reason='test_msgs is not installed (ros-jazzy-t
 
 from test_msgs.action import Fibonacci  # noqa: E402
 
-from manip_sim.ros import sim_node  # noqa: E402
+from manip_sim.ros import action_servers, sim_node  # noqa: E402
 from manip_sim.ros.action_messages import ActionMessages  # noqa: E402
 from manip_sim.ros.action_servers import ActionServers  # noqa: E402
 from manip_sim.runtime.action_goals import GoalCode, GoalError  # noqa: E402
@@ -216,15 +216,19 @@ def test_a_node_that_is_gone_leaves_nothing_behind(served, client, monkeypatch):
     client.spin_until(lambda: nodes() == before)
 
 
-def test_the_end_waits_for_five_rounds_of_the_executor_and_no_more():
-    told, rounds = [], []
+def test_the_end_waits_until_clients_are_told_and_no_longer(client, monkeypatch):
+    monkeypatch.setattr(sim_node, 'offer_actions', offer)
+    monkeypatch.setattr(action_servers, '_END_S', 1e4)
+    node = Served({}, ['--ros-args', '-r', '__ns:=/alone'])
+    swinger = Swinger(client, f'/alone/{NAME}')
+    future = swinger.send(50).get_result_async()
+    client.spin_until(lambda: len(swinger.told) > 2)
 
-    def create_task(after, left):
-        rounds.append(left)
-        assert len(rounds) < 20
-        after(left)
-    actions = object.__new__(ActionServers)
-    actions.tracker = SimpleNamespace(goals=['goal'], abort_all=told.append)
-    actions._node = SimpleNamespace(executor=SimpleNamespace(create_task=create_task))
-    actions.end()
-    assert (told, rounds) == (['the node is ending'], [5, 4, 3, 2, 1, 0])
+    def end():
+        node.node.end_goals()
+        node.close()
+    ending = threading.Thread(target=end, daemon=True)
+    ending.start()
+    client.spin_until(lambda: future.done() and not ending.is_alive())
+    assert (future.result().status, list(future.result().result.sequence)) == ABORTED
+    swinger.close()
