@@ -25,9 +25,9 @@ from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import shown
 from manip_sim.ros.background import in_background
-from manip_sim.ros.standard_answers import Rejection, ResultCode, SpawnCode
+from manip_sim.ros.standard_answers import change_unless_diverged, free_name
 from manip_sim.ros.startup_log import inferred
 from manip_sim.simulation.robot_spawning import plan_without_robot, RobotsPlan
 
@@ -136,17 +136,9 @@ class SpawnedRobots:
         :param may_rename: whether a number may follow it
         :raises Rejection: if it cannot be a name, or something has it
         """
-        taken, free, number = self._taken(), wanted, 1
-        while may_rename and free in taken:
-            free, number = f'{wanted}_{number}', number + 1
-        if free in taken:
-            raise Rejection(SpawnCode.NAME_NOT_UNIQUE, f'{quoted(free)} is taken: by a robot, an '
-                            'object, a topic or a parameter')
-        try:
-            check_robot_name(free)
-        except ModelError as error:
-            raise Rejection(SpawnCode.NAME_INVALID, str(error)) from error
-        return free
+        return free_name(
+            wanted, may_rename, self._taken(),
+            '{} is taken: by a robot, an object, a topic or a parameter', check_robot_name)
 
     def _taken(self) -> set[str]:
         node, simulation = self._node, self._simulation
@@ -163,12 +155,8 @@ class SpawnedRobots:
         :param plan: with the robot
         :raises Rejection: if the physics is on hold
         """
-        def change() -> None:
-            if self._simulation.diverged is not None:
-                raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
-                                f'{self._simulation.diverged}; reset it first')
-            self._thread.change_robots(plan)
-        self._thread.call(change)
+        change_unless_diverged(self._simulation, self._thread,
+                               partial(self._thread.change_robots, plan))
         node, scope, robot = self._node, Scope(name), self._simulation.robots[name]
         rows = topics_of_world(
             [(scope, robot.parts, robot.joints.twist_indices is not None)])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 import re
 from typing import Any
@@ -30,7 +31,8 @@ from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import numbers_of, WORLD
 from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
-from manip_sim.ros.standard_answers import answering_later, Rejection, ResultCode, SpawnCode
+from manip_sim.ros.standard_answers import (
+    answering_later, change_unless_diverged, free_name, Rejection, ResultCode, SpawnCode)
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot, RobotsPlan
@@ -115,21 +117,10 @@ class SpawningServices:
         return name, plan_with_robot(self._simulation, item.create(name, pose))
 
     def _free_name(self, wanted: str, may_rename: bool) -> str:
-        taken = self._simulation.entities.names
         if may_rename:
             wanted = _OTHER_CHARACTERS.sub('_', wanted).lstrip('_0123456789') or UNNAMED
-            free, number = wanted, 1
-            while free in taken:
-                free, number = f'{wanted}_{number}', number + 1
-            wanted = free
-        elif wanted in taken:
-            raise Rejection(SpawnCode.NAME_NOT_UNIQUE,
-                            f'there is an entity {quoted(wanted)} already')
-        try:
-            check_object_name(wanted, 'name')
-        except ModelError as error:
-            raise Rejection(SpawnCode.NAME_INVALID, str(error)) from error
-        return wanted
+        return free_name(wanted, may_rename, self._simulation.entities.names,
+                         'there is an entity {} already', partial(check_object_name, where='name'))
 
     async def _delete(self, request: Any, _: Any) -> None:
         name, plan = request.entity, self._simulation.plan
@@ -143,12 +134,8 @@ class SpawningServices:
         self._take_over(plan_without(plan, name), 'delete', name)
 
     def _take_over(self, plan: WorldPlan, operation: str, *arguments: Any) -> None:
-        def change() -> None:
-            if self._simulation.diverged is not None:
-                raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
-                                f'{self._simulation.diverged}; reset it first')
-            self._thread.change(operation, *arguments, using=plan)
-        self._thread.call(change)
+        change_unless_diverged(self._simulation, self._thread, partial(
+            self._thread.change, operation, *arguments, using=plan))
         self._changed(self._simulation)
 
 

@@ -10,12 +10,15 @@ them with it.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Collection, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 from typing import Any
 
-from manip_sim.errors import ManipSimError, UnknownNameError
+from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
+from manip_sim.quoting import quoted
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import Simulation
 
 
 class ResultCode(IntEnum):
@@ -107,6 +110,54 @@ class Rejection(ManipSimError):
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
         self.code = code
+
+
+def reject_if_diverged(simulation: Simulation,
+                       code: int = ResultCode.RESULT_INCORRECT_STATE) -> None:
+    """
+    Reject a request while the physics is on hold.
+
+    :raises Rejection: if the simulation has diverged
+    """
+    if simulation.diverged is not None:
+        raise Rejection(code, f'{simulation.diverged}; reset it first')
+
+
+def change_unless_diverged(simulation: Simulation, thread: SimulationThread,
+                           change: Callable[[], Any]) -> None:
+    """
+    Change a simulation in its thread.
+
+    :raises Rejection: if it has diverged; then nothing is called
+    """
+    def checked() -> None:
+        reject_if_diverged(simulation)
+        change()
+    thread.call(checked)
+
+
+def free_name(wanted: str, may_rename: bool, taken: Collection[str], problem: str,
+              check: Callable[[str], Any]) -> str:
+    """
+    Return the name of what comes.
+
+    :param wanted: name that a client asks for
+    :param may_rename: whether a number may follow it
+    :param taken: names that something has
+    :param problem: says that a name, which stands for ``{}``, is taken
+    :param check: raises a ``ModelError`` if something cannot be a name
+    :raises Rejection: if it cannot be a name, or something has it
+    """
+    free, number = wanted, 1
+    while may_rename and free in taken:
+        free, number = f'{wanted}_{number}', number + 1
+    if free in taken:
+        raise Rejection(SpawnCode.NAME_NOT_UNIQUE, problem.format(quoted(free)))
+    try:
+        check(free)
+    except ModelError as error:
+        raise Rejection(SpawnCode.NAME_INVALID, str(error)) from error
+    return free
 
 
 @contextmanager

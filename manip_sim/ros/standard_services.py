@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +22,8 @@ from manip_sim.ros.posix_ere import PosixExpression
 from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_answers import (
-    answering, answering_later, BoundsType, Category, Feature, Rejection, ResultCode, ScopeCode,
-    SetEntityCode, SetStateCode, StateCode)
+    answering, answering_later, BoundsType, Category, change_unless_diverged, Feature,
+    reject_if_diverged, Rejection, ResultCode, ScopeCode, SetEntityCode, SetStateCode, StateCode)
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
@@ -101,9 +102,8 @@ class SimulationInterfaces:
         if target == self._state():
             raise Rejection(SetStateCode.ALREADY_IN_TARGET_STATE,
                             'the simulation is in this state already')
-        if target == StateCode.STATE_PLAYING and self._simulation.diverged is not None:
-            raise Rejection(SetStateCode.STATE_TRANSITION_ERROR,
-                            f'{self._simulation.diverged}; reset it first')
+        if target == StateCode.STATE_PLAYING:
+            reject_if_diverged(self._simulation, SetStateCode.STATE_TRANSITION_ERROR)
         self._thread.pause(target != StateCode.STATE_PLAYING)
         if target == StateCode.STATE_STOPPED:
             self._thread.reset(restart_time=True)
@@ -191,13 +191,9 @@ class EntityServices:
                             f"it empty or write '{WORLD}'")
         pose, twist = _parts(request)
 
-        def place() -> None:
-            if self._simulation.diverged is not None:
-                raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
-                                f'{self._simulation.diverged}; reset it first')
-            self._thread.change('place', name, pose and _listed(pose.position, pose.quat_xyzw),
-                                twist and _listed(twist.linear, twist.angular))
-        self._thread.call(place)
+        change_unless_diverged(self._simulation, self._thread, partial(
+            self._thread.change, 'place', name, pose and _listed(pose.position, pose.quat_xyzw),
+            twist and _listed(twist.linear, twist.angular)))
 
 
 def _listed(*vectors: Any) -> list[list[float]]:
