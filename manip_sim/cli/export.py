@@ -65,7 +65,7 @@ def _said(world: World, load: Callable[[], mujoco.MjModel]) -> str:
 def _write_packages(options: argparse.Namespace) -> list[str]:
     """Write packages for MoveIt and ros2_control, and return their names with notes on them."""
     from manip_sim.moveit import write_package
-    from manip_sim.moveit.control_package import controlling, write_control_package
+    from manip_sim.moveit.control_package import write_control_package
     from manip_sim.moveit.ros_package import check_folder as check_package
     composed, lines, controllers = compose_from(options), [], None
     world = composed.composition.world
@@ -75,9 +75,9 @@ def _write_packages(options: argparse.Namespace) -> list[str]:
             if options.moveit.resolve() == options.ros2_control.resolve():
                 raise ManipSimError(f'{options.moveit} cannot be both packages: give two folders')
         hardware = _hardware(composed, choose_robot(world).name_in_world)
-        lines += [f'{options.ros2_control}', *write_control_package(
-            world, options.ros2_control, hardware, composed.parameters.given)]
-        controllers = controlling(world, hardware) if options.moveit is not None else None
+        notes, controllers = write_control_package(
+            world, options.ros2_control, hardware, composed.parameters.given)
+        lines += [f'{options.ros2_control}', *notes]
     if options.moveit is not None:
         lines += [f'{options.moveit}', *write_package(world, options.moveit, controllers)]
     return list(dict.fromkeys(lines))

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -28,6 +28,8 @@ GRIPPER = 'position_controllers/GripperActionController'
 BROADCASTER = 'joint_state_broadcaster/JointStateBroadcaster'
 IMU = 'imu_sensor_broadcaster/IMUSensorBroadcaster'
 WRENCH = 'force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster'
+#: Name, type, mode (empty: always active) and parameters of a controller.
+_Controller = tuple[str, str, str, Settings]
 _MODES = ('position', 'velocity', 'effort')
 #: Stands for a mode where every controller can be active at the same time.
 ALL = 'all'
@@ -113,13 +115,14 @@ ros2 launch {package} bringup.launch.py
 
 
 def write_control_package(world: World, folder: Path, hardware: Hardware,
-                          given: Mapping[str, Any]) -> list[str]:
+                          given: Mapping[str, Any]) -> tuple[list[str], Controlling]:
     """
     Write a package that starts ros2_control for the only robot of a world.
 
     :param folder: becomes the package and gives it its name; must be new or empty
     :param given: parameters of the node that serves the same world
-    :returns: what was left out of the URDF, in sentences
+    :returns: what was left out of the URDF, in sentences, and which controllers MoveIt uses,
+        those of the first mode, by joint
     :raises ModelError: if the folder cannot be used, or the robot has no joints to control
     """
     folder = folder.resolve()  # Of the present folder, the path has no name.
@@ -155,16 +158,12 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
             **given, 'ros2_control_tag': True, 'ros2_control_plugin': hardware.plugin}}}})
     texts[f'config/{name}.urdf'] = urdf.xml
     write_files(folder, {**{path: text.encode() for path, text in texts.items()}, **meshes})
-    return list(urdf.notes)
+    return list(urdf.notes), _controlling(groups)
 
 
-def controlling(world: World, hardware: Hardware) -> Controlling:
-    """Return which controllers of the package MoveIt uses, those of the first mode, by joint."""
-    simulation = Simulation(world)
+def _controlling(controllers: Iterable[_Controller]) -> Controlling:
     found: dict[str, tuple[str, str, list[str]]] = {}
-    urdf, _ = describe(simulation.model, choose_robot(world), 'unused', hardware)
-    for name, kind, _, settings in _controllers(
-            simulation.robot, hardware, _driven(urdf.xml), effective_inertias(simulation)):
+    for name, kind, _, settings in controllers:
         joints = settings.get('joints') or [settings[key] for key in ('joint',) if key in settings]
         for joint in joints:
             found.setdefault(joint, (
@@ -208,8 +207,7 @@ _GAINS = {'velocity': velocity_gains, 'effort': effort_gains}
 
 
 def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[str],
-                 inertias: Mapping[str, float]) -> Iterator[tuple[str, str, str, Settings]]:
-    """Yield name, type, mode (empty: always active) and parameters of each controller."""
+                 inertias: Mapping[str, float]) -> Iterator[_Controller]:
     yield 'joint_state_broadcaster', BROADCASTER, '', {}
     own = hardware.plugin == OWN_PLUGIN
     for name, part in robot.parts.items():
@@ -232,7 +230,7 @@ def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[s
         yield f'{sensor}_broadcaster', IMU, '', {'sensor_name': sensor, 'frame_id': sensor}
 
 
-def _gripper(name: str, joints: list[str]) -> tuple[str, str, str, Settings]:
+def _gripper(name: str, joints: list[str]) -> _Controller:
     if len(joints) == 1:
         # A grasped object keeps the fingers from their goal.
         return name, GRIPPER, '', {'joint': joints[0], 'allow_stalling': True}
