@@ -5,7 +5,8 @@
 What the node publishes, takes and offers, as tables: there is no topic that is not in them.
 
 The node makes its publishers and subscriptions from the rows of :data:`TOPICS`, in their order; a
-further topic is a row and the function of ``manip_sim.ros`` that the row names.
+further topic is a row and the function of ``manip_sim.ros`` that the row names. It makes its
+services from the rows of :data:`SERVICES`.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
 has one topic for each, ``<name>`` for each object, ``<camera>`` for each camera that is chosen,

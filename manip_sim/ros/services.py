@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from manip_sim.errors import ManipSimError
+from manip_sim.interface.topics import SERVICES
 
 if TYPE_CHECKING:
     from manip_sim.ros.sim_node import SimNode
@@ -21,23 +23,25 @@ class SimulationServices:
     """
     Services that control the simulation.
 
-    They are ``~/pause``, ``~/step``, ``~/reset``, ``~/reset_reflex``, ``~/tare_wrench``,
-    ``~/save_state`` and ``~/restore_state``.
+    They are those of the table ``manip_sim.interface.topics.SERVICES``.
     """
 
     def __init__(self, node: SimNode) -> None:
         thread = self._thread = node.thread
-        node.create_service(SetBool, '~/pause', self._pause)
-        for name, function, done in (
-                ('~/step', thread.step, 'advanced by one control period'),
-                ('~/reset', thread.reset, 'back at the start'),
-                ('~/reset_reflex', partial(thread.change, 'reset_reflexes'),
-                 'all parts take commands again'),
-                ('~/tare_wrench', partial(thread.change, 'tare'),
-                 'external wrenches read zero now'),
-                ('~/save_state', partial(thread.change, 'save'), ''),
-                ('~/restore_state', thread.restore, '')):
-            node.create_service(Trigger, name, partial(_answer, function, done))
+        answers: dict[str, Callable[[Any, Any], Any]] = {
+            '~/pause': self._pause,
+            '~/step': partial(_answer, thread.step, 'advanced by one control period'),
+            '~/reset': partial(_answer, thread.reset, 'back at the start'),
+            '~/reset_reflex': partial(_answer, partial(thread.change, 'reset_reflexes'),
+                                      'all parts take commands again'),
+            '~/tare_wrench': partial(_answer, partial(thread.change, 'tare'),
+                                     'external wrenches read zero now'),
+            '~/save_state': partial(_answer, partial(thread.change, 'save'), ''),
+            '~/restore_state': partial(_answer, thread.restore, '')}
+        for row in SERVICES:
+            package, _, kind = row.type.partition('/')
+            node.create_service(getattr(import_module(f'{package}.srv'), kind), row.name,
+                                answers[row.name])
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         already = 'already ' if self._thread.paused == request.data else ''
