@@ -28,7 +28,7 @@ from std_msgs.msg import UInt8MultiArray
 import yaml
 
 from manip_sim.errors import describe_choices, RecordError
-from manip_sim.quoting import quoted
+from manip_sim.quoting import counted, quoted
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.records.definitions import joined
 from manip_sim.records.record_file import RecordFile
@@ -235,9 +235,9 @@ class _NodeRecorder:
         assert self._file is not None
         self._file.close()
         topics = sum(found is not None for found in self._subscriptions.values())
-        return '\n'.join([*self._notes, f'{self._file.path} ({self.messages} messages of '
-                          f'{topics} topics, {time.monotonic() - self._begin_s:.1f} s, '
-                          f'{self._size()})'])
+        what = f'{counted(self.messages, "message")} of {counted(topics, "topic")}'
+        return '\n'.join([*self._notes, f'{self._file.path} ({what}, '
+                          f'{time.monotonic() - self._begin_s:.1f} s, {self._size()})'])
 
 
 def _installed(kind: str) -> str:

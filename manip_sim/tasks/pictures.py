@@ -14,7 +14,7 @@ import weakref
 import numpy as np
 from numpy.typing import NDArray
 
-from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.errors import ModelError, SimulationEnded, UnknownNameError
 from manip_sim.models.camera_choice import chosen_cameras, described_cameras
 from manip_sim.models.cameras import MAX_PIXELS
 from manip_sim.models.world import World
@@ -56,8 +56,13 @@ class Pictures:
         self._lose.atexit = False
 
     def take(self, simulation: Simulation) -> dict[str, NDArray[np.uint8]]:
-        """Return an image of each camera, shape (height, width, 3), rgb."""
-        assert self._renderer is not None, 'these pictures are closed'
+        """
+        Return an image of each camera, shape (height, width, 3), rgb.
+
+        :raises SimulationEnded: after :meth:`close`
+        """
+        if self._renderer is None:
+            raise SimulationEnded('these pictures are closed')
         _free_lost()
         self._context.make_current()
         self._world.show(take_snapshot(simulation))

@@ -8,6 +8,7 @@ import gc
 import numpy as np
 import pytest
 
+from manip_sim.errors import SimulationEnded
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.pictures import Pictures
@@ -42,3 +43,5 @@ def test_pictures_that_nobody_closed_leave_those_of_others_alone(renderer, simul
     for _ in range(2):
         assert np.array_equal(pictures.take(simulation)['agentview'], wanted)
     pictures.close()
+    with pytest.raises(SimulationEnded, match='these pictures are closed'):
+        pictures.take(simulation)
