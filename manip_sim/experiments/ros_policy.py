@@ -15,7 +15,6 @@ import numpy as np
 import rclpy
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.validate_namespace import validate_namespace
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import String
@@ -23,11 +22,10 @@ from std_msgs.msg import String
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ManipSimError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
-from manip_sim.ros.messages import filled, nanoseconds_of, stamp_of, WORLD
+from manip_sim.ros.messages import filled, LATCHED, nanoseconds_of, stamp_of, WORLD
 from manip_sim.tasks import Episode
 from manip_sim.tasks.observation import IMAGE, Observation
 
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: An observation is repeated after this wall time, for a node that came late [s].
 _AGAIN_S = 0.1
 
@@ -65,7 +63,7 @@ class RosPolicy:
             'manip_sim_run', namespace=self._namespace, context=context)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(node)
-        self._about = node.create_publisher(String, 'episode', _LATCHED)
+        self._about = node.create_publisher(String, 'episode', LATCHED)
         #: By topic, the publisher and what makes its message.
         self._topics: list[tuple[Any, Callable[[Observation], Any]]] = []
         robots, names = self._episode.simulation.robots, self._episode.observer.names

@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
-from manip_sim.ros.messages import nanoseconds_of, stamp_of
+from manip_sim.ros.messages import nanoseconds_of, seconds_of, stamp_of
 from manip_sim.ros.reading import trajectory_fields
 from manip_sim.runtime.action_goals import ActionGoal, GoalCode, GoalError
 from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
@@ -78,11 +78,10 @@ class TrajectoryMessages(ActionMessages):
             times_s, positions, velocities, accelerations = trajectory_fields(self.part, message)
         except CommandError as error:
             raise GoalError(GoalCode.INVALID_GOAL, str(error)) from error
-        time = request.goal_time_tolerance
         return TrajectoryGoal(self.robot, self.part, TrajectoryRequest(
             list(message.joint_names), times_s, positions, velocities, accelerations,
             nanoseconds_of(message.header.stamp), list(_tolerances(request.path_tolerance)),
-            list(_tolerances(request.goal_tolerance)), time.sec + time.nanosec * 1e-9),
+            list(_tolerances(request.goal_tolerance)), seconds_of(request.goal_time_tolerance)),
             self._now_ns())
 
     def feedback_of(self, goal: TrajectoryGoal) -> Any:

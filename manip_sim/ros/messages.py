@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages made of stamps and numbers; the one place that makes stamps."""
+"""Messages made of stamps and numbers; the one place that makes and reads stamps."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from manip_sim.arrays import FloatArray
 
 WORLD = 'world'
+#: Of topics whose last message is kept for subscribers that come later.
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def stamp_of(time_ns: int) -> Time:
@@ -27,6 +30,11 @@ def stamp_of(time_ns: int) -> Time:
 
 def nanoseconds_of(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def seconds_of(stamp: Time | Duration) -> float:
+    """Return a stamp or a duration in seconds."""
+    return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
 def clock(stamp: Time, _: FloatArray) -> Clock:

@@ -15,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.control.command_parser import MAX_POINTS
 from manip_sim.errors import CommandError, ManipSimError, MessageError
+from manip_sim.ros.messages import seconds_of
 
 #: More than any command but a trajectory needs [bytes].
 _MAX_SIZE = 2**18
@@ -67,7 +68,7 @@ def trajectory_fields(part: str, message: JointTrajectory) -> tuple[Any, Any, An
     :raises CommandError: if a point has an effort
     """
     points = message.points
-    times_s = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in points]
+    times_s = [seconds_of(point.time_from_start) for point in points]
     positions, velocities, accelerations = (
         None if all(not len(getattr(p, name)) for p in points)
         else [np.asarray(getattr(p, name)) for p in points]

@@ -15,12 +15,12 @@ from geometry_msgs.msg import PoseStamped
 import mujoco
 import numpy as np
 from PIL import Image
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
 from manip_sim.errors import ManipSimError
 from manip_sim.models.archive import load_archive
+from manip_sim.ros.messages import LATCHED
 
 if TYPE_CHECKING:
     from manip_sim.testing.simulation_under_test import SimulationUnderTest
@@ -64,9 +64,8 @@ def save_evidence(simulation: SimulationUnderTest, folder: Path) -> list[str]:
 
 
 def _archive(simulation: SimulationUnderTest) -> bytes:
-    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     return bytes(simulation.receive(
-        UInt8MultiArray, 'manip_sim/mjcf_archive', latched, _TRIES).data)
+        UInt8MultiArray, 'manip_sim/mjcf_archive', LATCHED, _TRIES).data)
 
 
 def _picture(folder: Path) -> None:

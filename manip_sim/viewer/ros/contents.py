@@ -22,6 +22,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import MessageError
 from manip_sim.quoting import counted, quoted
+from manip_sim.ros.messages import seconds_of
 from manip_sim.viewer.page.diagnosis import ShownStatus
 from manip_sim.viewer.page.latest import JointStates, PoseInWorld
 
@@ -67,11 +68,7 @@ def joint_states(message: JointState) -> JointStates:
         columns.append(numbers(values, what) if len(values) else np.zeros(count))
     position, velocity, effort = columns
     return JointStates(tuple(message.name), position, velocity, effort,
-                       seconds(message.header.stamp))
-
-
-def seconds(stamp: Any) -> float:
-    return float(stamp.sec + stamp.nanosec * 1e-9)
+                       seconds_of(message.header.stamp))
 
 
 def pose(message: PoseStamped) -> PoseInWorld:

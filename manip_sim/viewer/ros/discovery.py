@@ -11,20 +11,19 @@ from functools import partial
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt8MultiArray
 
 from manip_sim.errors import MessageError, ModelError
 from manip_sim.models.archive import load_archive, MAX_ARCHIVE_BYTES
 from manip_sim.ros.background import begin
+from manip_sim.ros.messages import LATCHED
 from manip_sim.viewer.page.robots import (
     commanded_joints, declared_limits, limit_of, Robot, ShownPart)
 from manip_sim.viewer.ros import contents
 from manip_sim.viewer.ros.layout import Layout, layout_of, RobotTopics
 from manip_sim.viewer.ros.readers import Readers
 
-_LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 #: Velocity limits of the base where none are declared [m/s, m/s, rad/s].
 _TWIST = (0.5, 0.5, 1.0)
 _BASE = 'base'
@@ -58,7 +57,7 @@ class Discovery:
         self._archive = f'/{simulation}/mjcf_archive'
         self._newest, self._tried = b'', b''
         self.checking: Future[Any] | None = None
-        readers.subscribe(UInt8MultiArray, self._archive, self._take_archive, _LATCHED,
+        readers.subscribe(UInt8MultiArray, self._archive, self._take_archive, LATCHED,
                           most=MAX_ARCHIVE_BYTES)
 
     @property
@@ -113,7 +112,7 @@ class Discovery:
         for robot in layout.robots:
             if robot.space not in self._limits:
                 wanted[f'{robot.space}robot_description'] = (
-                    String, partial(self._take_urdf, robot.space), _LATCHED, _MAX_URDF_BYTES)
+                    String, partial(self._take_urdf, robot.space), LATCHED, _MAX_URDF_BYTES)
             for part in robot.parts:
                 if robot.space + part not in self._joints:
                     wanted[f'{robot.space}{part}/joint_states'] = (
