@@ -116,7 +116,7 @@ class Journal:
         if name == 'restore' and not (failed or self._saved):
             self.unknown('a state was restored that was saved before')
             return
-        self._saved |= name == 'save'
+        self._saved |= name == 'save' and not failed
         self._add('operation', name, list(arguments), failed)
 
     def unknown(self, what: str) -> None:

@@ -77,6 +77,8 @@ class Operations:
         self._simulation.step_count += self._steps
 
     def _save(self) -> str:
+        if self._simulation.diverged is not None:
+            raise CommandError(f'{self._simulation.diverged}; the state saved before is kept')
         self._saved = self._simulation.save()
         return self._simulation.digest()
 

@@ -301,6 +301,17 @@ def test_without_a_saved_state_nothing_is_restored(serve, client):
     np.testing.assert_array_equal(node.simulation.robot.state().position, before)
 
 
+def test_a_diverged_simulation_keeps_the_state_that_was_saved_before(serve, client):
+    node = serve(start_paused=True)
+    digest = trigger(client, 'save_state').message
+    node.thread.call(lambda: node.simulation.data.qvel.fill(1e9))
+    trigger(client, 'step')
+    answer = trigger(client, 'save_state')
+    assert not answer.success and 'the physics diverged' in answer.message
+    assert 'the state saved before is kept' in answer.message
+    assert trigger(client, 'restore_state').message == digest
+
+
 def test_a_new_seed_draws_the_start_anew_at_the_next_reset(serve, client):
     serve(start_paused=True, seed=3, **{'initialization_noise.magnitude': 0.1})
 
