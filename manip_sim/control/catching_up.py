@@ -75,7 +75,8 @@ def missing_way(goal: FloatArray, late_s: FloatArray, position: FloatArray, begi
     :param begin: velocity of the references; they come to ``end`` with accelerations of the size
         ``slope``, each of shape (..., n)
     """
-    return np.asarray(goal + end * late_s - position - way_of_ramp(begin, end, slope))
+    missing: FloatArray = goal + end * late_s - position - way_of_ramp(begin, end, slope)
+    return missing
 
 
 def caught_up(stages: FloatArray, missing: FloatArray, limit: FloatArray, terms: Terms,

@@ -9,9 +9,9 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.catching_up import caught_up, lateness, missing_way, Terms, terms_of
-from manip_sim.control.motion_profiles import (
-    change_before_the_end, Plan, plan_ramps, ramp, velocity_before_the_end, within)
+from manip_sim.control.motion_profiles import Plan, plan_ramps, ramp, within
 from manip_sim.control.setpoint_goals import SetpointGoals
+from manip_sim.control.setpoint_laws import divided, limited
 
 #: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
 ARRIVED = 1e-10
@@ -161,22 +161,16 @@ class SetpointGenerator(SetpointGoals):
         begin, caught_up = self.velocity, self._stages[2]
         plain = reference + caught_up
         # A velocity that was commanded has been limited before.
-        top = self._get_terms().top
-        velocity = within(plain, -top, top)
-        change = self._bound * duration_s
-        if near:
-            ranges = self.position - self._low, self._high - self.position
-            velocity = velocity_before_the_end(velocity, begin, *ranges, self._bound, duration_s)
-            change = change_before_the_end(begin, *ranges, self._bound, duration_s)
-        velocity = within(velocity, begin - change, begin + change)
+        ranges = (self.position - self._low, self._high - self.position) if near else None
+        velocity = limited(
+            plain, begin, self._get_terms().top, self._bound, duration_s, ranges)
         held = velocity != plain
         if np.count_nonzero(held):
             # What the limits take away is not caught up at once.
             self._catches = True
-            reference = np.where(held & ~self._seeks, velocity, reference)
-            self._stages[2] = caught_up = np.where(
-                held & self._seeks, velocity - reference, caught_up)
-        self._reference = reference.copy()
+            reference, caught_up = divided(velocity, held, reference, caught_up, self._seeks)
+            self._stages[2] = caught_up
+        self._reference = reference
         even = held | (before != 0.0) | (caught_up != 0.0)
         return velocity, np.where(even, (begin + velocity) / 2.0 * duration_s, travel)
 

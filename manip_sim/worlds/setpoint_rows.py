@@ -13,8 +13,8 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.catching_up import caught_up, lateness, missing_way
-from manip_sim.control.motion_profiles import (
-    change_before_the_end, Plan, plan_ramps, ramp, velocity_before_the_end, within)
+from manip_sim.control.motion_profiles import Plan, plan_ramps, ramp, within
+from manip_sim.control.setpoint_laws import divided, limited
 from manip_sim.control.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
 from manip_sim.worlds.shared_goals import SharedGoals
 
@@ -147,14 +147,14 @@ class SetpointRows(SetpointGenerator):
             *(getattr(estimator, name) for name in (*_OF_STREAMS, *_OF_GOALS)),
             *(part.reshape(count, -1) for name in _OF_STEPS for part in getattr(estimator, name))
         ], axis=1)
-        for row, seeks, limited, lost in zip(
+        for row, seeks, clipped, lost in zip(
                 rows, self._seeks[rows], self.limited[rows], estimator.lost[rows]):
             of, state = self._generators[row], states[row].copy()
             own = of._estimator
             (own.interval_s, own.jitter_s, own.sent_s, own.goal, own.velocity, own.acceleration,
              own._last, own._change) = state[:8]
             own._steps, own._curves, own._fit = state[8:10], state[10:12], state[12:]
-            of._seeks, of.limited, own.lost = seeks.copy(), limited.copy(), lost.copy()
+            of._seeks, of.limited, own.lost = seeks.copy(), clipped.copy(), lost.copy()
 
     def advance(self, duration_s: float) -> None:
         """
@@ -168,16 +168,13 @@ class SetpointRows(SetpointGenerator):
         missing, catches, near = self._look(duration_s)
         self._look_ahead_in_rows(~(catches | near))
         velocity, travel = ramp(self._reference, self._reference_goal, self._ramp, duration_s)
-        limited = (catches | near)[:, None]
-        reference, plain_travel = velocity, travel
-        if np.count_nonzero(limited):
+        acts = catches | near
+        if np.count_nonzero(acts):
             before = self._stages[2]
             self._catch_up_rows(missing, catches, duration_s)
-            velocity, travel, reference = self._limit_rows(
-                velocity, travel, before, near, limited, duration_s)
-            if not limited.all():
-                travel = np.where(limited, travel, plain_travel)
-        self._reference = reference
+            velocity, travel = self._limit_rows(velocity, travel, before, near, acts, duration_s)
+        else:
+            self._reference = velocity
         self.position = self.position + travel
         if np.count_nonzero(near):
             self.position = np.where(
@@ -320,37 +317,35 @@ class SetpointRows(SetpointGenerator):
                              np.abs(stages).max(axis=(0, 2), initial=0.0))
         goes_on = catches & ((largest >= ARRIVED) | self._brakes.any(axis=1))
         if not goes_on.all():
-            stages = np.where(goes_on[:, None], stages,
-                              np.where(catches[:, None], 0.0, self._stages))
+            stages = np.where(goes_on[:, None], stages, 0.0)
         self._catching, self._stages = goes_on, stages
 
     def _limit_rows(self, reference: FloatArray, travel: FloatArray, before: FloatArray,
-                    near: BoolArray, limited: BoolArray, duration_s: float
-                    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return velocities after an interval, the ways in it, and those of the references."""
+                    near: BoolArray, acts: BoolArray, duration_s: float
+                    ) -> tuple[FloatArray, FloatArray]:
+        """
+        Return velocities after an interval and the ways in it, as for a single generator.
+
+        :param near: which rows are near the end of a range, shape (rows,)
+        :param acts: whose velocities are more than those of references, shape (rows,)
+        """
         begin, caught_up = self.velocity, self._stages[2]
-        plain = reference + caught_up
-        top = self._get_terms().top
-        velocity = within(plain, -top, top)
-        change = self._bound * duration_s
-        if np.count_nonzero(near):
-            ranges = self.position - self._low, self._high - self.position
-            velocity = np.where(near[:, None], velocity_before_the_end(
-                velocity, begin, *ranges, self._bound, duration_s), velocity)
-            change = np.where(near[:, None], change_before_the_end(
-                begin, *ranges, self._bound, duration_s), change)
-        velocity = within(velocity, begin - change, begin + change)
-        if not limited.all():
-            velocity = np.where(limited, velocity, reference)
-            plain = np.where(limited, plain, reference)
-        held = velocity != plain
+        plain, top, bound = reference + caught_up, self._get_terms().top, self._bound
+        velocity = limited(plain, begin, top, bound, duration_s, None)
+        rows = np.flatnonzero(near)
+        if rows.size:
+            ranges = self.position[rows] - self._low, self._high - self.position[rows]
+            velocity[rows] = limited(
+                plain[rows], begin[rows], top[rows], bound[rows], duration_s, ranges)
+        held = (velocity != plain) & acts[:, None]
+        velocity = np.where(acts[:, None], velocity, reference)
         if np.count_nonzero(held):
             self._catching = self._catching | held.any(axis=1)
-            reference = np.where(held & ~self._seeks, velocity, reference)
-            caught_up = np.where(held & self._seeks, velocity - reference, caught_up)
-            self._stages = np.stack([self._stages[0], self._stages[1], caught_up])
+            reference, caught_up = divided(velocity, held, reference, caught_up, self._seeks)
+            self._stages[2] = caught_up
+        self._reference = reference
         even = held | (before != 0.0) | (caught_up != 0.0)
-        return velocity, np.where(even, (begin + velocity) / 2.0 * duration_s, travel), reference
+        return velocity, np.where(even, (begin + velocity) / 2.0 * duration_s, travel)
 
     def _arrive_in_rows(self, done: BoolArray) -> None:
         pace = np.maximum(np.abs(self._stages).max(axis=0), np.maximum(
