@@ -11,12 +11,8 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.catching_up import caught_up, lateness, missing_way, Terms, terms_of
 from manip_sim.control.motion_profiles import Plan, plan_ramps, ramp, within
 from manip_sim.control.setpoint_goals import SetpointGoals
-from manip_sim.control.setpoint_laws import divided, limited
-
-#: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
-ARRIVED = 1e-10
-#: Where the range ends is looked for this far ahead, beside the way of braking [s].
-AHEAD_S = 0.1
+from manip_sim.control.setpoint_laws import (
+    AHEAD_S, ARRIVED, away_from_ends, divided, limited, outside, resting, without_ended)
 
 
 class SetpointGenerator(SetpointGoals):
@@ -42,7 +38,7 @@ class SetpointGenerator(SetpointGoals):
                  acceleration_limit: FloatArray) -> None:
         super().__init__(position_range, velocity_limit, acceleration_limit)
         # Positions between which no end of the range is near at any velocity.
-        self._inside = self._away_from_ends(velocity_limit)
+        self._inside = away_from_ends(self._low, self._high, velocity_limit, acceleration_limit)
 
     def at_rest(self, indices: IntArray) -> bool:
         """Return whether all of the given setpoints rest at their goals."""
@@ -108,11 +104,6 @@ class SetpointGenerator(SetpointGoals):
                 or np.count_nonzero(self._reference_goal)):
             self._arrive()
 
-    def _away_from_ends(self, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return positions between which nothing that is not faster has to brake."""
-        way = velocity**2 / self._acceleration_limit + AHEAD_S * velocity
-        return self._low + way, self._high - way
-
     def _look_ahead(self) -> Plan | None:
         """Return a plan for the rest of the period, if only references move in it."""
         since_s = self.now_s - self._begin_s
@@ -138,16 +129,16 @@ class SetpointGenerator(SetpointGoals):
         self._follow(self.plan, len(self.plan.durations_s) - 1, 0.0)
 
     def _is_near_ends(self, position: FloatArray, catches: bool) -> bool:
-        low, high = self._inside
-        if not np.count_nonzero((position < low) | (position > high)):
+        if not np.count_nonzero(outside(position, *self._inside)):
             return False
         if catches:
             return True
         if self._inside_now is None:
-            self._inside_now = self._away_from_ends(
-                np.maximum(np.abs(self._reference), np.abs(self._reference_goal)))
-        low, high = self._inside_now
-        return bool(np.count_nonzero((position < low) | (position > high)))
+            self._inside_now = away_from_ends(
+                self._low, self._high,
+                np.maximum(np.abs(self._reference), np.abs(self._reference_goal)),
+                self._acceleration_limit)
+        return bool(np.count_nonzero(outside(position, *self._inside_now)))
 
     def _limit(self, reference: FloatArray, travel: FloatArray, before: FloatArray, near: bool,
                duration_s: float) -> tuple[FloatArray, FloatArray]:
@@ -200,16 +191,13 @@ class SetpointGenerator(SetpointGoals):
                 part[held] = 0.0
 
     def _resting(self) -> BoolArray:
-        pace = np.maximum.reduce(np.abs([
-            *self._stages, self._reference, self._reference_goal]))
-        away = np.where(self._seeks, np.abs(self._goal - self.position), 0.0)
-        return np.maximum(pace, away) < ARRIVED
+        return resting(self._stages, self._reference, self._reference_goal,
+                       self._goal - self.position, self._seeks)
 
     def _end_streams(self) -> None:
-        ended = self._until_s <= self.now_s + 1e-9
-        self._reference_goal[ended] = 0.0
-        self._ramp[ended] = self._bound[ended] = self._acceleration_limit[ended]
-        self._until_s[ended] = np.inf
+        self._until_s, self._reference_goal, self._ramp, self._bound = without_ended(
+            self._until_s, self.now_s, self._reference_goal, self._ramp, self._bound,
+            self._acceleration_limit)
         self._next_end_s = float(self._until_s.min(initial=np.inf))
         self._inside_now = self._terms = self.plan = None
 

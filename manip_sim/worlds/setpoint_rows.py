@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 import copy
 from typing import Any
 
@@ -14,8 +14,9 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.catching_up import caught_up, lateness, missing_way
 from manip_sim.control.motion_profiles import Plan, plan_ramps, ramp, within
-from manip_sim.control.setpoint_laws import divided, limited
-from manip_sim.control.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
+from manip_sim.control.setpoint_laws import (
+    AHEAD_S, ARRIVED, away_from_ends, divided, limited, outside, resting, without_ended)
+from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.worlds.shared_goals import SharedGoals
 
 #: What a generator is made of that changes in time, of shape (n,).
@@ -217,10 +218,8 @@ class SetpointRows(SetpointGenerator):
         _, catches, near = self._look(float(ends_s[0, 0]))
         if np.count_nonzero(catches | near):
             return None
-        for plan, _, fits in self._plans_of(~catches):
-            if len(fits) == rows and fits.all():
-                return plan
-        return None
+        found = self._plan_of(~catches)
+        return found[0] if found is not None and np.count_nonzero(found[2]) == rows else None
 
     def follow_plan(self, plan: Plan) -> None:
         """Follow a plan of :meth:`plan_period` to its end."""
@@ -231,15 +230,18 @@ class SetpointRows(SetpointGenerator):
 
     def _look_ahead_in_rows(self, plain: BoolArray) -> None:
         """Plan the rest of the period for rows in which only references move."""
-        for plan, rows, fits in self._plans_of(plain):
-            durations_s = np.broadcast_to(plan.durations_s, (*plan.positions.shape[:2], 1))
-            for number in np.flatnonzero(fits).tolist():
-                self.plans[int(rows[number])] = Plan(
-                    durations_s[:, number], *(part[:, number] for part in plan[1:]))
+        found = self._plan_of(plain)
+        if found is None:
+            return
+        plan, rows, fits = found
+        durations_s = np.broadcast_to(plan.durations_s, (*plan.positions.shape[:2], 1))
+        for number in np.flatnonzero(fits).tolist():
+            self.plans[int(rows[number])] = Plan(
+                durations_s[:, number], *(part[:, number] for part in plan[1:]))
 
-    def _plans_of(self, plain: BoolArray) -> Iterator[tuple[Plan, IntArray, BoolArray]]:
+    def _plan_of(self, plain: BoolArray) -> tuple[Plan, IntArray, BoolArray] | None:
         """
-        Yield a plan for the rest of the period, if there may be one.
+        Return a plan for the rest of the period, or None if there is none.
 
         :param plain: rows in which only references move
         :returns: what rows would do, these rows, and which of them can do it
@@ -247,28 +249,24 @@ class SetpointRows(SetpointGenerator):
         at, rows = self._interval, np.flatnonzero(plain & self._reference_goal.any(axis=1))
         ends_s = self._ends_s[at:, None]
         if len(ends_s) < 2 or not rows.size:
-            return
+            return None
         if at:
             ends_s = ends_s - (self._now_s - self._begins_s)[rows]
         plan = plan_ramps(self.position[rows], self._reference[rows], self._reference_goal[rows],
                           self._ramp[rows], ends_s)
         fits = self._next_ends_s[rows] > self._now_s[rows, 0] + ends_s[-2, :, 0] + 1e-9
-        away = ((plan.positions[:-1] < self._inside[0])
-                | (plan.positions[:-1] > self._inside[1])).any(axis=(0, 2))
+        away = outside(plan.positions[:-1], *self._inside).any(axis=(0, 2))
         asked = np.flatnonzero(away & fits)
         if asked.size:
-            own, (low, high) = plan.positions[:-1, asked], self._inside_of(rows[asked])
-            fits[asked] = ~((own < low) | (own > high)).any(axis=(0, 2))
-        yield plan, rows, fits
+            fits[asked] = ~outside(
+                plan.positions[:-1, asked], *self._inside_of(rows[asked])).any(axis=(0, 2))
+        return plan, rows, fits
 
     def _end_streams_of_rows(self, due: BoolArray) -> None:
-        ended = due[:, None] & (self._until_s <= self._now_s + 1e-9)
-        self._reference_goal = np.where(ended, 0.0, self._reference_goal)
-        self._ramp, self._bound = (np.where(ended, self._acceleration_limit, of)
-                                   for of in (self._ramp, self._bound))
-        self._until_s = np.where(ended, np.inf, self._until_s)
-        self._next_ends_s = np.where(
-            due, self._until_s.min(axis=1, initial=np.inf), self._next_ends_s)
+        self._until_s, self._reference_goal, self._ramp, self._bound = without_ended(
+            self._until_s, self._now_s, self._reference_goal, self._ramp, self._bound,
+            self._acceleration_limit)
+        self._next_ends_s = self._until_s.min(axis=1, initial=np.inf)
         self._terms = None
         self._knows_ends[due] = False
 
@@ -293,20 +291,20 @@ class SetpointRows(SetpointGenerator):
         """Return which rows are near the end of a range."""
         if duration_s >= AHEAD_S:
             return np.ones(len(catches), dtype=bool)
-        near = np.asarray((
-            (self.position < self._inside[0]) | (self.position > self._inside[1])).any(axis=1))
+        near = np.asarray(outside(self.position, *self._inside).any(axis=1))
         asked = np.flatnonzero(near & ~catches)
         if asked.size:
-            own, (low, high) = self.position[asked], self._inside_of(asked)
-            near[asked] = ((own < low) | (own > high)).any(axis=1)
+            near[asked] = outside(self.position[asked], *self._inside_of(asked)).any(axis=1)
         return near
 
     def _inside_of(self, rows: IntArray) -> FloatArray:
         """Return positions between which no end of a range is near, shape (2, rows, n)."""
         new = rows[~self._knows_ends[rows]]
         if new.size:
-            self._ends[:, new] = self._away_from_ends(np.maximum(
-                np.abs(self._reference[new]), np.abs(self._reference_goal[new])))
+            self._ends[:, new] = away_from_ends(
+                self._low, self._high,
+                np.maximum(np.abs(self._reference[new]), np.abs(self._reference_goal[new])),
+                self._acceleration_limit)
             self._knows_ends[new] = True
         return self._ends[:, rows]
 
@@ -348,10 +346,9 @@ class SetpointRows(SetpointGenerator):
         return velocity, np.where(even, (begin + velocity) / 2.0 * duration_s, travel)
 
     def _arrive_in_rows(self, done: BoolArray) -> None:
-        pace = np.maximum(np.abs(self._stages).max(axis=0), np.maximum(
-            np.abs(self._reference), np.abs(self._reference_goal)))
-        away = np.where(self._seeks, np.abs(self._goal - self.position), 0.0)
-        rests: BoolArray = np.logical_and(done, (np.maximum(pace, away) < ARRIVED).all(axis=1))
+        arrived = resting(self._stages, self._reference, self._reference_goal,
+                          self._goal - self.position, self._seeks)
+        rests: BoolArray = np.logical_and(done, arrived.all(axis=1))
         self._catching = self._catching | (done & ~rests)
         self.moves = self.moves & ~rests
         self._bound = np.where(rests[:, None], self._acceleration_limit, self._bound)
