@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import as_slice, BoolArray, FloatArray, IntArray
 from manip_sim.control.joint_accelerations import acceleration_limits
 from manip_sim.control.motion_profiles import Plan
+from manip_sim.control.servo_laws import activations, place_after
 from manip_sim.errors import ModelError
 from manip_sim.physics.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
@@ -284,10 +285,7 @@ class Servos:
         """
         positions, velocities, _, _ = self._places
         position, velocity = self._physics.qpos[positions], self._physics.qvel[velocities]
-        limit = self.ranges['velocity'][:, 1]
-        if np.count_nonzero(np.abs(velocity) > limit):
-            position = position + duration_s * (velocity - np.clip(velocity, -limit, limit))
-        return np.asarray(position)
+        return place_after(position, velocity, self.ranges['velocity'][:, 1], duration_s)
 
     def write(self, data: mujoco.MjData, duration_s: float, position: FloatArray,
               velocity: FloatArray, acceleration: FloatArray, effort: FloatArray) -> None:
@@ -349,20 +347,18 @@ class Servos:
         physics, (_, dofs, _, _) = self._physics, self._places
         if self._sources:
             acceleration = np.where(self._gives_effort, 0.0, acceleration)
-        force = self._drag * velocity
-        force += self._inertial(data, acceleration)
+        forces = [self._inertial(data, acceleration)]
         if self._friction.acts:
-            force += self._friction.at(velocity)
+            forces.append(self._friction.at(velocity))
         # The bias force minus the weight, which the actuators carry already.
         coriolis = physics.bias[dofs] - physics.gravcomp[dofs]
         if not self._all_compensated:
             coriolis *= self._compensated
-        force += coriolis
-        force /= self._stiffness
-        force += position
+        forces.append(coriolis)
+        goal = activations(position, velocity, forces, self._drag, self._stiffness)
         if self._geared:
-            force *= self._gear
-        return np.asarray(force)
+            goal *= self._gear
+        return goal
 
     def _inertial(self, data: mujoco.MjData, acceleration: FloatArray) -> FloatArray:
         """Return the forces for accelerations, shape (..., n)."""

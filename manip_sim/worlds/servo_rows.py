@@ -13,6 +13,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.control.motion_profiles import Plan
 from manip_sim.control.planned_controls import CALM
+from manip_sim.control.servo_laws import activations, place_after
 from manip_sim.simulation import SimulatedRobot
 
 
@@ -46,12 +47,7 @@ class ServoRows:
         positions, velocities, _, _ = self._places
         position = _stacked([physics.qpos for physics in self._physics])[:, positions]
         velocity = _stacked([physics.qvel for physics in self._physics])[:, velocities]
-        limit = self._servos.velocity_limit
-        fast = np.asarray((np.abs(velocity) > limit).any(axis=1))
-        if np.count_nonzero(fast):
-            position = np.where(fast[:, None], position + duration_s * (
-                velocity - np.clip(velocity, -limit, limit)), position)
-        return np.asarray(position)
+        return place_after(position, velocity, self._servos.velocity_limit, duration_s)
 
     def keep_up(self, plan: Plan) -> bool:
         """
@@ -101,21 +97,21 @@ class ServoRows:
             model, data = self._physics[row].model, self._physics[row].data
             for result, vector in zip(results, vectors):
                 mujoco.mj_mulM(model, data, result, vector)
-        force = self._drag[rows][:, None] * velocity
-        force += forces[..., dofs]
+        needed = [forces[..., dofs]]
         frictions = [self._frictions[row] for row in rows]
         if any([friction.acts for friction in frictions]):
-            force += np.stack([friction.at(own) for friction, own in zip(frictions, velocity)])
+            needed.append(np.stack(
+                [friction.at(own) for friction, own in zip(frictions, velocity)]))
         coriolis = (_stacked([self._physics[row].bias for row in rows])[:, dofs]
                     - _stacked([self._physics[row].gravcomp for row in rows])[:, dofs])
         if not servos._all_compensated:
             coriolis *= servos._compensated
-        force += coriolis[:, None]
-        force /= self._stiffness[rows][:, None]
-        force += position
+        needed.append(coriolis[:, None])
+        goals = activations(position, velocity, needed, self._drag[rows][:, None],
+                            self._stiffness[rows][:, None])
         if servos._geared:
-            force *= servos._gear
-        return np.asarray(force)
+            goals *= servos._gear
+        return goals
 
 
 def _stacked(fields: list[FloatArray]) -> FloatArray:
