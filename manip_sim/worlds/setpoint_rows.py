@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.catching_up import caught_up, lateness, missing_way
+from manip_sim.control.catching_up import caught_up, lateness, missing_way, Terms, terms_of
 from manip_sim.control.motion_profiles import Plan, plan_ramps, ramp, within
 from manip_sim.control.setpoint_laws import (
     AHEAD_S, ARRIVED, away_from_ends, divided, limited, outside, resting, without_ended)
@@ -29,7 +29,7 @@ _OF_GOALS = ('goal', 'velocity', 'acceleration', '_last', '_change')
 _OF_STEPS = ('_steps', '_curves', '_fit')
 
 
-class SetpointRows(SetpointGenerator):
+class SetpointRows:
     """
     The setpoints of several generators of the same joints, in arrays of shape (rows, n).
 
@@ -46,8 +46,9 @@ class SetpointRows(SetpointGenerator):
     def __init__(self, generators: Sequence[SetpointGenerator]) -> None:
         self._generators = generators
         first, rows = generators[0], len(generators)
-        for name in _STATE:
-            setattr(self, name, _stacked([getattr(of, name) for of in generators]))
+        (self.position, self.velocity, self.acceleration, self._reference, self._reference_goal,
+         self._goal, self._ramp, self._bound, self._until_s, self._seeks, self._brakes) = (
+            _stacked([getattr(of, name) for of in generators]) for name in _STATE)
         stages = np.concatenate([of._stages for of in generators], axis=1)
         self._stages = np.reshape(stages, (len(stages), rows, -1))
         self._estimator = copy.copy(first._estimator)
@@ -60,7 +61,7 @@ class SetpointRows(SetpointGenerator):
         known = [of._inside_now for of in generators]
         self._knows_ends: BoolArray = np.array([inside is not None for inside in known])
         self._ends = np.stack([inside or (self._low, self._high) for inside in known], axis=1)
-        self._terms = None
+        self._terms: Terms | None = None
         self._now_s = np.array([of.now_s for of in generators])[:, None]
         self._next_ends_s = np.array([of._next_end_s for of in generators])
         self._goals_taken = False
@@ -96,7 +97,7 @@ class SetpointRows(SetpointGenerator):
         # Nothing in it depends on which row a joint is in.
         flat = self._flat()
         flat.now_s = float(self._now_s[rows[0], 0])
-        SetpointGenerator._take(flat, shared.clock, shared.message, shared.goals.ravel())
+        flat._take(shared.clock, shared.message, shared.goals.ravel())
         shared.set_clocks()
         self._next_ends_s[rows] = self._until_s[rows].min(axis=1, initial=np.inf)
         self._catching[rows] = self.moves[rows] = True
@@ -105,7 +106,7 @@ class SetpointRows(SetpointGenerator):
 
     def _flat(self) -> SetpointGenerator:
         """Return a generator of the joints of all rows, whose arrays are views of those here."""
-        flat, rows = copy.copy(self), len(self._generators)
+        flat, rows = copy.copy(self._generators[0]), len(self._generators)
         flat._estimator = copy.copy(self._estimator)
         for name in (*_STATE, 'limited'):
             setattr(flat, name, getattr(self, name).reshape(-1))
@@ -167,13 +168,13 @@ class SetpointRows(SetpointGenerator):
         self.plans = {}
         begin = self.velocity
         missing, catches, near = self._look(duration_s)
-        self._look_ahead_in_rows(~(catches | near))
+        self._look_ahead(~(catches | near))
         velocity, travel = ramp(self._reference, self._reference_goal, self._ramp, duration_s)
         acts = catches | near
         if np.count_nonzero(acts):
             before = self._stages[2]
-            self._catch_up_rows(missing, catches, duration_s)
-            velocity, travel = self._limit_rows(velocity, travel, before, near, acts, duration_s)
+            self._catch_up(missing, catches, duration_s)
+            velocity, travel = self._limit(velocity, travel, before, near, acts, duration_s)
         else:
             self._reference = velocity
         self.position = self.position + travel
@@ -189,14 +190,14 @@ class SetpointRows(SetpointGenerator):
         self._now_s = self._now_s + duration_s
         done = ~(self._catching | velocity.any(axis=1) | self._reference_goal.any(axis=1))
         if np.count_nonzero(done):
-            self._arrive_in_rows(done)
+            self._arrive(done)
 
     def _look(self, duration_s: float) -> tuple[FloatArray, BoolArray, BoolArray]:
         """Return what is missing, and which rows catch up or are near the end of a range."""
         due = self._next_ends_s <= self._now_s[:, 0] + 1e-9
         if np.count_nonzero(due):
-            self._end_streams_of_rows(due)
-        missing, catches = self._missing_of_rows()
+            self._end_streams(due)
+        missing, catches = self._missing()
         return missing, catches, self._rows_near_ends(catches, duration_s)
 
     @property
@@ -209,7 +210,7 @@ class SetpointRows(SetpointGenerator):
         Begin a control period of all rows, and return the plan that all of them follow in it.
 
         :param now_s: simulation time [s]
-        :param ends_s: as for :meth:`begin_period`
+        :param ends_s: when its intervals end, since it begins [s], shape (k, 1)
         :returns: of shape (k, rows, n); None if some do not, and then nothing has moved
         """
         rows = len(self._generators)
@@ -228,7 +229,7 @@ class SetpointRows(SetpointGenerator):
         self._reference = self.velocity.copy()
         self._now_s = self._now_s + float(self._ends_s[0, 0])
 
-    def _look_ahead_in_rows(self, plain: BoolArray) -> None:
+    def _look_ahead(self, plain: BoolArray) -> None:
         """Plan the rest of the period for rows in which only references move."""
         found = self._plan_of(plain)
         if found is None:
@@ -262,7 +263,7 @@ class SetpointRows(SetpointGenerator):
                 plan.positions[:-1, asked], *self._inside_of(rows[asked])).any(axis=(0, 2))
         return plan, rows, fits
 
-    def _end_streams_of_rows(self, due: BoolArray) -> None:
+    def _end_streams(self, due: BoolArray) -> None:
         self._until_s, self._reference_goal, self._ramp, self._bound = without_ended(
             self._until_s, self._now_s, self._reference_goal, self._ramp, self._bound,
             self._acceleration_limit)
@@ -270,7 +271,13 @@ class SetpointRows(SetpointGenerator):
         self._terms = None
         self._knows_ends[due] = False
 
-    def _missing_of_rows(self) -> tuple[FloatArray, BoolArray]:
+    def _get_terms(self) -> Terms:
+        if self._terms is None:
+            self._terms = terms_of(self._estimator, self._until_s < np.inf, self._seeks,
+                                   self._reference_goal, self._velocity_limit)
+        return self._terms
+
+    def _missing(self) -> tuple[FloatArray, BoolArray]:
         """Return what is missing of the ways, and which rows have something to catch up."""
         missing = missing_way(
             self._goal, lateness(self._estimator, self._until_s < np.inf, self._now_s),
@@ -308,7 +315,7 @@ class SetpointRows(SetpointGenerator):
             self._knows_ends[new] = True
         return self._ends[:, rows]
 
-    def _catch_up_rows(self, missing: FloatArray, catches: BoolArray, duration_s: float) -> None:
+    def _catch_up(self, missing: FloatArray, catches: BoolArray, duration_s: float) -> None:
         stages = caught_up(self._stages, missing, self._acceleration_limit, self._get_terms(),
                            duration_s)
         largest = np.maximum(np.abs(missing).max(axis=1, initial=0.0),
@@ -318,9 +325,9 @@ class SetpointRows(SetpointGenerator):
             stages = np.where(goes_on[:, None], stages, 0.0)
         self._catching, self._stages = goes_on, stages
 
-    def _limit_rows(self, reference: FloatArray, travel: FloatArray, before: FloatArray,
-                    near: BoolArray, acts: BoolArray, duration_s: float
-                    ) -> tuple[FloatArray, FloatArray]:
+    def _limit(self, reference: FloatArray, travel: FloatArray, before: FloatArray,
+               near: BoolArray, acts: BoolArray, duration_s: float
+               ) -> tuple[FloatArray, FloatArray]:
         """
         Return velocities after an interval and the ways in it, as for a single generator.
 
@@ -345,7 +352,7 @@ class SetpointRows(SetpointGenerator):
         even = held | (before != 0.0) | (caught_up != 0.0)
         return velocity, np.where(even, (begin + velocity) / 2.0 * duration_s, travel)
 
-    def _arrive_in_rows(self, done: BoolArray) -> None:
+    def _arrive(self, done: BoolArray) -> None:
         arrived = resting(self._stages, self._reference, self._reference_goal,
                           self._goal - self.position, self._seeks)
         rests: BoolArray = np.logical_and(done, arrived.all(axis=1))
@@ -373,10 +380,9 @@ class SetpointRows(SetpointGenerator):
         self.position = np.where(rows[:, None], within(
             self.position, measured - lead, measured + lead), self.position)
         self._catching = self._catching | rows
-        self._stages = np.where(held, 0.0, self._stages)
-        self._reference = np.where(held, 0.0, self._reference)
-        self.velocity = np.where(held, 0.0, self.velocity)
-        self.acceleration = np.where(held, 0.0, self.acceleration)
+        self._stages[:, held] = 0.0
+        for part in (self._reference, self.velocity, self.acceleration):
+            part[held] = 0.0
 
 
 def _stacked(values: list[Any]) -> Any:
