@@ -63,7 +63,9 @@ def wilson_interval(successes: int, count: int) -> tuple[float, float]:
     middle = (share + z2 / (2.0 * count)) / (1.0 + z2 / count)
     half = _Z / (1.0 + z2 / count) * math.sqrt(
         share * (1.0 - share) / count + z2 / (4.0 * count * count))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
+    # At the ends, rounding must not leave a little of what is all or nothing.
+    return (max(middle - half, 0.0) if successes else 0.0,
+            min(middle + half, 1.0) if successes < count else 1.0)
 
 
 def summarize(rows: Iterable[Row], seeds: int, period_s: float) -> dict[str, Any]:

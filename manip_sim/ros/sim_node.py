@@ -29,6 +29,7 @@ from manip_sim.interface.world_topics import (
 from manip_sim.models import World
 from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
+from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.action_servers import ActionServers, offer_actions
 from manip_sim.ros.arguments import without_source
@@ -280,7 +281,13 @@ class SimNode(Node):
         reason = self.declared.rejection(parameter_list)
         if reason is not None:
             return SetParametersResult(successful=False, reason=reason)
-        return super().set_parameters_atomically(parameter_list)
+        before = [self.get_parameter(given.name) for given in parameter_list
+                  if self.has_parameter(given.name)]
+        try:
+            return super().set_parameters_atomically(parameter_list)
+        except Exception as error:  # The class of a control mode may raise anything.
+            super().set_parameters_atomically(before)
+            return SetParametersResult(successful=False, reason=one_line(str(error)))
 
     def world_changed(self, simulation: Simulation) -> None:
         """Let all that depends on the robots and objects of the world follow it."""

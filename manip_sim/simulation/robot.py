@@ -59,8 +59,7 @@ class SimulatedRobot:
     def __init__(self, physics: Physics, robot: RobotModel, efforts: ActuatorEfforts,
                  clock: Clock) -> None:
         self._physics, model = physics, physics.model
-        self._efforts = efforts
-        self._clock = clock
+        self._efforts, self._clock = efforts, clock
         self._timestep_s = self._period_s = float(model.opt.timestep)
         self.robot_model = robot
         self.parts: dict[str, Part] = find_parts(model, robot)
@@ -212,8 +211,7 @@ class SimulatedRobot:
 
     def command_interfaces(self) -> dict[str, str]:
         """Return what the commands of each joint are: ``position``, ``velocity``, ``effort``."""
-        fingers = [joint for gripper in self.grippers.values()
-                   for joint in gripper.joints.names]
+        fingers = [joint for gripper in self.grippers.values() for joint in gripper.joints.names]
         return {**{name: MODES[self.joints.mode_of(name)].field for name in self.joints.names},
                 **dict.fromkeys(fingers, POSITION.field)}
 
@@ -228,17 +226,15 @@ class SimulatedRobot:
         :raises UnknownNameError: if there is no such part
         """
         self._check_no_gripper(part)
-        self.joints.set_timeout(
-            part, positive_number(timeout_s, 'timeout_s', CommandError, or_zero=True),
-            ends_targets)
+        timeout_s = positive_number(timeout_s, 'timeout_s', CommandError, or_zero=True)
+        self.joints.set_timeout(part, timeout_s, ends_targets)
 
     def set_stream(self, part: str, longest_s: float | None = None, hold_s: float | None = None
                    ) -> None:
         """
         Change which commands of a part are a stream, and followed smoothly, and what ends it.
 
-        Goals that come more slowly are steps, each with its own start and stop. After a stream
-        joints brake within their acceleration limits, and come to the last goal.
+        Goals that come more slowly are steps, each with its own start and stop.
 
         :param part: such as ``arm``
         :param longest_s: longest interval of a stream, above 0 [s]; None: no change

@@ -79,6 +79,8 @@ def test_the_summary_says_how_often_and_how_sure(whole):
 def test_the_interval_is_that_of_wilsons_score(successes, count):
     expected = scipy.stats.binomtest(successes, count).proportion_ci(method='wilson')
     np.testing.assert_allclose(wilson_interval(successes, count), expected, atol=1e-6)
+    low, high = wilson_interval(successes, count)
+    assert (low == 0.0) is (successes == 0) and (high == 1.0) is (successes == count)
 
 
 def test_shards_in_one_folder_and_in_several_make_the_same_rows(whole, tmp_path, capsys):

@@ -9,7 +9,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from manip_sim.control.modes import MODES
+from manip_sim.control.modes import MODES, Position
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 STIFFNESS, PUSH_N_M = 100.0, 3.0
@@ -28,6 +28,34 @@ def set_mode(client, mode):
     (result,) = client.call(SetParameters, 'manip_sim/set_parameters',
                             SetParameters.Request(parameters=[parameter])).results
     return result
+
+
+class Unusable(Position):
+    name = 'unusable'
+
+    def gains(self, joints):
+        return -1.0, 1.0
+
+
+class Failing(Position):
+    name = 'failing'
+
+    def gains(self, joints):
+        raise RuntimeError('not today')
+
+
+@pytest.mark.parametrize('mode, reason', [
+    (Unusable, 'the stiffness of servos must be positive'), (Failing, 'not today')])
+def test_a_mode_that_cannot_be_used_is_rejected_with_the_reason(
+        serve, client, monkeypatch, mode, reason):
+    monkeypatch.setattr(MODES, '_modes', dict(MODES._modes))
+    MODES.add(mode())
+    node = serve()
+    result = set_mode(client, mode.name)
+    assert not result.successful and reason in result.reason
+    assert node.get_parameter('control_mode.arm').value == 'position'
+    assert set_mode(client, 'velocity').successful
+    assert node.simulation.robot.joints.mode_of(ARM[0]) == 'velocity'
 
 
 def test_an_installed_mode_is_a_choice_and_joints_in_it_yield_as_springs(
