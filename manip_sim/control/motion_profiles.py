@@ -50,11 +50,11 @@ def ramp(begin: FloatArray, goal: FloatArray, slope: FloatArray, interval_s: flo
     :param interval_s: [s]
     :returns: velocity at the end of the interval, and the way in it, each of shape (n,)
     """
-    change = goal - begin
-    ramp_s = np.minimum(np.abs(change) / slope, interval_s)
-    change = np.copysign(slope * ramp_s, change)
+    most = slope * interval_s
+    # Near the goal this is the difference itself: what is left of a quotient would never be zero.
+    change = within(goal - begin, -most, most)
     end = begin + change
-    return end, np.asarray(end * interval_s - (end - begin) / 2.0 * ramp_s)
+    return end, np.asarray(end * interval_s - change / 2.0 * (np.abs(change) / slope))
 
 
 class Plan(NamedTuple):

@@ -308,3 +308,23 @@ def test_a_saved_state_in_impedance_mode_is_continued_bit_by_bit(impedance):
         simulation.robot.set_control_mode('arm', 'position')
         simulation.advance(100)
     assert first.digest() == second.digest()
+
+
+@pytest.mark.parametrize('name', robot_names())
+def test_a_robot_rests_after_a_velocity_command_to_stop(name):
+    simulation = Simulation(compose(name, base='none'))
+    robot, rng = simulation.robot, np.random.default_rng(2)
+    joints = list(robot.joints.names)
+    for part in robot.parts.values():
+        if part.gripper is None and part.atomic == (part.name,):
+            robot.set_control_mode(part.name, 'velocity')
+    limits = np.abs(robot.joints.velocity_limits(np.arange(len(joints))))
+    for _ in range(3):
+        speed = np.minimum(limits, 0.3) * rng.uniform(-1.0, 1.0, len(joints))
+        for velocity in (speed, np.zeros(len(joints))):
+            robot.apply(*robot.parse.joint_command(joints, [], velocity.tolist(), []))
+            for _ in range(20):
+                simulation.advance(5)
+        for _ in range(100):
+            simulation.advance(5)
+        assert robot.joints.resting or not robot.joints._setpoints.moving

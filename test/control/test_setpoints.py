@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-from manip_sim.control.motion_profiles import braking_velocity
+from manip_sim.control.motion_profiles import braking_velocity, ramp
 from manip_sim.control.setpoints import SetpointGenerator
 
 V, A = 2.0, 8.0
@@ -519,3 +519,14 @@ def test_a_period_that_is_planned_at_once_goes_as_one_interval_after_the_other(s
             np.testing.assert_allclose(
                 planned.acceleration, plain.acceleration, rtol=0.0, atol=1e-3)
     assert 60 < plans < 1100
+
+
+def test_a_ramp_ends_exactly_at_its_goal_whatever_its_slope():
+    rng = np.random.default_rng(5)
+    velocity, goal = rng.uniform(-2.0, 2.0, (2, 20_000))
+    goal[::2] = 0.0
+    slope = rng.uniform(0.5, 30.0, 20_000)
+    for _ in range(2_100):
+        velocity, way = ramp(velocity, goal, slope, 0.004)
+    np.testing.assert_array_equal(velocity, goal)
+    np.testing.assert_allclose(way, goal * 0.004, atol=1e-12)
