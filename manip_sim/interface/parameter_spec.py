@@ -123,7 +123,8 @@ class ParameterSpec:
                     f'got {list(value)}')
         if (self.minimum is not None and self.maximum is not None
                 and not self.minimum <= value <= self.maximum):
-            low, high, got = (f'{x:.0f}' if type(value) is int else f'{_as_double(x):g}'
+            whole = type(value) is int and abs(value) < 2**63
+            low, high, got = (f'{x:.0f}' if whole else f'{_as_double(x):g}'
                               for x in (self.minimum, self.maximum, value))
             return (f"parameter '{self.name}' must be from {low} to "
                     f'{high}{self.unit and " " + self.unit}, got {got}')

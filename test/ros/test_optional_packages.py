@@ -5,7 +5,7 @@
 
 import pytest
 
-from manip_sim.ros import actions, scene, standard_services, transforms
+from manip_sim.ros import action_servers, scene, standard_services, transforms
 from manip_sim.ros.optional_packages import import_optional
 
 
@@ -22,7 +22,7 @@ def test_a_package_that_is_not_installed_is_none_and_one_that_is_broken_an_error
 
 def test_each_package_that_is_missing_is_noted_with_the_way_to_get_it(
         serve, client, monkeypatch):
-    monkeypatch.setattr(actions, 'ACTION_TYPES', None)
+    monkeypatch.setattr(action_servers, 'ACTION_TYPES', None)
     monkeypatch.setattr(standard_services, 'AVAILABLE', False)
     monkeypatch.setattr(transforms, 'TFMessage', None)
     monkeypatch.setattr(scene, 'PLANS', False)
