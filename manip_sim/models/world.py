@@ -33,6 +33,9 @@ _IMPRATIO = 10.0
 #: Iterations after the solver that take the rest of that out, so that grasped objects do not creep
 #: (mujoco.readthedocs.io, modeling, "Preventing slip"), and when they may end sooner.
 _NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 10, 1e-7
+#: Tolerance of collisions of convex shapes [m]. With MuJoCo's, the points where a cylinder touches
+#: jump by millimetres from step to step, and what presses on it never rests.
+_CCD_TOLERANCE = 1e-12
 #: MuJoCo 3.17; versions up to 3.15 do not compile a composed world without visual shapes.
 _DISCARDS_VISUALS = 3017000
 
@@ -160,7 +163,7 @@ class World:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = _IMPRATIO
-        self._prevent_slip(spec)
+        self._set_contact_options(spec)
         for robot in self.robots:
             place = None if robot.is_placed else self.arena.robot_position(robot)
             robot.attach_to(spec, spec.worldbody.add_frame(), place)
@@ -177,16 +180,20 @@ class World:
             item.attach(spec)
         return spec
 
-    def _prevent_slip(self, spec: mujoco.MjSpec) -> None:
-        """Let friction hold for good, unless the file of a part has its own options for that."""
-        option = max(
-            (part._spec.option for part in self._parts()), key=lambda own: own.noslip_iterations)
-        if option.noslip_iterations == 0:
+    def _set_contact_options(self, spec: mujoco.MjSpec) -> None:
+        """Let contacts rest and friction hold, unless the file of a part has options for that."""
+        options = [part._spec.option for part in self._parts()]
+        slip = max(options, key=lambda option: option.noslip_iterations)
+        if slip.noslip_iterations == 0:
             spec.option.noslip_iterations = _NOSLIP_ITERATIONS
             spec.option.noslip_tolerance = _NOSLIP_TOLERANCE
         else:
-            spec.option.noslip_iterations = option.noslip_iterations
-            spec.option.noslip_tolerance = option.noslip_tolerance
+            spec.option.noslip_iterations = slip.noslip_iterations
+            spec.option.noslip_tolerance = slip.noslip_tolerance
+        tolerances = {option.ccd_tolerance for option in options}
+        tolerances.discard(mujoco.MjSpec().option.ccd_tolerance)
+        # Rounded, because of what loading adds to one that is given.
+        spec.option.ccd_tolerance = float(f'{min(tolerances, default=_CCD_TOLERANCE):.12g}')
 
     def _parts(self) -> Iterator[Arena | MujocoXMLModel | ObjectModel]:
         """Yield what the world is made of."""

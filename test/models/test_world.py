@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import compose_robot
+from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import Arena, create_arena, EmptyArena, TableArena
 from manip_sim.models.bases import RethinkMount
 from manip_sim.models.grippers import PandaGripper
@@ -225,6 +225,29 @@ def test_a_part_keeps_its_own_options_against_slip(one_joint_arm, panda):
                            ([weak, strong], (30, 1e-5))):
         option = World(robots).compile().opt
         assert (option.noslip_iterations, option.noslip_tolerance) == wanted
+
+
+@pytest.mark.parametrize(('own', 'tolerance'), [
+    ('', 1e-12), ('<option timestep="0.001"/>', 1e-12), ('<option ccd_tolerance="1e-4"/>', 1e-4),
+    ('<option ccd_tolerance="1e-6"/>', 1e-6), ('<include file="options.xml"/>', 1e-5)])
+def test_convex_shapes_collide_exactly_unless_a_file_has_its_own_tolerance(
+        one_joint_arm, panda, tmp_path, own, tolerance):
+    (tmp_path / 'options.xml').write_text(
+        '<mujoco><option ccd_iterations="60" ccd_tolerance="1e-5"/></mujoco>')
+    world = World([panda, one_joint_arm(sections=own, idn=1)], TableArena(cube=True))
+    assert world.compile().opt.ccd_tolerance == tolerance
+    assert mujoco.MjModel.from_xml_string(world.to_xml()).opt.ccd_tolerance == tolerance
+
+
+def test_the_least_tolerance_of_several_files_applies(tmp_path):
+    file = '<mujoco><option ccd_tolerance="{}"/><worldbody><body name="it"><geom size="0.1"/>' \
+        '</body></worldbody></mujoco>'
+    for name, tolerance in (('arena', 1e-3), ('object', 1e-8)):
+        (tmp_path / f'{name}.xml').write_text(file.format(tolerance))
+    world = compose(arena=tmp_path / 'arena.xml',
+                    objects=[{'name': 'thing', 'file': str(tmp_path / 'object.xml')}])
+    assert world.compile().opt.ccd_tolerance == 1e-8
+    assert world.with_objects([]).compile().opt.ccd_tolerance == 1e-3
 
 
 def test_composing_compiles_no_part_again(panda, monkeypatch):

@@ -5,6 +5,7 @@
 
 import copy
 import gc
+import math
 import weakref
 
 import mujoco
@@ -89,6 +90,18 @@ def test_arm_that_is_alone_moves_on_but_for_rounding():
     joints = slice(0, 18)  # Position and velocity of nine joints.
     np.testing.assert_allclose(with_box[:, joints], alone[:, joints], rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(with_box, alone, rtol=0.0, atol=1e-9)
+
+
+def test_a_lying_can_that_was_spawned_does_not_creep():
+    simulation = Simulation(compose(arena='table', cube=False))
+    can = create_object({'name': 'can', 'shape': 'cylinder', 'size': [0.03, 0.06], 'mass': 0.3,
+                         'position': [0.1, 0.1, 0.831], 'rpy': [math.pi / 2.0, 0.0, 0.3]})
+    simulation.change_objects(plan_with(simulation.plan, can))
+    simulation.advance(1000)
+    before = simulation.data.body('can').xpos.copy()
+    simulation.advance(1000)
+    creep_m_per_min = 30.0 * np.linalg.norm(simulation.data.body('can').xpos - before)
+    assert creep_m_per_min < 1e-4
 
 
 def test_an_object_that_was_spawned_goes_back_to_its_place_with_a_reset():
