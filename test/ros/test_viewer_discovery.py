@@ -128,9 +128,36 @@ def test_a_node_that_is_gone_is_forgotten_but_its_picture_stays(client, other):
     finding.until(lambda found: found.models == 2 and found.layout is not None)
     (joint,) = found.robots()[0].parts[0].joints
     assert (joint.name, joint.ranges['position']) == ('other_joint', (-1.0, 1.0))
-    # What has been learnt is not listened to any more.
-    client.spin_until(lambda: not any(client.node.count_subscribers(f'/{topic}') for topic in (
-        'robot_description', 'arm/joint_states')))
+    # The names of joints do not change any more; another description may come.
+    finding.until(lambda _: not client.node.count_subscribers('/arm/joint_states'))
+    assert client.node.count_subscribers('/robot_description') == 1
+
+
+def test_another_robot_takes_the_place_of_one_that_still_counts_as_present(client, other):
+    finding = Finding(client, NAME)
+    found = finding.whole()
+    layout = found.layout
+    # It says at first what the former one said.
+    other._timer.cancel()
+    former = other.states()['arm/joint_states']
+    other.text = lambda what: f'other_{what}'
+    other.send_world()
+    finding.until(lambda found: found.models == 2)
+    assert found.robots()[0].parts[0].joints == ()
+    for _ in range(3):
+        other.publishers['arm/joint_states'].publish(former)
+        finding.discovery.look()
+    new = other.states()['arm/joint_states']
+
+    def arrived(_):
+        other.publishers['arm/joint_states'].publish(new)
+        return [joint.name for joint in found.robots()[0].parts[0].joints] == ['other_joint']
+    finding.until(arrived)
+    assert found.layout == layout
+    # The same joints with other limits.
+    other.urdf.publish(String(data=LIMITED.replace('"joint"', '"other_joint"').format('')))
+    finding.until(lambda _: found.robots()[0].parts[0].joints[0].ranges['position']
+                  == (-0.5, 0.25))
 
 
 def test_a_part_without_usable_names_of_joints_is_waited_for(client, other):

@@ -17,6 +17,7 @@ from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
 from manip_sim.viewer.ros import session  # noqa: E402
 from manip_sim.viewer.ros.layout import Layout, RobotTopics  # noqa: E402
 from manip_sim.viewer.ros.readers import Readers  # noqa: E402
+from manip_sim.viewer.ros.states import States  # noqa: E402
 
 ROBOT = RobotTopics('/', ('arm', 'right/gripper'), ('right',), True)
 OTHER = RobotTopics('/left/', ('arm',), (), False)
@@ -104,6 +105,31 @@ def test_the_topics_of_a_layout_are_listened_to_once_and_those_of_another_one_in
     seen.update(3.0)
     assert seen.states.calls['listen'] == (Layout((ROBOT, OTHER)),)
     assert seen.states.counts['listen'] == 2
+
+
+def test_the_panels_are_those_of_another_robot_with_the_same_topics(seen):
+    appear(seen, ROBOT)
+    seen.discovery.robots = lambda: ['UR5e']
+    seen.update(1.0)
+    assert seen.page.calls['show_robots'] == (['UR5e'], ())
+    seen.discovery.__dict__.update(robots=lambda: ['Panda'], models=2)
+    seen.update(2.0)
+    assert seen.page.calls['show_robots'] == (['Panda'], ())
+    seen.update(3.0)
+    assert (seen.page.counts['show_robots'], seen.page.counts['show_model']) == (2, 2)
+
+
+def test_states_of_robots_that_are_gone_are_forgotten(node):
+    states = States(node, Readers(node), 'sim', '/')
+    states.listen(Layout((ROBOT, OTHER), ('cube',)))
+    latest, key = states.latest, ('/left/', 'right')
+    latest.joints.update({'/': 'here', '/left/': 'gone'})
+    latest.end_effectors[key] = latest.wrenches[key] = states.frames[key] = 'gone'
+    latest.end_effectors['/', 'right'] = latest.objects['cube'] = 'here'
+    states.listen(Layout((ROBOT,), ('cube',)))
+    assert (latest.joints, latest.end_effectors, latest.wrenches, states.frames) == (
+        {'/': 'here'}, {('/', 'right'): 'here'}, {}, {})
+    assert latest.objects == {'cube': 'here'}
 
 
 def test_messages_that_are_rejected_are_counted_and_told_beside_what_the_node_tells(seen, node):

@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
+import mujoco
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt8MultiArray
@@ -53,6 +54,8 @@ class Discovery:
         self._seen = Layout()
         self._subscriptions: dict[str, Any] = {}
         self._joints: dict[str, list[str]] = {}
+        #: The parts whose names of joints came after the model and are in it.
+        self._current: set[str] = set()
         self._limits: dict[str, Mapping[str, Mapping[str, float]]] = {}
         self._archive = f'/{simulation}/mjcf_archive'
         self._newest, self._tried = b'', b''
@@ -77,6 +80,9 @@ class Discovery:
                 self._readers.reject(self._archive, error)
             else:
                 self.models += 1
+                # Another robot may have parts of the same names, and the node before it counts
+                # as present until DDS misses it.
+                self._current.clear()
         if self.checking is None and self._newest != self._tried:
             self._tried = self._newest
             self.checking = begin(partial(load_archive, self._newest))
@@ -98,31 +104,29 @@ class Discovery:
         seen = layout_of(self.base, published, subscribed)
         # Names arrive one by one: what has not changed between two looks is complete.
         settled, self._seen = seen == self._seen, seen
-        if settled and seen.robots and seen != self.layout:
+        if settled and seen.robots:
             self._learn(seen)
 
     def _learn(self, layout: Layout) -> None:
         """Take over a layout when the joints of all parts and all limits are known."""
-        wanted: dict[str, tuple[Any, ...]] = {}
         spaces = [robot.space for robot in layout.robots]
+        parts = [robot.space + name for robot in layout.robots for name in robot.parts]
         # A robot that is gone may come again as another one.
         self._limits = {space: found for space, found in self._limits.items() if space in spaces}
-        self._joints = {part: found for part, found in self._joints.items() if part in [
-            robot.space + name for robot in layout.robots for name in robot.parts]}
-        for robot in layout.robots:
-            if robot.space not in self._limits:
-                wanted[f'{robot.space}robot_description'] = (
-                    String, partial(self._take_urdf, robot.space), LATCHED, _MAX_URDF_BYTES)
-            for part in robot.parts:
-                if robot.space + part not in self._joints:
-                    wanted[f'{robot.space}{part}/joint_states'] = (
-                        JointState, partial(self._take_names, robot.space + part), 1)
+        self._joints = {part: found for part, found in self._joints.items() if part in parts}
+        # Another description may come at any time, the names of joints come many times a second.
+        wanted: dict[str, tuple[Any, ...]] = {f'{space}robot_description': (
+            String, partial(self._take_urdf, space), LATCHED, _MAX_URDF_BYTES)
+            for space in spaces}
+        wanted.update({f'{part}/joint_states': (JointState, partial(self._take_names, part), 1)
+                       for part in parts
+                       if part not in self._joints or part not in self._current})
         for topic in self._subscriptions.keys() - wanted.keys():
             self._node.destroy_subscription(self._subscriptions.pop(topic))
         for topic, (kind, *rest) in wanted.items():
             if topic not in self._subscriptions:
                 self._subscriptions[topic] = self._readers.subscribe(kind, topic, *rest)
-        if not wanted:
+        if len(self._limits) == len(spaces) and len(self._joints) == len(parts):
             self.layout = layout
 
     def _take_urdf(self, space: str, message: String) -> None:
@@ -132,13 +136,18 @@ class Discovery:
             raise MessageError(f'the URDF cannot be read: {error}') from error
 
     def _take_names(self, part: str, message: JointState) -> None:
-        self._joints[part] = list(contents.joint_states(message).names)
+        names = self._joints[part] = list(contents.joint_states(message).names)
+        if self.model is not None and all(
+                mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0
+                for name in names):
+            self._current.add(part)
 
     def forget(self) -> None:
         """Forget all but the model: the node is gone, and another may come."""
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions, self._joints, self._limits = {}, {}, {}
+        self._current.clear()
         self.layout, self._seen = None, Layout()
 
     def robots(self) -> list[Robot]:

@@ -128,11 +128,12 @@ class Session:
             self._states.listen(layout)
             if self._sender is not None:
                 self._sender.prepare(self._command_topics())
-            robots = discovery.robots()
-            if (robots, layout.cameras) != self._shown:
-                self._shown = robots, layout.cameras
-                self._cameras.clear()
-                self._page.show_robots(robots, layout.cameras)
+        # Joints and limits change with the model, also where the topics stay the same.
+        robots = discovery.robots()
+        if (robots, layout.cameras) != self._shown:
+            self._shown = robots, layout.cameras
+            self._cameras.clear()
+            self._page.show_robots(robots, layout.cameras)
         if discovery.models != self._models:
             self._models = discovery.models
             self._page.show_model(discovery.model, self._states.latest)

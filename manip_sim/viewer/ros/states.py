@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 import time
 from typing import Any
@@ -73,8 +73,14 @@ class States:
             wanted[f'{self._base}objects/{name}/pose'] = PoseStamped, partial(
                 self._take_object, name)
         self._keep(wanted)
-        for name in self.latest.objects.keys() - set(layout.objects):
-            del self.latest.objects[name]
+        arms = {(robot.space, arm) for robot in layout.robots for arm in robot.end_effectors}
+        kept: tuple[tuple[dict[Any, Any], Collection[Any]], ...] = (
+            (self.latest.objects, layout.objects),
+            (self.latest.joints, {robot.space for robot in layout.robots}),
+            (self.latest.end_effectors, arms), (self.latest.wrenches, arms), (self.frames, arms))
+        for states, present in kept:
+            for key in states.keys() - set(present):
+                del states[key]
 
     def _keep(self, wanted: dict[str, tuple[Any, Any]]) -> None:
         lasting = {f'/{self._name}/markers', *(
