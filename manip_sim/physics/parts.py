@@ -18,7 +18,7 @@ from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.robots.subsystems import driven_joint, SCALAR, SUBSYSTEMS
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """
     A subsystem, one of its arms or a gripper: names in the model's order, and addresses.

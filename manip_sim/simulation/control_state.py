@@ -36,8 +36,9 @@ class ControlState:
     The state of the objects that control robots.
 
     It comprises what can be reached from some objects through attributes and containers, by
-    classes of these rooms. What else is there at construction stays as it is: models, views into
-    ``MjData``, functions, settings that are replaced as a whole.
+    classes of these rooms; frozen dataclasses that compare by their values are values, such as
+    settings that are replaced as a whole. What else is there at construction stays as it is:
+    models, views into ``MjData``, functions, frozen dataclasses without ``eq``.
 
     :param roots: what has a state, between two control periods
     :param stateless: types of objects that are not looked into
@@ -83,7 +84,7 @@ class ControlState:
             elif isinstance(found, np.ndarray):
                 if is_foreign(found):
                     self._fixed.append(found)
-            elif not isinstance(found, passing):
+            elif not (isinstance(found, passing) or is_frozen(found, compares=True)):
                 self._fixed.append(found)
                 if isinstance(found, GripperModel):
                     self._grippers.append(found)
@@ -150,10 +151,14 @@ def _is_own(found: object) -> bool:
     return type(found).__module__.startswith(_ROOMS) and hasattr(found, '__dict__')
 
 
-def is_frozen(found: object) -> bool:
-    """Return whether an object is of a frozen dataclass."""
+def is_frozen(found: object, compares: bool = False) -> bool:
+    """
+    Return whether an object is of a frozen dataclass.
+
+    :param compares: whether only one with ``eq`` counts, whose objects are values
+    """
     parameters = getattr(type(found), '__dataclass_params__', None)
-    return bool(getattr(parameters, 'frozen', False))
+    return parameters is not None and parameters.frozen and (parameters.eq or not compares)
 
 
 def owner_of(array: NDArray[Any]) -> NDArray[Any]:
@@ -257,7 +262,7 @@ class _Encoder:
                 yield from self.value(member)
         elif isinstance(value, CommandHandle) and not value.is_active:
             yield b'ended'
-        elif is_frozen(value) and type(value).__dataclass_params__.eq:
+        elif is_frozen(value, compares=True):
             # Which of several equal objects it is makes no difference.
             yield from self.members(value)
         elif id(value) in self._number_of:

@@ -68,7 +68,7 @@ def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHan
                         for name, content in state.gains.items()},
                  start=dict(state.start), drawn=dict(state.drawn), control=control,
                  robots=list(state.robots),
-                 keyframe=simulation.episode_start.settings)
+                 keyframe=state.keyframe)
     return found, [met for met in encoders[0].met if isinstance(met, CommandHandle)]
 
 
@@ -138,7 +138,7 @@ def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
     state = replace(
         simulation.save(), gains=found,
         start={str(name): float(value) for name, value in content['start'].items()},
-        drawn=content['drawn'], **numbers,
+        drawn=content['drawn'], keyframe=content['keyframe'], **numbers,
         physics=b64decode(content['physics'], validate=True),
         computed_from=b64decode(content['computed_from'], validate=True))
     if len(state.computed_from) != len(state.physics):
@@ -146,7 +146,6 @@ def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
     simulation.states.check(state)
     simulation.continue_from(state, (controls, grippers), sensing)
     simulation.pulls.set_state(pulls)
-    simulation.episode_start.settings = content['keyframe']
     again, handles = plain_state(simulation)
     if json.dumps(again) != json.dumps(content):
         differing = next(name for name in again if json.dumps(again[name]) != json.dumps(

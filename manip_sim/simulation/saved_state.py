@@ -28,7 +28,6 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.physics import Physics, PHYSICS
 from manip_sim.physics.physics_steps import PhysicsSteps
-from manip_sim.physics.robot_frames import Frame
 from manip_sim.resources import package_version
 from manip_sim.simulation.control_state import Content, ControlState
 from manip_sim.simulation.episode_start import EpisodeStart
@@ -37,7 +36,7 @@ from manip_sim.simulation.robot import SimulatedRobot
 #: What control changes in a model: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
 #: What commands bring along: it is a part of states, and not there at construction.
-_PASSING = (Frame, MessageClock, MessageClocks, PointStreams, PoseStream, RampEstimator,
+_PASSING = (MessageClock, MessageClocks, PointStreams, PoseStream, RampEstimator,
             StreamEstimator, Target, VelocityStream, WaitingGoals)
 
 
@@ -65,6 +64,7 @@ class SimulationState:
     :ivar drawn: what was drawn for the episode, by name
     :ivar seed: that the episode was drawn from
     :ivar layout: of what :attr:`control` refers to
+    :ivar keyframe: that joints start from, and whether the next reset is the first to use it
     """
 
     versions: str
@@ -83,6 +83,7 @@ class SimulationState:
     drawn: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     layout: str = ''
+    keyframe: tuple[str, bool] = ('', False)
 
 
 class SavedStates:
@@ -136,7 +137,8 @@ class SavedStates:
             control_steps=self._clock.control_steps, contacts_change=steps.contacts_change,
             diverged=diverged,
             sensing=pickle.dumps([robot.sensing.save() for robot in self._robots.values()]),
-            drawn=start.randomized.drawn, seed=start.seed, layout=self.control.layout)
+            drawn=start.randomized.drawn, seed=start.seed, layout=self.control.layout,
+            keyframe=start.settings)
 
     def check(self, state: SimulationState) -> None:
         """
@@ -171,6 +173,7 @@ class SavedStates:
         model = self._physics.model
         self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
         self._start.positions, self._start.seed = dict(state.start), state.seed
+        self._start.settings = state.keyframe
         self._steps.contacts_change = state.contacts_change
         for name, content in state.gains.items():
             array = getattr(model, name)

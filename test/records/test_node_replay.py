@@ -168,6 +168,21 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
     assert lines[0].startswith('158 control periods repeated, with ')
 
 
+@pytest.mark.parametrize('setting', [
+    ('cartesian', 'robot0', 'right', 'twist_timeout', 1.0),
+    ('reflex', 'robot0', 'arm', 'velocity', 0.01)], ids=lambda setting: setting[3])
+def test_settings_of_before_the_record_act_in_its_repetition(setting, session, verify):
+    node = session(robot='UR5e')
+    node.thread.change(*setting)
+    node.begin()
+    robot = node.simulation.robot
+    node.thread.submit([robot.parse_cartesian.twist('right', [0.1, 0.0, 0.0], [0.0, 0.0, 0.0])])
+    node.step(50)
+    node.close()
+    assert verify() == (0, [
+        '50 control periods repeated, with 1 change from outside', '1 of 1 equal'])
+
+
 def changed(tmp_path, change):
     """Write a record in which a function has changed the messages of the journal, or dropped."""
     decode = decoder(TEXT)

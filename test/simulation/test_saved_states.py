@@ -5,7 +5,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
+import json
+import operator
 from pathlib import Path
 import pickle
 import subprocess
@@ -22,6 +25,9 @@ from manip_sim.models import compose, create_object
 from manip_sim.models.robots import ROBOTS
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.json_state import plain_state, restore_plain
+from manip_sim.simulation.operations import Operations
+from manip_sim.worlds.template import Template
 
 NOISE = {'type': 'uniform', 'magnitude': 0.1}
 #: What may happen in a run.
@@ -334,3 +340,78 @@ def test_settings_of_streams_leave_nothing_behind_that_a_reset_would_undo():
     before = simulation.digest()
     simulation.reset()
     assert simulation.digest() == before
+
+
+#: Operations that change settings, each to another value than it has.
+SETTINGS = [
+    *(('cartesian', 'robot0', 'right', name, value) for name, value in (
+        ('stiffness', 99.0), ('damping_ratio', 0.7), ('linear_velocity', 0.4),
+        ('angular_velocity', 0.5), ('twist_timeout', 1.0))),
+    *(('reflex', 'robot0', 'arm', name, 0.7) for name in (
+        'velocity', 'effort', 'force', 'torque')),
+    ('timeout', 'robot0', 'arm', 0.7, True), ('timeout', 'robot0', 'arm', 0.7, False),
+    ('stream_interval', 'robot0', 'arm', 0.3), ('stream_hold', 'robot0', 'arm', 0.3),
+    ('wrench_cutoff', 'robot0', 'right', 5.0), ('mode', 'robot0', 'arm', 'velocity'),
+    ('sensing', 'robot0', 'noise.wrench_bias', 0.01),
+    ('sensing', 'robot0', 'latency.command', 0.02)]
+
+
+@pytest.fixture(scope='module')
+def nothing_was_read():
+    """Return a function that copies a simulation of which no digest was ever read."""
+    template = Template(Simulation(compose('Panda', arena='table')))
+    return template.copy
+
+
+@pytest.mark.parametrize('setting', SETTINGS, ids=lambda setting: ' '.join(map(str, setting[2:])))
+def test_every_setting_is_a_part_of_digests_saved_states_and_journals(setting, nothing_was_read):
+    first, later = nothing_was_read(), nothing_was_read()
+    before = later.digest()
+    for simulation in (first, later):
+        Operations(simulation, 5).run(*setting)
+    assert first.digest() == later.digest() != before
+    saved, journal = pickle.loads(pickle.dumps(first.save())), json.dumps(plain_state(first)[0])
+    elsewhere, repeated = nothing_was_read(), nothing_was_read()
+    elsewhere.restore(saved)
+    restore_plain(repeated, json.loads(journal))
+    # In an index that is new, what was replaced is what the index refers to.
+    for simulation in (elsewhere, repeated):
+        simulation.states.look_at_robots()
+        assert simulation.digest() == first.digest()
+
+
+@pytest.mark.parametrize('name', ['Panda', 'PandaOmron', 'Baxter'])
+def test_nothing_that_states_refer_to_by_its_place_is_ever_replaced(name):
+    simulation = Simulation(compose(name, arena='table'))
+    operations, own = Operations(simulation, 5), simulation.robot.name
+    before = [found for found in simulation.states.control.fixed if not isinstance(found, deque)]
+    for number, kind in enumerate(SCRIPT * 2):
+        command(simulation, kind, number)
+        simulation.advance(5)
+    for operation, _, *rest in SETTINGS:
+        operations.run(operation, own, *rest)
+        simulation.advance(5)
+    operations.run('tare')
+    operations.run('reset', 3, False)
+    simulation.states.look_at_robots()
+    now = [found for found in simulation.states.control.fixed if not isinstance(found, deque)]
+    assert len(now) == len(before) and all(map(operator.is_, now, before))
+
+
+def test_a_restored_state_starts_again_from_its_own_keyframe(tmp_path):
+    file = tmp_path / 'arm.xml'
+    file.write_text("""<mujoco><worldbody><body name="link"><joint name="j" range="-1 1"/>
+        <geom size="0.1" mass="1"/></body></worldbody><actuator><position joint="j" kp="10"/>
+        </actuator><keyframe><key name="low" qpos="-0.5"/><key name="high" qpos="0.5"/></keyframe>
+        </mujoco>""")
+    simulation = Simulation(compose(str(file)))
+    operations = Operations(simulation, 5)
+    operations.run('keyframe', 'low')
+    saved = simulation.save()
+    operations.run('keyframe', 'high')
+    simulation.reset()
+    assert simulation.data.qpos[0] == 0.5
+    simulation.restore(saved)
+    assert simulation.episode_start.keyframe == 'low'
+    simulation.reset()
+    assert simulation.data.qpos[0] == -0.5

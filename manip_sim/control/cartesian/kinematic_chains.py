@@ -17,7 +17,7 @@ from manip_sim.physics.parts import Part
 from manip_sim.physics.robot_frames import Frame, RobotFrames
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KinematicChain:
     """
     The joints of an arm between two frames, from the mount to the end effector.
