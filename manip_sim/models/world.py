@@ -36,8 +36,6 @@ _NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 10, 1e-7
 #: Tolerance of collisions of convex shapes [m]. With MuJoCo's, the points where a cylinder touches
 #: jump by millimetres from step to step, and what presses on it never rests.
 _CCD_TOLERANCE = 1e-12
-#: MuJoCo 3.17; versions up to 3.15 do not compile a composed world without visual shapes.
-_DISCARDS_VISUALS = 3017000
 
 
 def keyframe_names(parts: Iterable[MujocoXMLModel | ObjectModel]) -> list[str]:
@@ -151,8 +149,8 @@ class World:
         The root of the first robot is the first body, and the addresses of the robots' joints do
         not depend on the arena. Objects are last, so that no address of a robot depends on them.
 
-        :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
-            a step takes less time and gives the same states
+        :param visual: with the shapes that cannot collide; without them, a step takes less time
+            and gives the same states
         :param objects: with :attr:`objects`
         :raises ModelError: if two parts have a name in common, or a camera or lidar cannot be
             added
@@ -175,7 +173,7 @@ class World:
             camera.attach(spec)
         for lidar in self.lidars:
             lidar.attach(spec)
-        spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
+        spec.compiler.discardvisual = not visual
         for item in self.objects if objects else ():
             item.attach(spec)
         return spec

@@ -310,8 +310,7 @@ def test_shapes_that_cannot_collide_change_no_state(panda):
         mujoco.mj_step(model, data, 200)
         states.append((model.ngeom, model.body_mass.sum(), data.qpos.tobytes()))
     assert states[0][1:] == states[1][1:]
-    if mujoco.mj_version() >= 3017000:
-        assert states[0][0] > 2 * states[1][0]
+    assert states[0][0] > 2 * states[1][0]
 
 
 @pytest.mark.parametrize('timestep_s, nearest', [

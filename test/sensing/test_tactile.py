@@ -117,8 +117,6 @@ def test_a_ball_that_slides_is_felt_along_both_tangents_of_the_pad(velocity):
              rotation @ velocity)
     depths, first, second = data.sensor(f'{FINGER}_tactile').data.reshape(3, -1)
     assert depths.any()
-    if mujoco.mj_version() < 3013000:  # The speeds are those along two axes of the world.
-        velocity = rotation @ velocity
     assert first[depths > 0] == pytest.approx(abs(velocity[0]), abs=1e-6)
     assert second[depths > 0] == pytest.approx(abs(velocity[2]), abs=1e-6)
 

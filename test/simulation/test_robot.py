@@ -25,7 +25,6 @@ def test_the_joints_of_a_twist_are_those_of_a_mobile_base_and_others_have_none()
             for joint in base] == ['forward', 'side', 'yaw']
 
 
-@pytest.mark.skipif(mujoco.mj_version() < 3017000, reason='this MuJoCo keeps all shapes of a spec')
 def test_shapes_that_are_only_seen_are_left_out_unless_they_are_wanted():
     world = compose('Panda')
     seen, simulated = Simulation(world, visual=True).model, Simulation(world).model
