@@ -72,8 +72,8 @@ setup(
     install_requires=['setuptools', 'mujoco>=3.17.0,<5', 'numpy<3', 'pillow>=10.1',
                       'pydantic>=2,<3', 'pyyaml'],
     extras_require={
-        # What `make bench` compares with and draws with; robosuite needs an older MuJoCo.
-        'bench': ['matplotlib', 'robosuite==1.5.2'],
+        # What `make bench` draws with.
+        'bench': ['matplotlib'],
         'env': ['gymnasium>=1'],
         'run': ['pyarrow', 'tqdm'],
         'ray': ['ray>=2.9'],

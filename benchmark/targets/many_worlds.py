@@ -4,14 +4,15 @@
 """
 One world and many, under a stream of joint positions, under OSC and at rest, without ROS.
 
-Beside the bare physics in the same threads, and beside robosuite's Lift where it is installed.
+Beside the bare physics in the same threads, and beside robosuite's Lift where ROBOSUITE_PYTHON
+names a Python that has robosuite.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-import logging
+import os
 from pathlib import Path
 import time
 from typing import Any
@@ -24,7 +25,10 @@ from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
 from manip_sim.worlds.template import Template
 from targets.figures import Figure, Settings, Target
+from targets.processes import Process
 
+#: Environment variable with the path of a Python that has robosuite, whose MuJoCo is an older one.
+ROBOSUITE_PYTHON = 'ROBOSUITE_PYTHON'
 #: Steps of a control period: 20 ms, and 50 ms for operational space control.
 STEPS, STEPS_OF_OSC = 10, 25
 #: Numbers of worlds of the picture, and the threads of their physics.
@@ -34,6 +38,8 @@ LIMITS = {(1, 1): {'stream': 2.0, 'osc': 3.0, 'rest': 1.1},
           (64, 2): {'stream': 1.5, 'osc': 2.0, 'rest': 1.1}}
 _WORDS = {'stream': 'a stream of positions', 'osc': 'OSC at 20 Hz', 'rest': 'at rest'}
 _ROUND_S = 0.3
+#: robosuite compiles functions at its first start, for so long at most [s].
+_COMPILED_S = 180.0
 #: Periods before the first round: only after up to 0.7 s a stream is planned for whole periods.
 _SETTLED = 40
 #: After as many chunks the bare physics begins again: without control, arms would run away.
@@ -216,35 +222,25 @@ def _calls(settings: Settings) -> Iterator[Figure]:
 
 
 def _lift(settings: Settings) -> Iterator[Figure]:
-    """Compare with robosuite's Lift with the same actions, where this MuJoCo runs it."""
-    try:
-        logging.disable(logging.WARNING)
-        import robosuite
-        lift = robosuite.make(
-            'Lift', robots='Panda', has_renderer=False, has_offscreen_renderer=False,
-            use_camera_obs=False, control_freq=20, ignore_done=True)
-        lift.reset()
-        lift.step(np.zeros(lift.action_dim))
-    except Exception as error:  # With a MuJoCo that it does not know, it may raise anything.
-        settings.report(f"robosuite's Lift is skipped: {type(error).__name__}: {error}")
+    """Compare with robosuite's Lift with the same actions, in a process with its own MuJoCo."""
+    python = os.environ.get(ROBOSUITE_PYTHON)
+    if python is None:
+        settings.report(f"robosuite's Lift is skipped: {ROBOSUITE_PYTHON} is not set")
         return
-    finally:
-        logging.disable(logging.NOTSET)
     number = 0
+    with Process([python, str(Path(__file__).with_name('robosuite_lift.py'))], piped=True) as lift:
+        lift.line(_COMPILED_S)
+        for count, threads in LIMITS:
+            with panda_worlds(count, threads) as worlds:
+                move, _ = osc(worlds)
 
-    def step() -> None:
-        nonlocal number
-        number += 1
-        lift.step(0.2 * np.sin(0.1 * number + np.arange(lift.action_dim)))
-    for count, threads in LIMITS:
-        with panda_worlds(count, threads) as worlds:
-            move, _ = osc(worlds)
-
-            def period(worlds: Worlds = worlds, move: Callable[[], None] = move) -> None:
-                grips = np.full((len(worlds), 1), 0.2 * np.sin(0.1 * number))
-                worlds.robot.command.action('right/gripper', grips)
-                move()
-            rounds = [count * _per_s(period, settings) / _per_s(step, settings)
-                      for _ in range(settings.rounds)]
-        yield Figure('worlds', f"{_worlds(count, threads)}, OSC at 20 Hz: periods, of those of "
-                     "robosuite's Lift", rounds, target=Target('>=', 1.0))
+                def period(worlds: Worlds = worlds, move: Callable[[], None] = move) -> None:
+                    nonlocal number
+                    number += 1
+                    grips = np.full((len(worlds), 1), 0.2 * np.sin(0.1 * number))
+                    worlds.robot.command.action('right/gripper', grips)
+                    move()
+                rounds = [count * _per_s(period, settings) / float(
+                    lift.ask(str(_ROUND_S * settings.scale))) for _ in range(settings.rounds)]
+            yield Figure('worlds', f"{_worlds(count, threads)}, OSC at 20 Hz: periods, of those "
+                         "of robosuite's Lift", rounds, target=Target('>=', 1.0))
