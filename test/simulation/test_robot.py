@@ -3,7 +3,6 @@
 
 """What a simulation knows of a robot at its start."""
 
-import mujoco
 import numpy as np
 import pytest
 from sampling import whole_robot
