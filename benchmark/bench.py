@@ -11,7 +11,8 @@ stay on two cores of this machine, in a ROS domain that nobody else uses. The co
 is a loop of rclpy and MuJoCo without this package. What is measured:
 docs/explanation/performance.md.
 
-Writes bench.json and, where matplotlib is installed, pictures. The exit code is 0 if no
+Writes bench.json, each figure when it is measured, and, where matplotlib is installed, pictures.
+A row that fails leaves the others. The exit code is 0 if no
 target is missed, no figure is behind the plain loop and no row fails; else 1. It is 2 if the
 command line is wrong. Rows that need ROS are skipped without it.
 """
@@ -52,7 +53,8 @@ ROWS = {
     'worlds': ('many_worlds', 'measure', False, 150.0),
     'rates': ('free', 'measure_rates', True, 180.0),
 }
-_QUICK = 0.2
+#: Of the durations: for a first look, and to see that a row runs.
+_QUICK, _SMOKE = 0.2, 0.01
 #: Of the cores; where others use more, the figures are not to be trusted.
 _OF_OTHERS = 0.05
 
@@ -65,7 +67,11 @@ def read_arguments() -> argparse.Namespace:
                         help=f'rows to measure, of {", ".join(ROWS)}')
     parser.add_argument('--quick', action='store_true',
                         help='three short rounds, to look; figures are less certain')
-    parser.add_argument('--rounds', type=int, default=0, help='of each figure (5; quick: 3)')
+    parser.add_argument('--smoke', action='store_true',
+                        help='one round of a fraction of a second: whether the rows run; the '
+                        'figures mean nothing')
+    parser.add_argument('--rounds', type=int, default=0,
+                        help='of each figure (5; quick: 3; smoke: 1)')
     parser.add_argument('--hours', type=float, default=0.0,
                         help='simulated time of the row memory [h]; 0: what fits into 90 s')
     parser.add_argument('--output', type=Path, default=Path('build/bench'), metavar='FOLDER',
@@ -89,27 +95,51 @@ def limited(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def measure(names: list[str], settings: Settings) -> tuple[list[Figure], dict[str, str], bool]:
-    """Return the figures, why rows are missing, and whether one has failed."""
-    figures: list[Figure] = []
-    missing: dict[str, str] = {}
-    failed = False
-    for name in names:
-        module, function, needs_ros, limit_s = ROWS[name]
-        if needs_ros and importlib.util.find_spec('rclpy') is None:
-            missing[name] = 'skipped: it needs ROS 2'
-            settings.report(f'{name}: {missing[name]}')
-            continue
-        row: Callable[[Settings], Iterator[Figure]] = getattr(
-            importlib.import_module(f'targets.{module}'), function)
-        try:
-            with limited(0.0 if settings.hours and name == 'memory' else limit_s):
-                figures += row(settings)
-        except Exception as error:  # The other rows shall be measured.
-            failed = True
-            missing[name] = f'failed: {error}'
-            settings.report(f'{name}: {missing[name]}')
-    return figures, missing, failed
+class Results:
+    """
+    The figures so far, in a file as soon as they are measured.
+
+    :param path: of the JSON file
+    :param about: the machine and the settings
+    :param series: data for the pictures
+    """
+
+    def __init__(self, path: Path, about: dict[str, Any], series: dict[str, Any]) -> None:
+        self.path, self.about, self.series = path, about, series
+        self.figures: list[Figure] = []
+        self.missing: dict[str, str] = {}
+        self.failed = False
+
+    def write(self) -> None:
+        """Replace the file; an interrupted write leaves the previous one."""
+        new = self.path.with_suffix('.new')
+        new.write_text(json.dumps({
+            'about': self.about, 'figures': [figure.as_json() for figure in self.figures],
+            'missing': self.missing, 'series': self.series}, indent=1))
+        new.replace(self.path)
+
+    def measure(self, names: list[str], settings: Settings) -> None:
+        """Measure rows; one that fails keeps its figures so far, and the next one follows."""
+        for name in names:
+            module, function, needs_ros, limit_s = ROWS[name]
+            if needs_ros and importlib.util.find_spec('rclpy') is None:
+                self._miss(name, 'skipped: it needs ROS 2', settings)
+                continue
+            try:
+                row: Callable[[Settings], Iterator[Figure]] = getattr(
+                    importlib.import_module(f'targets.{module}'), function)
+                with limited(0.0 if settings.hours and name == 'memory' else limit_s):
+                    for figure in row(settings):
+                        self.figures.append(figure)
+                        self.write()
+            except Exception as error:  # The other rows are measured all the same.
+                self.failed = True
+                self._miss(name, f'failed: {type(error).__name__}: {error}', settings)
+
+    def _miss(self, name: str, why: str, settings: Settings) -> None:
+        self.missing[name] = why
+        settings.report(f'{name}: {why}')
+        self.write()
 
 
 def machine() -> dict[str, Any]:
@@ -143,18 +173,23 @@ def settle_down() -> None:
     stay_on_two_cores()
 
 
-def report(figures: list[Figure], about: dict[str, Any], missing: dict[str, str]) -> None:
+def report(results: Results) -> None:
     """Print the table, the rows that are missing, and a warning if the machine was busy."""
+    about = results.about
     print(f'{about["processor"]}, {about["cores"]} cores, Python {about["python"]}, '
-          f'MuJoCo {about["mujoco"]}, {about["rounds"]} rounds'
-          f'{", quick" if about["quick"] else ""}\n')
-    if figures:
-        print(f'{table(figures)}\n')
-    for name, why in missing.items():
+          f'MuJoCo {about["mujoco"]}, {about["rounds"]} rounds, durations times {about["scale"]}\n')
+    if results.figures:
+        print(f'{table(results.figures)}\n')
+    for name, why in results.missing.items():
         print(f'{name}: {why}')
     if about['of_others'] > _OF_OTHERS:
         print(f'others used {100 * about["of_others"]:.0f} % of the cores meanwhile: '
               'measure again')
+    print(f'written: {results.path}')
+    save(results.series, results.path.parent)
+    missed = [figure for figure in results.figures if figure.missed]
+    print(f'{len(results.figures)} figures in {about["seconds"]:.0f} s: {len(missed)} miss their '
+          'target or are behind the plain loop')
 
 
 def main() -> int:
@@ -170,29 +205,24 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     settle_down()
     from targets.processes import busy_s, own_s
-    begin, about, of_all_s = time.time(), machine(), busy_s()
-    about['rounds'] = arguments.rounds or (3 if arguments.quick else 5)
-    about['quick'] = arguments.quick
+    begin, of_all_s = time.time(), busy_s()
+    rounds, scale = (1, _SMOKE) if arguments.smoke else (3, _QUICK) if arguments.quick else (5, 1.0)
+    about = {'begin': time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime(begin)), **machine(),
+             'rounds': arguments.rounds or rounds, 'scale': scale}
 
     def progress(what: str) -> None:
         print(f'{time.time() - begin:5.0f} s  {what}', file=sys.stderr, flush=True)
-    settings = Settings(about['rounds'], _QUICK if arguments.quick else 1.0, arguments.hours,
-                        progress)
-    figures, missing, failed = measure(arguments.only, settings)
-    about['seconds'] = round(time.time() - begin, 1)
-    of_others_s = max(0.0, busy_s() - of_all_s - own_s())
-    about['of_others'] = round(of_others_s / (about['cores'] * about['seconds']), 3)
-    report(figures, about, missing)
-    (folder / 'bench.json').write_text(json.dumps({
-        'begin': time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime(begin)), 'about': about,
-        'figures': [figure.as_json() for figure in figures], 'missing': missing,
-        'series': settings.series}, indent=1))
-    print(f'written: {folder / "bench.json"}')
-    save(settings.series, folder)
-    missed = [figure for figure in figures if figure.missed]
-    print(f'{len(figures)} figures in {about["seconds"]:.0f} s: {len(missed)} miss their target '
-          'or are behind the plain loop')
-    return 1 if missed or failed else 0
+    settings = Settings(about['rounds'], scale, arguments.hours, progress)
+    results = Results(folder / 'bench.json', about, settings.series)
+    try:
+        results.measure(arguments.only, settings)
+    finally:  # Also of a run that is interrupted.
+        about['seconds'] = round(time.time() - begin, 1)
+        of_others_s = max(0.0, busy_s() - of_all_s - own_s())
+        about['of_others'] = round(of_others_s / (about['cores'] * about['seconds']), 3)
+        results.write()
+        report(results)
+    return 1 if results.failed or any(figure.missed for figure in results.figures) else 0
 
 
 if __name__ == '__main__':

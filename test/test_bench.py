@@ -6,6 +6,7 @@
 import json
 from pathlib import Path
 import re
+import runpy
 import subprocess
 import sys
 
@@ -113,7 +114,7 @@ def test_a_row_without_ros_is_measured_and_written(tmp_path):
     assert '| 8 Pandas in one world' in done.stdout
     assert 'robots, a world of 8' in done.stderr
     written = json.loads((tmp_path / 'out' / 'bench.json').read_text())
-    assert set(written) == {'begin', 'about', 'figures', 'missing', 'series'}
+    assert set(written) == {'about', 'figures', 'missing', 'series'}
     for figure in written['figures']:
         assert figure['row'] == 'robots'
         assert figure['spread'][0] <= figure['figure'] <= figure['spread'][1]
@@ -121,25 +122,63 @@ def test_a_row_without_ros_is_measured_and_written(tmp_path):
     assert 0.0 <= written['about']['of_others'] <= 1.0
 
 
-def test_a_row_that_fails_leaves_the_others(bench, monkeypatch, capsys):
+@pytest.fixture
+def results(bench, tmp_path):
+    """Return results without any figure, and settings that note what is reported."""
     figures, entrance = bench
+    told = []
+    settings = figures.Settings(1, 1.0, 0.0, told.append)
+    return entrance.Results(tmp_path / 'bench.json', {}, settings.series), settings, told
+
+
+def test_a_row_that_fails_leaves_its_figures_so_far_and_the_other_rows(bench, results, monkeypatch):
+    figures, _ = bench
     from targets import period, robots
+    results, settings, told = results
 
     def fail(settings):
+        yield figures.Figure('robots', 'before', [2.0])
         raise figures.MeasureError('no answer')
-        yield
 
     def measure(settings):
+        written = json.loads(results.path.read_text())
+        assert [figure['what'] for figure in written['figures']] == ['before']
         yield figures.Figure('period', 'what', [1.0])
     monkeypatch.setattr(robots, 'measure', fail)
     monkeypatch.setattr(period, 'measure', measure)
-    told = []
-    settings = figures.Settings(1, 1.0, 0.0, told.append)
-    found, missing, failed = entrance.measure(['robots', 'period'], settings)
-    assert [figure.row for figure in found] == ['period']
-    assert missing == {'robots': 'failed: no answer'}
-    assert failed
-    assert told == ['robots: failed: no answer']
+    results.measure(['robots', 'period'], settings)
+    assert [figure.row for figure in results.figures] == ['robots', 'period']
+    assert results.missing == {'robots': 'failed: MeasureError: no answer'}
+    assert results.failed
+    assert told == ['robots: failed: MeasureError: no answer']
+    assert len(json.loads(results.path.read_text())['figures']) == 2
+
+
+def test_a_row_whose_module_cannot_be_imported_leaves_the_others(bench, results, monkeypatch):
+    figures, entrance = bench
+    from targets import period
+    results, settings, _ = results
+
+    def measure(settings):
+        yield figures.Figure('period', 'what', [1.0])
+    monkeypatch.setattr(period, 'measure', measure)
+    monkeypatch.setitem(entrance.ROWS, 'robots', ('not_there', 'measure', False, 60.0))
+    results.measure(['robots', 'period'], settings)
+    assert [figure.row for figure in results.figures] == ['period']
+    assert 'not_there' in results.missing['robots']
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('row', runpy.run_path(ROOT / 'benchmark' / 'bench.py')['ROWS'])
+def test_every_row_runs(row, tmp_path):
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    done = subprocess.run(
+        [sys.executable, ROOT / 'benchmark' / 'bench.py', '--smoke', '--only', row, '--output',
+         tmp_path], capture_output=True, text=True, timeout=200)
+    assert done.returncode in (0, 1), done.stderr
+    written = json.loads((tmp_path / 'bench.json').read_text())
+    assert written['missing'] == {}, done.stderr
+    assert {figure['row'] for figure in written['figures']} == {row}
 
 
 def test_a_row_that_takes_too_long_is_ended(bench):

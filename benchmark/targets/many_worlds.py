@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 import os
 from pathlib import Path
 import time
@@ -25,7 +26,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
 from manip_sim.worlds.template import Template
 from targets.figures import Figure, Settings, Target
-from targets.processes import Process
+from targets.processes import memory_mb, Process
 
 #: Environment variable with the path of a Python that has robosuite, whose MuJoCo is an older one.
 ROBOSUITE_PYTHON = 'ROBOSUITE_PYTHON'
@@ -128,33 +129,37 @@ class Bare:
         self._pool.shutdown()
 
 
-def resident_bytes() -> int:
-    """Return how much memory of this process is in use."""
-    return int(Path('/proc/self/statm').read_text().split()[1]) * 4096
+@dataclass(frozen=True)
+class Cost:
+    """What a call takes, of wall time and of CPU time in all threads [s]."""
+
+    wall_s: float
+    cpu_s: float
 
 
-def rates(worlds: Worlds, kind: str, settings: Settings) -> tuple[list[float], list[float]]:
-    """Return world-steps per second of worlds and of the bare physics, in rounds (A B A B)."""
+def costs(worlds: Worlds, kind: str, settings: Settings) -> tuple[list[Cost], list[Cost]]:
+    """Return the costs of a world-step of worlds and of the bare physics, in rounds (A B A B)."""
     period, steps = KINDS[kind](worlds)
     bare = Bare(worlds)
     ours, base = [], []
     for _ in range(_SETTLED):
         period()
     for _ in range(settings.rounds):
-        ours.append(steps * len(worlds) * _per_s(period, settings))
+        ours.append(_cost(period, steps * len(worlds), settings))
         bare.start()
-        base.append(steps * len(worlds) * _per_s(lambda: bare.step(steps), settings))
+        base.append(_cost(lambda: bare.step(steps), steps * len(worlds), settings))
     bare.close()
     return ours, base
 
 
-def _per_s(period: Callable[[], object], settings: Settings) -> float:
-    """Return how many calls per second there are, of wall time."""
-    count, begin = 0, time.perf_counter()
-    while (now := time.perf_counter()) - begin < _ROUND_S * settings.scale:
-        period()
+def _cost(call: Callable[[], object], units: int, settings: Settings) -> Cost:
+    """Return what a unit costs, of calls that do as many each."""
+    count, begin, begin_cpu = 0, time.perf_counter(), time.process_time()
+    while not count or time.perf_counter() - begin < _ROUND_S * settings.scale:
+        call()
         count += 1
-    return count / (now - begin)
+    return Cost((time.perf_counter() - begin) / count / units,
+                (time.process_time() - begin_cpu) / count / units)
 
 
 def measure(settings: Settings) -> Iterator[Figure]:
@@ -166,15 +171,19 @@ def measure(settings: Settings) -> Iterator[Figure]:
             for kind in limits or ('stream',):
                 settings.report(f'worlds, {count} in {threads} threads, {_WORDS[kind]}')
                 with panda_worlds(count, threads) as worlds:
-                    ours, bare = rates(worlds, kind, settings)
+                    ours, bare = costs(worlds, kind, settings)
                 if limits:
+                    what = (f'{_worlds(count, threads)}, {_WORDS[kind]}: a world-step, '
+                            'times bare `mj_step`')
                     yield Figure(
-                        'worlds', f'{_worlds(count, threads)}, {_WORDS[kind]}: a world-step, '
-                        'times bare `mj_step`', [b / o for o, b in zip(ours, bare)],
-                        target=Target('<=', limits[kind]))
+                        'worlds', f'{what}, CPU time', [o.cpu_s / b.cpu_s for o, b in zip(
+                            ours, bare)], target=Target('<=', limits[kind]))
+                    yield Figure('worlds', f'{what}, wall time',
+                                 [o.wall_s / b.wall_s for o, b in zip(ours, bare)])
                 if kind == 'stream':  # The fastest round, because noise only adds.
                     for name, values in (('worlds', ours), ('mj_step', bare)):
-                        series[name].setdefault(str(threads), []).append(max(values))
+                        series[name].setdefault(str(threads), []).append(
+                            1.0 / min(cost.wall_s for cost in values))
     settings.series['worlds'] = series
     settings.report('worlds, copies, state and command')
     yield from _copies(settings)
@@ -192,14 +201,14 @@ def _copies(settings: Settings) -> Iterator[Figure]:
     template, count = Template(Simulation(compose('Panda', arena='table'))), COUNTS[-1]
     took, sizes = [], []
     for _ in range(settings.rounds):
-        before, copies, begin = resident_bytes(), [], 0.0
+        before, copies, begin = memory_mb(os.getpid()), [], 0.0
         for _ in range(count):
             begin = time.perf_counter()
             copies.append(template.copy())
         took.append(1e3 * (time.perf_counter() - begin))
         for simulation in copies:
             simulation.advance(STEPS)
-        sizes.append((resident_bytes() - before) / 1e6 / count)
+        sizes.append((memory_mb(os.getpid()) - before) / count)
     yield Figure('worlds', f'construction of world {count}', took, 'ms', Target('<=', 1.0))
     # Later rounds find memory that the first one has given back.
     yield Figure('worlds', 'memory of a world', sizes[:1], 'MB', Target('<=', 2.0))
@@ -240,7 +249,7 @@ def _lift(settings: Settings) -> Iterator[Figure]:
                     grips = np.full((len(worlds), 1), 0.2 * np.sin(0.1 * number))
                     worlds.robot.command.action('right/gripper', grips)
                     move()
-                rounds = [count * _per_s(period, settings) / float(
-                    lift.ask(str(_ROUND_S * settings.scale))) for _ in range(settings.rounds)]
+                rounds = [1.0 / (_cost(period, count, settings).wall_s * float(
+                    lift.ask(str(_ROUND_S * settings.scale)))) for _ in range(settings.rounds)]
             yield Figure('worlds', f"{_worlds(count, threads)}, OSC at 20 Hz: periods, of those "
                          "of robosuite's Lift", rounds, target=Target('>=', 1.0))

@@ -9,9 +9,8 @@ from collections.abc import Iterator
 import statistics
 import time
 
-from soak.usage import Usage
 from targets.figures import Figure, Settings, Target
-from targets.processes import start_node, start_script
+from targets.processes import memory_mb, start_node, start_script
 from targets.watched import ONE_CLIENT
 
 TARGET_MB = 1.0
@@ -29,7 +28,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
         listener.ask('begin')
         begin, taken, simulated_h = time.monotonic(), [], 0.0
         while _goes_on(settings, time.monotonic() - begin, simulated_h):
-            taken.append(Usage.of(node.pid).memory_mb)
+            taken.append(memory_mb(node.pid))
             time.sleep(_BETWEEN_S)
             # It keeps what came; that is forgotten here.
             simulated_h += listener.ask('report')[0] * 1e-9 / _HOUR_S

@@ -40,6 +40,11 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) * _TICK_S
 
 
+def memory_mb(pid: int) -> float:
+    """Return the resident memory of a process [MB]."""
+    return int(Path(f'/proc/{pid}/statm').read_text().split()[1]) * os.sysconf('SC_PAGE_SIZE') / 1e6
+
+
 def busy_s() -> float:
     """Return the CPU time that all processes together have used on the cores of this one [s]."""
     cores = {f'cpu{core}' for core in os.sched_getaffinity(0)}
