@@ -1,11 +1,11 @@
 # make run    set up and run a Panda at a table with a cube
 # make pick   in a second shell: pick the cube up
 # make view   in another shell: see and drive it in the browser
-# make test   set up and run all tests, four files at a time (TEST_JOBS=4)
-# make test-fast  for half a minute those tests that are nearest to what has changed
-#                (FAST_ARGS=--help)
+# make test   set up and run the tests that everyone runs before a commit: less than four minutes
+#             on two cores, four files at a time (TEST_JOBS=4)
+# make test-full  all tests: every robot, files and records of others, documents, browser, installation
 # make lint   style, docstrings and types
-# make coverage  the same, and which lines no test runs
+# make coverage  all tests, and which lines no test runs
 # make mutate    change 150 places of the code, one by one, and see which changes no test finds
 #                (MUTATE_ARGS=--help)
 # make bench  how fast the node is, in a table of targets and figures (BENCH_ARGS=--help)
@@ -21,7 +21,8 @@
 #
 # With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
 # site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix: an environment of the other
-# kind is cleared. Otherwise what is installed in an environment stays.
+# kind is cleared. Otherwise what is installed in an environment stays: what a target needs besides is
+# added, and the package is installed once.
 
 # The node and its clients talk within this machine, unless the environment says otherwise:
 # ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET make run  (docs/how_to/security.md)
@@ -37,7 +38,6 @@ PYTHON_SOURCES = manip_sim test benchmark docs hardware setup.py
 TEST_DIST = --numprocesses $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
 MUTATE_ARGS ?= --sample 150
 SOAK_ARGS ?=
-FAST_ARGS ?=
 BENCH_ARGS ?=
 REQUIREMENTS_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -48,39 +48,46 @@ ifeq ($(ROS_DISTRO),jazzy)
 ROS_FROM = sourced
 ROS_NOT_FROM = wheels
 VENV_ARGS = --system-site-packages
-RUN_EXTRAS =
-VIEW_EXTRAS = [viewer]
-TEST_EXTRAS = [test]
-MUTATE_EXTRAS = [test,mutate]
+RUN_EXTRAS = viewer
+TEST_EXTRAS = docs,mutate,test
 else
 ROS_FROM = wheels
 ROS_NOT_FROM = sourced
 VENV_ARGS =
-RUN_EXTRAS = [jazzy]
-VIEW_EXTRAS = [jazzy,viewer]
-TEST_EXTRAS = [jazzy,jazzy-test,test]
-MUTATE_EXTRAS = [jazzy,jazzy-test,test,mutate]
+RUN_EXTRAS = jazzy,viewer
+TEST_EXTRAS = docs,jazzy-test,mutate,test
 endif
 
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready-$(ROS_FROM)
-VIEW_READY = $(VENV)/.ready-to-view-$(ROS_FROM)
-DOCS_READY = $(VENV)/.ready-for-docs
 TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
-MUTATE_READY = $(VENV)/.ready-to-mutate-$(ROS_FROM)
 
-# $(call install,EXTRAS,FILE): the package with extras, or what a file of requirements/ locks.
+# $(call install,NAME,ARGUMENTS): let pip install, and show in one line what it does; all if it fails.
+define install
+@echo 'Installing $(1) into $(VENV), once'; \
+$(BIN)/python -m pip install --progress-bar off $(2) > $(VENV)/pip.log 2>&1 & pip=$$!; seconds=0; \
+while kill -0 $$pip 2> /dev/null; do sleep 1; seconds=$$((seconds + 1)); [ ! -t 1 ] || \
+	printf '\r\033[K  %s s  %.60s' $$seconds "$$(grep -v '^ *Using' $(VENV)/pip.log | tail -n 1)"; done; \
+[ ! -t 1 ] || printf '\r\033[K'; \
+wait $$pip || { cat $(VENV)/pip.log; exit 1; }
+endef
+
+# The packages of an extra, or what a file of requirements/ locks.
 ifeq ($(LOCKED),1)
 ifeq ($(ROS_FROM),sourced)
 $(error make: LOCKED=1 is for ROS 2 Jazzy from wheels, and another one is sourced)
 endif
-install = $(BIN)/python -m pip install --require-hashes --requirement requirements/$(2).txt \
-	&& $(BIN)/python -m pip install --no-deps --no-build-isolation --editable .
+RUN_PACKAGES = --require-hashes --requirement requirements/run.txt
+TEST_PACKAGES = --require-hashes --requirement requirements/test.txt
 else
-install = $(BIN)/python -m pip install --editable '.$(1)'
+RUN_PACKAGES = --editable '.[$(RUN_EXTRAS)]'
+# The package that is installed stays as it is, whatever runs with it.
+TEST_PACKAGES = 'manip_sim[$(TEST_EXTRAS)]'
 endif
 
-.PHONY: run pick view test test-fast coverage lint docs bench soak mutate requirements release clean
+PYTEST = $(BIN)/python -m $(if $(COVER),coverage run -m )pytest $(TEST_DIST)
+
+.PHONY: run pick view test test-full coverage coverage-report lint docs bench soak mutate requirements release clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
@@ -88,25 +95,32 @@ run: $(READY)
 pick: $(READY)
 	$(BIN)/pick_cube
 
-view: $(VIEW_READY)
+view: $(READY)
 	exec $(BIN)/sim_view $(VIEW_ARGS)
 
 test: $(TEST_READY)
-	$(BIN)/python -m pytest $(TEST_DIST) $(PYTEST_ARGS)
+	$(PYTEST) -m 'not full' $(PYTEST_ARGS)
 
-test-fast: $(TEST_READY)
-	$(BIN)/python test/fast.py $(FAST_ARGS)
+# PYTEST_ARGS='-m full': only what `make test` leaves out.
+test-full: $(TEST_READY)
+	$(PYTEST) $(PYTEST_ARGS)
 
-# Beside the tests, which lines of the package they and the processes that they start run.
+# With COVER=1, tests note which lines of the package they and the processes that they start run.
+ifdef COVER
+export COVERAGE_FILE = $(CURDIR)/.coverage
+export COVERAGE_CORE = $(shell $(PYTHON) -c 'import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")')
+endif
+
 coverage: $(TEST_READY)
 	rm -f .coverage .coverage.*
-	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 12))'; then \
-		export COVERAGE_CORE=sysmon; fi; COVERAGE_FILE=$(CURDIR)/.coverage \
-		$(BIN)/python -m coverage run -m pytest $(TEST_DIST) $(PYTEST_ARGS)
+	$(MAKE) --no-print-directory test-full COVER=1
+	$(MAKE) --no-print-directory coverage-report
+
+coverage-report: $(TEST_READY)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 
-mutate: $(MUTATE_READY)
+mutate: $(TEST_READY)
 	$(BIN)/python test/mutation/mutate.py $(MUTATE_ARGS)
 
 lint: $(TEST_READY)
@@ -115,7 +129,7 @@ lint: $(TEST_READY)
 	$(BIN)/python -m mypy
 	$(BIN)/python -m mypy benchmark/*.py benchmark/targets/*.py
 
-docs: $(DOCS_READY)
+docs: $(TEST_READY)
 	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs
 
 bench: $(READY)
@@ -125,28 +139,18 @@ soak: $(TEST_READY)
 	$(BIN)/python test/soak/soak.py $(SOAK_ARGS)
 
 $(READY): setup.py
-	$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), sys.version' \
+	@$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), sys.version' \
 		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.13' >&2; exit 1; }
-	$(PYTHON) -m venv $(if $(wildcard $(VENV)/.ready-$(ROS_NOT_FROM)),--clear) $(VENV_ARGS) $(VENV)
-	[ '$(LOCKED)' = 1 ] || $(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
-	$(call install,$(RUN_EXTRAS),run)
-	touch $@
-
-$(VIEW_READY): $(READY)
-	$(call install,$(VIEW_EXTRAS),run)
-	touch $@
-
-$(DOCS_READY): $(READY)
-	$(call install,[docs],test)
-	touch $@
+	@$(PYTHON) -m venv $(if $(wildcard $(VENV)/.ready-$(ROS_NOT_FROM)),--clear) $(VENV_ARGS) $(VENV)
+	@[ '$(LOCKED)' = 1 ] || $(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
+	$(call install,the package and what it runs with,$(RUN_PACKAGES))
+	@[ '$(LOCKED)' != 1 ] \
+		|| $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
 
 $(TEST_READY): $(READY)
-	$(call install,$(TEST_EXTRAS),test)
-	touch $@
-
-$(MUTATE_READY): $(TEST_READY)
-	$(call install,$(MUTATE_EXTRAS),test)
-	touch $@
+	$(call install,the tools of tests and documentation,$(TEST_PACKAGES))
+	@touch $@
 
 # All extras, but not those of hundreds of megabytes that tests do without.
 LOCKED_EXTRAS = docs env jazzy jazzy-test meshes mutate onnx records run test viewer xacro

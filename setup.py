@@ -93,7 +93,7 @@ setup(
                  'flake8', 'gymnasium>=1', 'h5py', 'hypothesis', 'lxml', 'mcap>=1.6,<2',
                  'mcap-ros2-support>=0.6,<1', 'mypy', 'onnx', 'onnxruntime', 'packaging', 'pin',
                  'playwright', 'pyarrow', 'pytest', 'pytest-timeout', 'pytest-xdist', 'reuse',
-                 'rosbags', 'ruff', 'scipy', 'tqdm', 'viser>=1.1,<2', 'xacro', 'yourdfpy'],
+                 'rosbags', 'ruff', 'scipy', 'tqdm', 'viser>=1.1,<2', 'wheel', 'xacro', 'yourdfpy'],
     },
     zip_safe=False,
     maintainer=MAINTAINER.text,

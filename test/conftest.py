@@ -3,7 +3,7 @@
 
 """What all tests share: MJCF files of a few lines, small robots and the Panda in an arena."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 import functools
 import gc
 import importlib
@@ -11,6 +11,7 @@ import importlib.util
 import json
 import os
 from pathlib import Path
+import re
 import shutil
 import subprocess
 import sys
@@ -35,8 +36,9 @@ from manip_sim.simulation import Simulation
 if importlib.util.find_spec('hypothesis'):
     from hypothesis import HealthCheck, settings
     # The same examples each time: a failure is that of the change that is tested.
-    settings.register_profile('repeatable', derandomize=True, database=None, deadline=None,
-                              max_examples=100, suppress_health_check=list(HealthCheck))
+    for profile, examples in (('repeatable', 100), ('fast', 20)):
+        settings.register_profile(profile, derandomize=True, database=None, deadline=None,
+                                  max_examples=examples, suppress_health_check=list(HealthCheck))
     settings.load_profile('repeatable')
 
 ARM_WORLDBODY = """
@@ -91,8 +93,41 @@ def pytest_collection():
         gc.enable()
 
 
+#: Of tests that are repeated over a catalogue, ``make test`` runs the cases of these.
+REPRESENTATIVES = {'Panda', 'Tiago', 'GR1', 'PandaGripper', 'PalGripper', 'InspireRightHand'}
+CATALOGUE = {*ROBOTS.names(), *GRIPPERS.names()}
+#: A test whose cases name at least as many of them is repeated over the catalogue.
+REPEATED = 9
+
+
+def is_fast_tier(config):
+    return config.getoption('markexpr') == 'not full'
+
+
+def pytest_configure(config):
+    if is_fast_tier(config) and importlib.util.find_spec('hypothesis'):
+        settings.load_profile('fast')
+
+
+def mark_full(config, items):
+    """Mark the cases that only ``make test-full`` runs because others are like them."""
+    named = {item: CATALOGUE.intersection(re.split(r'[\[\]-]', item.name)) for item in items}
+    tests = defaultdict(set)
+    for item, names in named.items():
+        tests[item.path, getattr(item, 'originalname', None)] |= names
+    for item, names in named.items():
+        repeated = tests[item.path, getattr(item, 'originalname', None)]
+        if len(repeated) >= REPEATED and not names <= REPRESENTATIVES:
+            item.add_marker('full')
+        # The other tier has run it with fewer examples.
+        elif getattr(item.obj, 'is_hypothesis_test', False) and not is_fast_tier(config):
+            item.add_marker('full')
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     """Let several workers begin with the longest files, then go on with those of most tests."""
+    mark_full(config, items)
     if not hasattr(config, 'workerinput'):
         return
     here = Path(__file__).parent

@@ -11,6 +11,8 @@ import pytest
 
 from manip_sim.models.grippers import gripper_names
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / 'docs' / 'explanation' / 'contact.md').read_text()
 COLUMNS = ('name', 'light', 'touch', 'still', 'sliding', 'lost', 'friction', 'load', 'creep',

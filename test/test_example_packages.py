@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).resolve().parents[1]
 GUIDES = {'end_effector_imu': 'add_sensor.md', 'touched_bodies': 'add_sensor.md',
           'reach_command': 'add_verb.md', 'impedance_mode': 'add_control_mode.md'}

@@ -11,6 +11,8 @@ import sys
 from PIL import Image, ImageChops
 import pytest
 
+pytestmark = pytest.mark.full
+
 SOURCE = Path(__file__).resolve().parent.parent
 
 

@@ -11,6 +11,8 @@ import pytest
 
 from manip_sim.models.robots import robot_names
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / 'docs' / 'explanation' / 'control.md').read_text()
 

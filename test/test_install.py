@@ -13,6 +13,8 @@ import sys
 from manip_sim.testing.domains import reserve_domain
 import pytest
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ['sim_node', 'sim_view', 'manip_sim', 'pick_cube', 'hand_over']
 PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'README.md', 'resource',

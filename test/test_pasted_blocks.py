@@ -8,6 +8,8 @@ from codeop import CommandCompiler
 from pages import blocks, PAGES, ROOT
 import pytest
 
+pytestmark = pytest.mark.full
+
 
 def rejected_line(text):
     """Return the line at which a Python before 3.13 rejects a pasted text, or None."""

@@ -10,6 +10,8 @@ import pytest
 
 from manip_sim.models.robots import robot_names
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / 'docs' / 'how_to' / 'cartesian.md').read_text()
 

@@ -11,6 +11,8 @@ from sampling import Driven, sampled, whole_robot
 
 from manip_sim.models.robots import robot_names
 
+pytestmark = pytest.mark.full
+
 ROBOTS = robot_names()
 #: Joints that are slower than this need too long for the goals of a test [m/s].
 SLOW = 0.2

@@ -22,6 +22,8 @@ from manip_sim.models.object_creation import create_object, object_from_model
 from manip_sim.models.regular_files import Files, FilesBelow, OneText, read_file
 from manip_sim.models.untrusted_models import hold_model, LIMITS
 
+pytestmark = pytest.mark.full
+
 SECRET = 'secret'
 BODY = '<body name="o"><freejoint/><geom size="0.05" mass="0.1"/>{}</body>'
 #: Elements that name a file, so that MuJoCo opens it; by element and attribute.

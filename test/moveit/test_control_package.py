@@ -21,6 +21,8 @@ from manip_sim.moveit.control_package import (
     effective_inertias, effort_gains, GRIPPER, TRAJECTORY, write_control_package)
 from manip_sim.simulation import Simulation
 
+pytestmark = pytest.mark.full
+
 #: One arm with the plugin from apt, one in velocity mode, two arms, an arm on a mobile base.
 NODES = {
     'panda': {'robot': 'Panda', 'prefix': 'panda_'},

@@ -23,6 +23,8 @@ from manip_sim.moveit.package import describe, write_files
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.planning_scene import PlanningScene
 
+pytestmark = pytest.mark.full
+
 #: One arm, two, a lift on a mobile base, a hand of many fingers, a tool without, a prefix.
 COMPOSITIONS = {
     'panda': {'robot': 'Panda', 'prefix': 'left_'}, 'baxter': {'robot': 'Baxter'},

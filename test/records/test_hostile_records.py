@@ -16,6 +16,8 @@ import zlib
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.full
+
 for needed in ('mcap', 'mcap_ros2', 'pyarrow', 'av', 'h5py'):
     pytest.importorskip(needed, reason='needs the extra records')
 

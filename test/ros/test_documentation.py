@@ -10,6 +10,8 @@ from page_runner import needed_program, PageRunner
 from pages import blocks, commands, headings, links, PAGES, ROOT
 import pytest
 
+pytestmark = pytest.mark.full
+
 WITH_BLOCKS = [page for page in PAGES if blocks(page)]
 #: Blocks with a line that needs a program which CI has not: to be raised knowingly.
 NOT_EXECUTED = 50

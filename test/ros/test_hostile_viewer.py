@@ -12,6 +12,8 @@ import re
 from hostile_node import HostileNode, NAME
 import pytest
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.viewer.page.plain_text import plain  # noqa: E402

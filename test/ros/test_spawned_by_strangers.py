@@ -36,6 +36,8 @@ from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.startup import leave
 
+pytestmark = pytest.mark.full
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'models'))
 from opened_files import OpenedFiles  # noqa: E402
 

@@ -23,6 +23,8 @@ from sensor_msgs.msg import JointState
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with, plan_without
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 #: OpenGL in software, and no sandbox, which a container does not have.

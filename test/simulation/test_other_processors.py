@@ -11,6 +11,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.full
+
 #: Kernels of OpenBLAS that every x86-64 processor runs, and one for newer ones.
 KERNELS = ['Prescott', 'Nehalem', 'Haswell']
 SCRIPT = """

@@ -14,6 +14,8 @@ import pytest
 
 from manip_sim.models.archive import load_archive
 
+pytestmark = pytest.mark.full
+
 needs_ros = pytest.mark.skipif(importlib.util.find_spec('rclpy') is None,
                                reason='the fixture sim_node needs ROS 2')
 

@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.errors import ManipSimError  # noqa: E402
