@@ -177,7 +177,8 @@ def report(results: Results) -> None:
     """Print the table, the rows that are missing, and a warning if the machine was busy."""
     about = results.about
     print(f'{about["processor"]}, {about["cores"]} cores, Python {about["python"]}, '
-          f'MuJoCo {about["mujoco"]}, {about["rounds"]} rounds, durations times {about["scale"]}\n')
+          f'MuJoCo {about["mujoco"]}, {about["rounds"]} rounds, '
+          f'durations times {about["scale"]}\n')
     if results.figures:
         print(f'{table(results.figures)}\n')
     for name, why in results.missing.items():
@@ -206,7 +207,9 @@ def main() -> int:
     settle_down()
     from targets.processes import busy_s, own_s
     begin, of_all_s = time.time(), busy_s()
-    rounds, scale = (1, _SMOKE) if arguments.smoke else (3, _QUICK) if arguments.quick else (5, 1.0)
+    rounds, scale = (3, _QUICK) if arguments.quick else (5, 1.0)
+    if arguments.smoke:
+        rounds, scale = 1, _SMOKE
     about = {'begin': time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime(begin)), **machine(),
              'rounds': arguments.rounds or rounds, 'scale': scale}
 

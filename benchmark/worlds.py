@@ -14,7 +14,6 @@ control period. Rounds take turns, and the least of each counts, because noise o
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 import os
 from pathlib import Path
 import sys
@@ -24,39 +23,26 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import mujoco  # noqa: E402
-from targets.many_worlds import Bare, KINDS, panda_worlds, resident_bytes  # noqa: E402
+from targets.figures import Settings  # noqa: E402
+from targets.many_worlds import costs, KINDS, panda_worlds  # noqa: E402
+from targets.processes import memory_mb  # noqa: E402
 
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 from manip_sim.worlds import Worlds  # noqa: E402
 from manip_sim.worlds.template import Template  # noqa: E402
 
-ROUNDS, ROUND_S = 5, 0.4
-
-
-def measure(period: Callable[[], None], steps: int, duration_s: float) -> tuple[float, float]:
-    """Return wall and CPU time of a world-step [s]."""
-    done, wall, cpu = 0, time.perf_counter(), time.process_time()
-    while time.perf_counter() - wall < duration_s:
-        period()
-        done += steps
-    return (time.perf_counter() - wall) / done, (time.process_time() - cpu) / done
+ROUNDS = 5
 
 
 def row(worlds: Worlds, kind: str) -> str:
     """Return the row of a table."""
-    period, steps = KINDS[kind](worlds)
-    bare = Bare(worlds)
-    ours, base = [], []
-    for _ in range(ROUNDS):
-        ours.append(measure(period, steps * len(worlds), ROUND_S))
-        bare.start()
-        base.append(measure(lambda: bare.step(steps), steps * len(worlds), ROUND_S / 2))
-    bare.close()
-    (wall, cpu), (bare_wall, bare_cpu) = (
-        [min(of) for of in zip(*times)] for times in (ours, base))
-    return (f'{len(worlds):6} {worlds.threads:7} {kind:7} {wall / bare_wall:6.2f} '
-            f'({cpu / bare_cpu:5.2f}) {1e6 * wall:8.2f} {1e6 * bare_wall:8.2f} {1.0 / wall:9.0f}')
+    ours, bare = costs(worlds, kind, Settings(ROUNDS, 1.0, 0.0, lambda _: None))
+    wall_s, bare_wall_s = (min(cost.wall_s for cost in times) for times in (ours, bare))
+    cpu_s, bare_cpu_s = (min(cost.cpu_s for cost in times) for times in (ours, bare))
+    return (f'{len(worlds):6} {worlds.threads:7} {kind:7} {wall_s / bare_wall_s:6.2f} '
+            f'({cpu_s / bare_cpu_s:5.2f}) {1e6 * wall_s:8.2f} {1e6 * bare_wall_s:8.2f} '
+            f'{1.0 / wall_s:9.0f}')
 
 
 def main() -> None:
@@ -78,7 +64,7 @@ def main() -> None:
                     print(row(worlds, kind), flush=True)
     count = max(arguments.worlds)
     template = Template(Simulation(compose('Panda', arena='table')))
-    before, copies, took = resident_bytes(), [], []
+    before, copies, took = memory_mb(os.getpid()), [], []
     for _ in range(count):
         begin = time.perf_counter()
         copies.append(template.copy())
@@ -86,7 +72,7 @@ def main() -> None:
     for simulation in copies:
         simulation.advance(10)
     print(f'a copy {1e3 * min(took):.2f} ms, number {count} {1e3 * took[-1]:.2f} ms; '
-          f'{(resident_bytes() - before) / 1e6 / count:.2f} MB for each')
+          f'{(memory_mb(os.getpid()) - before) / count:.2f} MB for each')
 
 
 if __name__ == '__main__':

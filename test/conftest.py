@@ -117,10 +117,11 @@ def mark_full(config, items):
         tests[item.path, getattr(item, 'originalname', None)] |= names
     for item, names in named.items():
         repeated = tests[item.path, getattr(item, 'originalname', None)]
-        if len(repeated) >= REPEATED and not names <= REPRESENTATIVES:
-            item.add_marker('full')
-        # The other tier has run it with fewer examples.
-        elif getattr(item.obj, 'is_hypothesis_test', False) and not is_fast_tier(config):
+        is_further = len(repeated) >= REPEATED and not names <= REPRESENTATIVES
+        # The other tier runs it with fewer examples.
+        has_more = getattr(item, 'obj', None) is not None and not is_fast_tier(config) and (
+            getattr(item.obj, 'is_hypothesis_test', False))
+        if is_further or has_more:
             item.add_marker('full')
 
 

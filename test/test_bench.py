@@ -131,7 +131,7 @@ def results(bench, tmp_path):
     return entrance.Results(tmp_path / 'bench.json', {}, settings.series), settings, told
 
 
-def test_a_row_that_fails_leaves_its_figures_so_far_and_the_other_rows(bench, results, monkeypatch):
+def test_a_row_that_fails_leaves_its_figures_and_the_other_rows(bench, results, monkeypatch):
     figures, _ = bench
     from targets import period, robots
     results, settings, told = results

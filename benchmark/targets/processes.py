@@ -42,7 +42,8 @@ def cpu_s(pid: int) -> float:
 
 def memory_mb(pid: int) -> float:
     """Return the resident memory of a process [MB]."""
-    return int(Path(f'/proc/{pid}/statm').read_text().split()[1]) * os.sysconf('SC_PAGE_SIZE') / 1e6
+    pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
+    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
 
 
 def busy_s() -> float:
