@@ -52,6 +52,7 @@ class Servos:
     :ivar qpos: addresses of the joints in ``qpos``, shape (n,)
     :ivar dofs: addresses of the joints in ``qvel``, shape (n,)
     :ivar limited: whether each joint has a range, shape (n,)
+    :ivar turn: 2 pi for joints without a range that turn, 0 for others [rad], shape (n,)
     :ivar ranges: lowest and highest position, velocity and effort by their names, at the joints
         in SI units, shape (n, 2)
     :ivar cruising_velocity: of steps and streams: the velocity limit, or what the torque can keep
@@ -67,7 +68,7 @@ class Servos:
 
     #: Where results are written, and what follows from the rest.
     not_in_digest = ('_effort_force', '_all_accelerations', '_places', '_all_compensated',
-                     '_geared', '_sources', 'reach', 'follows', 'any_gives_effort')
+                     '_geared', '_sources', 'reach', 'follows', 'any_gives_effort', 'turn')
 
     def __init__(self, physics: Physics, actuators: Sequence[str],
                  joints: Sequence[str]) -> None:
@@ -89,6 +90,8 @@ class Servos:
         self._drag = self._damping + passive
         self._friction = DryFriction(model, self.dofs)
         self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
+        turns = model.jnt_type[joint_ids] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        self.turn: FloatArray = np.where(turns & ~self.limited, 2.0 * np.pi, 0.0)
         self.ranges = {'position': self._position_range(joint_ids),
                        'effort': self._limit_effort(joint_ids)}
         velocity = velocity_limit(model, joint_ids, ids)

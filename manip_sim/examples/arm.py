@@ -65,6 +65,8 @@ class InverseKinematics:
         self._range = np.array([
             joint.range if joint.limited[0] else (-np.inf, np.inf)
             for joint in map(model.joint, joints)])
+        #: 2 pi for joints whose whole turns make no difference to a pose [rad].
+        self._turn = np.where(np.isfinite(self._range[:, 0]), 0.0, 2.0 * np.pi)
         self._site = model.site(site).id
 
     @property
@@ -85,6 +87,15 @@ class InverseKinematics:
         mujoco.mj_comPos(self._model, self._data)
         return (self._data.site_xpos[self._site].copy(),
                 self._data.site_xmat[self._site].reshape(3, 3).copy())
+
+    def nearest(self, joints: FloatArray, start: FloatArray) -> FloatArray:
+        """
+        Return joint positions of the same pose with joints without a range nearest to others.
+
+        :param joints: [rad], shape (n,)
+        :param start: the others [rad], shape (n,)
+        """
+        return joints - self._turn * np.rint((joints - start) / (2.0 * np.pi))
 
     def solve(self, start: FloatArray, position: FloatArray, rotation: FloatArray) -> FloatArray:
         """
@@ -208,6 +219,7 @@ class Arm:
                 break
         if not found:
             raise TaskFailed(f'{self.name}: {problem}' if self.name else str(problem))
+        found = [self._kinematics.nearest(joints, start) for joints in found]
         return min(found, key=lambda joints: float(np.abs(joints - start).max()))
 
     def move(self, goal: FloatArray) -> None:

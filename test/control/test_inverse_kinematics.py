@@ -19,12 +19,12 @@ from manip_sim.physics.robot_frames import RobotFrames
 GANTRY = np.eye(6)
 
 
-def joints(position, velocity=None, low=-np.inf, high=np.inf, posture=None):
+def joints(position, velocity=None, low=-np.inf, high=np.inf):
     count = len(position)
     return JointState(
         np.array(position, dtype=float), np.zeros(count) if velocity is None else velocity,
         np.full(count, low), np.full(count, high), np.full(count, 1.0), np.full(count, 4.0),
-        np.array(position if posture is None else posture, dtype=float))
+        np.zeros(count))
 
 
 def drive(solve, interval_s, seconds, velocity=None, **limits):
@@ -100,7 +100,7 @@ def test_a_joint_at_its_limit_is_held_and_another_does_its_part():
     jacobian = np.zeros((6, 2))
     jacobian[0] = [1.0, 0.5]
     state = JointState(np.array([1.0, 0.0]), np.zeros(2), np.array([-1.0, -1.0]),
-                       np.array([1.0, 1.0]), np.ones(2), np.full(2, 1e3), np.array([1.0, 0.0]))
+                       np.array([1.0, 1.0]), np.ones(2), np.full(2, 1e3), np.zeros(2))
     solution = follow_twist(jacobian, np.array([0.1, 0, 0, 0, 0, 0]), state, 0.01)
     np.testing.assert_allclose(solution.velocity, [0.0, 0.2], atol=1e-9)
     np.testing.assert_array_equal(solution.held, [True, False])
@@ -135,7 +135,7 @@ def test_near_a_singularity_velocities_stay_bounded(small):
 def test_a_twist_that_is_too_fast_is_slowed_down_in_its_direction():
     state = joints([0.0] * 6)
     state = JointState(state.position, np.array([1.0, 0.5, 0, 0, 0, 0]), state.low, state.high,
-                       state.velocity_limit, state.acceleration_limit, state.posture)
+                       state.velocity_limit, state.acceleration_limit, state.away)
     solution = follow_twist(GANTRY, np.array([4.0, 2.0, 0, 0, 0, 0]), state, 0.01)
     assert solution.slowed
     np.testing.assert_allclose(solution.velocity, [1.0, 0.5, 0, 0, 0, 0], atol=1e-12)

@@ -108,6 +108,34 @@ def test_a_redundant_arm_is_drawn_to_its_posture_and_comes_to_rest():
     assert np.abs(op.simulation.data.qvel[op.part.dof_addresses]).max() < 0.01
 
 
+def way_of_joints(robot, mode, turns):
+    """Raise an end effector by 5 cm after whole turns of endless joints; return how joints go."""
+    op = operator_of(robot, mode=mode)
+    endless = [joint for joint in op.part.joints
+               if not op.simulation.model.joint(joint).limited[0]]
+    for joint, count in zip(endless, turns):
+        op.simulation.data.joint(joint).qpos[0] += 2.0 * np.pi * count
+    # As if the joints had gone there: setpoints come along, the posture stays at the start.
+    posture = op.robot.joints.cartesian._posture.copy()
+    op.simulation.forward()
+    op.robot.joints.reset(op.simulation.data)
+    op.robot.joints.cartesian._posture[:] = posture
+    op.run(0.1)
+    start, (position, rotation) = op.robot.state().position.copy(), op.pose
+    op.go_to((position + [0.0, 0.0, 0.05], rotation))
+    op.run(3.0)
+    assert op.pose[0][2] == pytest.approx(position[2] + 0.05, abs=2e-3)
+    return op.robot.state().position - start
+
+
+@pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
+@pytest.mark.parametrize(('robot', 'turns'), [
+    ('Kinova3', (0, 0, 0, 1)), ('Kinova3', (2, -1, 0, -3))])
+def test_whole_turns_of_endless_joints_make_no_difference_to_a_pose(robot, turns, mode):
+    np.testing.assert_allclose(way_of_joints(robot, mode, turns),
+                               way_of_joints(robot, mode, (0,) * 4), atol=2e-3)
+
+
 @pytest.mark.parametrize('stepping', [(0.002, 0.01), (0.01, 0.05)])
 def test_the_stiffest_setting_is_stable(stepping):
     timestep_s, period_s = stepping

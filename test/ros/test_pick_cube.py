@@ -15,8 +15,9 @@ import rclpy
 from sensor_msgs.msg import JointState
 
 from manip_sim.examples import pick_cube
-from manip_sim.examples.arm import Arm
+from manip_sim.examples.arm import Arm, InverseKinematics
 from manip_sim.examples.demonstration import Demonstration, TaskFailed
+from manip_sim.models import compose
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 
 ROBOTS = [create_robot(name) for name in robot_names()]
@@ -153,3 +154,15 @@ def test_states_that_end_while_the_gripper_closes_are_told(arm_with_fingers, mon
     timer.cancel()
     with pytest.raises(TaskFailed, match='^the simulation stands still'):
         arm.close()
+
+
+def test_inverse_kinematics_keep_the_turns_of_joints_without_a_range():
+    model = compose('Kinova3').compile()
+    joints = [f'robot0_Actuator{number}' for number in range(1, 8)]
+    kinematics = InverseKinematics(model, joints, 'gripper0_right_grip_site', {})
+    start = np.array([0.0, 0.4, 2.0, 1.2, 0.3, -0.9, 1.0])
+    turned = start + 2.0 * np.pi * np.array([2, 0, -1, 0, 0, 0, 3])
+    position, rotation = kinematics.forward(start)
+    found = kinematics.nearest(kinematics.solve(start + 0.1, position, rotation), turned)
+    np.testing.assert_allclose(kinematics.forward(found)[0], position, atol=1e-3)
+    assert np.abs(found - turned).max() < 0.5

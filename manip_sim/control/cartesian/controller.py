@@ -19,6 +19,7 @@ from manip_sim.control.cartesian.cartesian_commands import (
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.cartesian.end_effector_velocities import (
     approach, follow_twist, JointState, STILL, stop)
+from manip_sim.control.cartesian.inverse_kinematics import way_to_posture
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.operational_space_controller import (
     EffortSolution, EndEffectorEfforts, FollowingEndEffector, OperationalSpaceController)
@@ -329,10 +330,11 @@ class CartesianController:
     def _joints(self, indices: IntArray, interval_s: float) -> JointState:
         setpoints, servos = self._setpoints, self._servos
         velocity = setpoints.velocity[indices]
+        position = setpoints.position[indices] + interval_s * velocity
         return JointState(
-            setpoints.position[indices] + interval_s * velocity, velocity, self._low[indices],
-            self._high[indices], servos.cruising_velocity[indices],
-            servos.acceleration_limit[indices], self._posture[indices])
+            position, velocity, self._low[indices], self._high[indices],
+            servos.cruising_velocity[indices], servos.acceleration_limit[indices],
+            way_to_posture(self._posture[indices], position, servos.turn[indices]))
 
     def _look(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
               error: FloatArray, reached: bool, progress: float) -> None:

@@ -53,7 +53,7 @@ class JointState:
     :ivar high: highest position [rad]
     :ivar velocity_limit: [rad/s]
     :ivar acceleration_limit: [rad/s^2]
-    :ivar posture: positions that a redundant arm tends to [rad]
+    :ivar away: displacements to the posture that a redundant arm tends to [rad]
     """
 
     position: FloatArray
@@ -62,7 +62,7 @@ class JointState:
     high: FloatArray
     velocity_limit: FloatArray
     acceleration_limit: FloatArray
-    posture: FloatArray
+    away: FloatArray
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,7 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
                            acceleration_limit=limit - needed if follows else limit)
     part = min(1.0, _LARGEST_STEP / max(length(error[:3]), 1e-12),
                _LARGEST_TURN / max(length(error[3:]), 1e-12))
-    found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position,
-                     rested)
+    found = displace(jacobian, part * error, *_room(joints), joints.away, rested)
     moved = product(jacobian, found.step)
     rate = min(_rate(found.step, relative, interval_s),
                max(linear_velocity - length(twist[:3]), 0.0) / max(length(moved[:3]), 1e-12),
@@ -164,7 +163,7 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, in
     slowest, fastest = (_HORIZON_S * braking_velocity(
         end, _BRAKING * joints.acceleration_limit, interval_s) for end in (low, high))
     found = displace(jacobian, _HORIZON_S * twist, np.maximum(low, slowest),
-                     np.minimum(high, fastest), joints.posture - joints.position)
+                     np.minimum(high, fastest), joints.away)
     velocity = found.step / _HORIZON_S
     pace = _pace(velocity, joints)
     velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)

@@ -213,6 +213,18 @@ def _diagonals(size: int) -> tuple[FloatArray, FloatArray]:
     return _REGULAR * np.eye(size), _POSTURE * np.eye(size)
 
 
+def way_to_posture(posture: FloatArray, position: FloatArray, turn: FloatArray) -> FloatArray:
+    """
+    Return displacements to a posture [rad], shape (n,).
+
+    :param posture: positions of joints [rad], shape (n,)
+    :param position: where they are [rad], shape (n,)
+    :param turn: 2 pi where whole turns make no difference, 0 elsewhere, shape (n,)
+    """
+    away = posture - position
+    return away - turn * np.rint(away / (2.0 * np.pi))
+
+
 def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: FloatArray,
              away: FloatArray, rested: bool = False) -> Displacement:
     """

@@ -14,7 +14,7 @@ import numpy as np
 from manip_sim.algebra import dot, product
 from manip_sim.arrays import as_slice, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.inverse_kinematics import Displacement
+from manip_sim.control.cartesian.inverse_kinematics import Displacement, way_to_posture
 from manip_sim.control.cartesian.operational_space_law import WantedMotions
 from manip_sim.control.cartesian.targets import Target, pose_error
 from manip_sim.control.servos import Servos
@@ -67,6 +67,7 @@ class ArmJoints(NamedTuple):
     :ivar joints: where they are in arrays of all of them; ``qpos`` and ``dofs`` in those of MuJoCo
     :ivar limits: lowest and highest position, highest velocity, lowest and highest effort, and
         damping, each of shape (n,)
+    :ivar turn: 2 pi for joints without a range that turn, 0 for others, shape (n,)
     :ivar all_limits: the same as one array, shape (6, n)
     """
 
@@ -75,6 +76,7 @@ class ArmJoints(NamedTuple):
     dofs: slice | IntArray
     limits: tuple[FloatArray, ...]
     all_limits: FloatArray
+    turn: FloatArray
 
 
 class FollowingEndEffector(NamedTuple):
@@ -117,7 +119,7 @@ class FollowingEndEffector(NamedTuple):
 
         :returns: whether it rests; its velocity [m/s, rad/s], shape (6,), or None; translation and
             rotation vector to it [m, rad], shape (6,); Jacobian of the end effector, shape (6, n);
-            position, velocity and posture of the joints, each of shape (n,)
+            position and velocity of the joints and displacement to their posture, each (n,)
         """
         own, target, arm, now_s = self.own, self.target, self.arm, self.now_s
         physics = own.physics
@@ -134,9 +136,11 @@ class FollowingEndEffector(NamedTuple):
             goal, along, acceleration = target.reference(data, now_s)
             along = along + acceleration / damping
             twist = along if twist is None else twist + along
+        position = physics.qpos[arm.qpos]
         return (still, twist, pose_error(goal, self.tip.view(data)),
-                self.tip.jacobian(physics.model, data, arm.dofs), physics.qpos[arm.qpos],
-                physics.qvel[arm.dofs], own.posture[arm.joints])
+                self.tip.jacobian(physics.model, data, arm.dofs), position,
+                physics.qvel[arm.dofs],
+                way_to_posture(own.posture[arm.joints], position, arm.turn))
 
 
 class EndEffectorEfforts:
@@ -160,11 +164,11 @@ class EndEffectorEfforts:
             arrays = [_together(rows) for rows in lists]
             limits = tuple(
                 _together([each.arm.all_limits for each in end_effectors]).swapaxes(0, 1))
-        self._errors, jacobians, position, self._velocity, posture = arrays
+        self._errors, jacobians, position, self._velocity, away = arrays
         low, high, fastest, weakest, strongest, damping = limits
         wanted = self._wanted = WantedMotions(
             jacobians, self._errors, twists, [each.settings for each in end_effectors], fastest,
-            low - position, high - position, posture - position,
+            low - position, high - position, away,
             [each.target.rests for each in end_effectors])
         accelerations, forces = wanted.accelerations(self._velocity), []
         for each, rests, acceleration in zip(
@@ -234,7 +238,7 @@ class OperationalSpaceController:
                 *servos.ranges['effort'][indices].T, servos.passive_damping[indices]])
             self._arms[key] = ArmJoints(
                 as_slice(indices), as_slice(servos.qpos[indices]), as_slice(servos.dofs[indices]),
-                tuple(limits), limits)
+                tuple(limits), limits, servos.turn[indices])
         return self._arms[key]
 
     def following(self, tip: Frame, target: Target, indices: IntArray, settings: CartesianSettings,
