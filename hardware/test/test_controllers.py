@@ -329,14 +329,12 @@ def test_the_admittance_controller_gives_way_to_what_its_sensor_measures(control
 
 
 def test_time_stands_while_the_manager_is_gone_and_another_one_goes_on(
-        controlled, written, monkeypatch):
-    from manip_sim.testing import simulation_under_test
-    sim, process = controlled()
+        controlled, written):
+    sim, process = controlled(patience=3.0)
     spawn(sim, 'arm_position_controller')
     process.kill()
     process.wait()
-    with monkeypatch.context() as impatient, pytest.raises(SimulationStalled):
-        impatient.setattr(simulation_under_test, '_PATIENCE', 30)
+    with pytest.raises(SimulationStalled):
         sim.run_for(5.0)
     manager(sim, written)
     spawn(sim, 'arm_position_controller')

@@ -12,6 +12,7 @@ import multiprocessing
 from multiprocessing.connection import Connection, wait
 import os
 import signal
+import threading
 from typing import Any
 
 from manip_sim.errors import ManipSimError
@@ -140,6 +141,7 @@ def _serve(pipe: Connection, experiment: Experiment) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # The process that asks ends this one.
     use_one_blas_thread()
     process = os.getpid()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         worker = Worker(experiment, ends_with_policy=True)
         while True:
@@ -153,3 +155,11 @@ def _serve(pipe: Connection, experiment: Experiment) -> None:
         pass
     finally:
         pipe.close()
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that asks was killed; a policy may take long to answer."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

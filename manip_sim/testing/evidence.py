@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from manip_sim.testing.simulation_under_test import SimulationUnderTest
 
 _SIZE = (960, 720)
-#: How often to ask for the model; the report of the test waits meanwhile.
-_TRIES = 20
 #: The longest time for a picture, also of a machine with many other processes [s].
 _RENDERING_S = 300.0
 _ARCHIVE, _STATES, _PICTURE = 'model.mjz', 'states.npz', 'picture.png'
@@ -65,7 +63,7 @@ def save_evidence(simulation: SimulationUnderTest, folder: Path) -> list[str]:
 
 def _archive(simulation: SimulationUnderTest) -> bytes:
     return bytes(simulation.receive(
-        UInt8MultiArray, 'manip_sim/mjcf_archive', LATCHED, _TRIES).data)
+        UInt8MultiArray, 'manip_sim/mjcf_archive', LATCHED).data)
 
 
 def _picture(folder: Path) -> None:

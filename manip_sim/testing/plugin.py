@@ -37,8 +37,9 @@ def sim_node(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
     Return a function that starts a paused node in a ROS domain that nobody else uses.
 
     ``sim_node(robot='UR5e', stepping='lockstep')`` takes the parameters of the node, with two
-    underscores for a dot (``control_mode__arm='effort'``), and ``as_process=True`` to start it as
-    a process of its own. It returns a ``SimulationUnderTest``, which ends with the test. What the
+    underscores for a dot (``control_mode__arm='effort'``), ``as_process=True`` to start it as a
+    process of its own, and ``patience``, the wall time after which a simulation that stands still
+    fails the test [s]. It returns a ``SimulationUnderTest``, which ends with the test. What the
     test starts meanwhile, here or as a process, finds the same domain in its environment.
     """
     pytest.importorskip('rclpy', reason='the fixture sim_node needs ROS 2')
@@ -46,14 +47,15 @@ def sim_node(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
     running = request.node.stash.setdefault(_RUNNING, [])
     reserved: list[int] = []
 
-    def start(as_process: bool = False, **parameters: Any) -> SimulationUnderTest:
+    def start(as_process: bool = False, patience: float = 10.0, **parameters: Any
+              ) -> SimulationUnderTest:
         domain, lock = reserve_domain()
         reserved.append(lock)
         monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
         monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         simulation = SimulationUnderTest(
             domain, {name.replace('__', '.'): value for name, value in parameters.items()},
-            as_process)
+            as_process, patience)
         running.append(simulation)
         return simulation
 

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
@@ -87,6 +88,7 @@ class RecordedTopics:
 
     :param node: that subscribes to them
     :ivar repeats: how often all joint states were repeated since the last new message
+    :ivar last_new_s: when the last new message came [s], of ``time.monotonic``
     """
 
     def __init__(self, node: Node) -> None:
@@ -94,6 +96,7 @@ class RecordedTopics:
         self._messages: dict[str, list[Any]] = {}
         self._subscriptions: dict[str, Any] = {}
         self.repeats = 0
+        self.last_new_s = time.monotonic()
 
     def begin(self) -> None:
         """Record what is published now."""
@@ -117,10 +120,15 @@ class RecordedTopics:
             if not messages or stamp_ns > nanoseconds_of(messages[-1].header.stamp):
                 messages.append(message)
                 self.repeats = 0
+                self.last_new_s = time.monotonic()
             else:
                 self.repeats += topic.endswith('/joint_states') and topic.count('/') == 1
         self._subscriptions[topic] = self._node.create_subscription(
             message_type, topic, take, 1000)
+
+    def subscriptions(self, topic: str) -> int:
+        """Return how many of the subscriptions to a topic, with a leading slash, are these."""
+        return int(topic in self._subscriptions)
 
     def messages(self, topic: str) -> list[Any]:
         """
@@ -142,24 +150,3 @@ class RecordedTopics:
         """Return the names of the topics of a type that have a message, with a leading slash."""
         return [name for name, messages in self._messages.items()
                 if messages and isinstance(messages[0], message_type)]
-
-    def give_up(self, patience: int, kind: str, name: str, message_type: Any,
-                listed: Callable[[], Iterable[tuple[str, Sequence[str]]]]) -> Callable[[], None]:
-        """
-        Return a check whether it takes too long until a topic or service is there.
-
-        :param patience: how often the node may repeat its state until then
-        :param kind: what is waited for, such as ``service``
-        :param listed: returns the names and types of those that are there
-        :returns: a function that raises UnknownNameError, with the names of this type
-        """
-        self.repeats = 0
-        package, interface = message_type.__module__.split('.')[:2]
-        type_name = f'{package}/{interface}/{message_type.__name__}'
-
-        def check() -> None:
-            if self.repeats > patience:
-                names = [found.lstrip('/') for found, types in listed() if type_name in types]
-                raise UnknownNameError(f'{kind} of the type {type_name}', name,
-                                       [other for other in names if other != name.lstrip('/')])
-        return check

@@ -21,6 +21,7 @@ import yaml
 from manip_sim.errors import ManipSimError
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
+from manip_sim.testing.controllers import guard
 
 #: How long a node is given to end; a machine with many other processes takes long [s].
 _END_S = 300.0
@@ -99,6 +100,7 @@ class NodeProcess:
             self._process = subprocess.Popen(
                 [sys.executable, '-m', 'manip_sim', '--ros-args', '--params-file', str(given)],
                 stdout=log, stderr=subprocess.STDOUT)
+        self._guard = guard(str(self._process.pid))
 
     def check(self) -> None:
         """Check that the node still runs, as :meth:`NodeInProcess.check`."""
@@ -111,6 +113,8 @@ class NodeProcess:
 
     def kill(self) -> None:
         """End the node without warning, as a crash does: send SIGKILL to the process."""
+        self._guard.kill()
+        self._guard.communicate()
         self._process.kill()
         self._process.wait()
         self._files.close()
@@ -123,9 +127,7 @@ class NodeProcess:
             if code:
                 raise ManipSimError(f'the node ended with exit code {code}: {self._last_line()}')
         finally:
-            self._process.kill()
-            self._process.wait()
-            self._files.close()
+            self.kill()
 
 
 ServedNode = NodeInProcess | NodeProcess

@@ -5,21 +5,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 import math
 from pathlib import Path
 import subprocess
+import time
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-from manip_sim.errors import ManipSimError
+from manip_sim.errors import ManipSimError, UnknownNameError
 from manip_sim.testing.controllers import Controllers
 from manip_sim.testing.evidence import save_evidence
 from manip_sim.testing.recorded_topics import (
@@ -28,12 +30,12 @@ from manip_sim.testing.served_node import NodeInProcess, NodeProcess, ServedNode
 
 #: How many control periods pass at once: fewer than the messages that a publisher keeps.
 _AT_ONCE = 5
-#: How often the node, ten times a second, repeats a state until the test gives it up as stalled.
-_PATIENCE = 600
 #: Longest wait for a message at once; what is waited for may also come about otherwise [s].
 _LOOK_S = 0.05
-#: A question that has no answer after so many looks is asked again.
-_LOOKS = 100
+#: How long until a question that has no answer is asked again; DDS may lose it [s].
+_AGAIN_S = 2.0
+#: How long until a name that nobody has is unknown; discovery takes less [s].
+_UNKNOWN_S = 3.0
 
 
 class SimulationStalled(ManipSimError):
@@ -55,6 +57,7 @@ class SimulationUnderTest:
     :param domain: the ROS domain
     :param parameters: of the node, by name
     :param as_process: start the node as a process of its own
+    :param patience_s: wall time after which waiting for time, messages or answers fails [s]
     :raises ManipSimError: if the node cannot start
     :ivar domain: the ROS domain
     :ivar node: an ``rclpy`` node for what a test publishes, calls or subscribes to; its callbacks
@@ -62,7 +65,11 @@ class SimulationUnderTest:
     :ivar period_s: length of a control period [s]
     """
 
-    def __init__(self, domain: int, parameters: Mapping[str, Any], as_process: bool) -> None:
+    def __init__(self, domain: int, parameters: Mapping[str, Any], as_process: bool,
+                 patience_s: float = 10.0) -> None:
+        if not patience_s > 0.0:
+            raise ManipSimError(f'patience must be above 0 s, got {patience_s}')
+        self._patience_s = patience_s
         given = self._given = {'stepping': 'free', **parameters, 'start_paused': True}
         self._lockstep = given['stepping'] == 'lockstep'
         self.domain = domain
@@ -108,8 +115,10 @@ class SimulationUnderTest:
         self._now_ns = self._recorded.stamp_ns(self._states[0], 0)
 
     def _parameters(self, *names: str) -> Any:
-        return self.call(GetParameters, 'manip_sim/get_parameters',
-                         GetParameters.Request(names=list(names)), again=True).values
+        self._spin_until(lambda: self.node.count_services('manip_sim/get_parameters') > 0)
+        # After a crash, DDS knows the services of the node that was killed for some time yet.
+        return self._call(GetParameters, 'manip_sim/get_parameters',
+                          GetParameters.Request(names=list(names)), True, math.inf).values
 
     # ------------------------------------------------------------------ time
 
@@ -154,10 +163,12 @@ class SimulationUnderTest:
 
     def _advance(self, periods: int) -> None:
         end_ns = self._now_ns + periods * round(self.period_s * 1e9)
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked()
+        for topic, publisher in self._publishers.items():
+            if not publisher.wait_for_all_acked(Duration(seconds=min(self._patience_s, 1e9))):
+                raise SimulationStalled(f'a subscriber of {topic} has not acknowledged what was '
+                                        f'published within {self._patience_s:g} s')
         self.set_parameter('pause_at', end_ns * 1e-9)
-        self._recorded.repeats = 0
+        self._recorded.last_new_s = time.monotonic()
         # What counts is that time passes: DDS may lose the answer.
         self._ask(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
         self._wait_for_states(end_ns, self._check_not_stalled)
@@ -168,10 +179,25 @@ class SimulationUnderTest:
         self._now_ns = end_ns
 
     def _check_not_stalled(self) -> None:
-        if self._recorded.repeats > _PATIENCE:
-            parts = ('lock-step waits for a command of the parts in lockstep_parts'
-                     if self._lockstep else 'is it paused by somebody else, or has it diverged?')
-            raise SimulationStalled(f'the simulation stands still at {self.time_s:.3f} s: {parts}')
+        if time.monotonic() - self._recorded.last_new_s <= self._patience_s:
+            return
+        parts = ', '.join(self._given.get('lockstep_parts', ['arm']))
+        reason = (f'lock-step waits for a command of the parts {parts}; {self._senders()}'
+                  if self._lockstep else 'is it paused by somebody else, or has it diverged?')
+        doing = self._controllers.describe()
+        raise SimulationStalled(
+            f'the simulation stands still at {self.time_s:.3f} s: {reason}; waited for '
+            f'{self._patience_s:g} s of wall time' + (f'; {doing}' if doing else ''))
+
+    def _senders(self) -> str:
+        """Return which nodes publish to topics of the node under test."""
+        senders = [
+            f"'{info.node_name}' publishes {topic[1:]}" for topic, types in
+            self.node.get_topic_names_and_types() if '/ParameterEvent' not in types[0]
+            and self.node.count_subscribers(topic) > self._recorded.subscriptions(topic)
+            for info in self.node.get_publishers_info_by_topic(topic)
+            if info.node_name not in ('manip_sim', self.node.get_name())]
+        return ', '.join(senders) or 'no node publishes what it takes'
 
     def set_parameter(self, name: str, value: Any) -> None:
         """
@@ -213,7 +239,6 @@ class SimulationUnderTest:
         self._recorded.begin_anew()
         self.server = NodeProcess(self._given)
         self._wait_for_the_start()
-        # DDS knows the services of the node that was killed for some time yet.
         self._parameters('publish_rate')
 
     # ------------------------------------------------------------------ what was published
@@ -236,28 +261,29 @@ class SimulationUnderTest:
         return sorted(f'{space.rstrip("/")}/{name}'
                       for name, space in self.node.get_node_names_and_namespaces())
 
-    def receive(self, message_type: Any, topic: str, qos: Any = 10,
-                tries: int | None = None) -> Any:
+    def receive(self, message_type: Any, topic: str, qos: Any = 10) -> Any:
         """
         Return the next message of any topic; of a latched one the last that was published.
 
         :param message_type: such as ``std_msgs.msg.String``
         :param topic: such as ``manip_sim/mjcf``
         :param qos: profile, or depth of the history
-        :param tries: how often to subscribe, some seconds each; None: until there is a message
-        :raises ManipSimError: if there is none, or the node has ended
+        :raises UnknownNameError: if nobody publishes it with this type
+        :raises ManipSimError: if there is no message, or the node has ended
         """
         messages: list[Any] = []
         subscriptions: list[Any] = []
-        looks = itertools.count()
+        begin_s = time.monotonic()
+        self._wait_for_name('published topic', topic, message_type, self._published)
 
         def received() -> bool:
             # DDS may lose a latched message on its way to a new subscription.
-            if not messages and next(looks) % _LOOKS == 0:
-                if len(subscriptions) == tries:
-                    raise ManipSimError(f'no message on {topic}')
+            waited_s = time.monotonic() - begin_s
+            if not messages and waited_s >= _AGAIN_S * len(subscriptions):
                 subscriptions.append(self.node.create_subscription(
                     message_type, topic, messages.append, qos))
+            if not messages and waited_s > self._patience_s:
+                raise ManipSimError(f'no message on {topic} within {self._patience_s:g} s')
             return bool(messages)
         try:
             self._spin_until(received)
@@ -292,15 +318,14 @@ class SimulationUnderTest:
 
         :param topic: such as ``arm/joint_command``
         :param message: of the type of the topic
-        :raises ManipSimError: if nobody subscribes to it with this type, or the node has ended
+        :raises UnknownNameError: if nobody subscribes to it with this type
+        :raises ManipSimError: if the node has ended
         """
         if topic not in self._publishers:
+            self._wait_for_name('subscribed topic', topic, type(message), self._subscribed)
             publisher = self.node.create_publisher(type(message), topic, 100)
-            give_up = self._recorded.give_up(
-                _PATIENCE, 'subscribed topic', topic, type(message), lambda: [
-                    found for found in self.node.get_topic_names_and_types()
-                    if self.node.count_subscribers(found[0])])
-            self._spin_until(lambda: publisher.get_subscription_count() > 0, give_up)
+            own = self._recorded.subscriptions(publisher.topic_name)
+            self._wait_until_connected(topic, lambda: publisher.get_subscription_count() > own)
             self._publishers[topic] = publisher
         self._publishers[topic].publish(message)
 
@@ -313,16 +338,25 @@ class SimulationUnderTest:
         :param request: None for an empty one
         :param again: ask again if there is no answer for some seconds, as DDS may lose it; the
             service may then be executed twice
-        :raises ManipSimError: if nobody offers it with this type, or the node has ended
+        :raises UnknownNameError: if nobody offers it with this type
+        :raises ManipSimError: if there is no answer, or the node has ended
         """
+        return self._call(service_type, name, request, again, self._patience_s)
+
+    def _call(self, service_type: Any, name: str, request: Any, again: bool,
+              limit_s: float) -> Any:
         request = request or service_type.Request()
         futures: list[Any] = []
-        looks = itertools.count(1)
+        begin_s = time.monotonic()
 
         def answered() -> bool:
-            if not futures or again and next(looks) % _LOOKS == 0:
+            waited_s = time.monotonic() - begin_s
+            if not futures or again and waited_s >= _AGAIN_S * len(futures):
                 futures.append(self._ask(service_type, name, request))
-            return any(future.done() for future in futures)
+            answers = [future for future in futures if future.done()]
+            if not answers and waited_s > limit_s:
+                raise ManipSimError(f'no answer of the service {name} within {limit_s:g} s')
+            return bool(answers)
         self._spin_until(answered)
         return next(future.result() for future in futures if future.done())
 
@@ -330,11 +364,61 @@ class SimulationUnderTest:
         # The answer to a client that is new is more easily lost.
         key = service_type, name
         if key not in self._clients:
+            self._wait_for_name('service', name, service_type,
+                                self.node.get_service_names_and_types)
             self._clients[key] = self.node.create_client(service_type, name)
         client = self._clients[key]
-        self._spin_until(client.service_is_ready, self._recorded.give_up(
-            _PATIENCE, 'service', name, service_type, self.node.get_service_names_and_types))
+        self._wait_until_connected(name, client.service_is_ready)
         return client.call_async(request)
+
+    def _published(self) -> list[tuple[str, Sequence[str]]]:
+        own = [publisher.topic_name for publisher in self._publishers.values()]
+        return [found for found in self.node.get_topic_names_and_types()
+                if self.node.count_publishers(found[0]) > own.count(found[0])]
+
+    def _subscribed(self) -> list[tuple[str, Sequence[str]]]:
+        return [found for found in self.node.get_topic_names_and_types() if
+                self.node.count_subscribers(found[0]) > self._recorded.subscriptions(found[0])]
+
+    def _wait_for_name(self, kind: str, name: str, interface: Any,
+                       listed: Callable[[], Iterable[tuple[str, Sequence[str]]]]) -> None:
+        """
+        Wait until somebody has a topic or service.
+
+        :param kind: what is waited for, such as ``service``
+        :param interface: its type; None for any
+        :param listed: returns the names and types of those that are there
+        :raises UnknownNameError: if nobody has it, with the nearest names, of this type if any has
+        :raises ManipSimError: if it has another type
+        """
+        full_name, begin_s = self.node.resolve_topic_name(name), time.monotonic()
+        package, module = interface.__module__.split('.')[:2] if interface else ('', '')
+        wanted = f'{package}/{module}/{interface.__name__}' if interface else ''
+
+        def check() -> None:
+            # A controller may just have been started.
+            if time.monotonic() <= max(begin_s + _UNKNOWN_S,
+                                       self._controllers.started_s + self._patience_s):
+                return
+            present = dict(listed())
+            if types := present.get(full_name):
+                raise ManipSimError(f'the {kind} {name} has the type {", ".join(types)}, not '
+                                    f'{wanted}')
+            alike = [other[1:] for other, types in present.items() if wanted in types]
+            raise UnknownNameError(kind + (f' of the type {wanted}' if wanted else ''), name,
+                                   alike or [other[1:] for other in present])
+        self._spin_until(lambda: any(
+            other == full_name and (not wanted or wanted in types) for other, types in listed()
+        ), check)
+
+    def _wait_until_connected(self, name: str, connected: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + self._patience_s
+
+        def check() -> None:
+            if time.monotonic() > end_s:
+                raise ManipSimError(f'{name} is there, but DDS has not connected it within '
+                                    f'{self._patience_s:g} s')
+        self._spin_until(connected, check)
 
     def spin(self, node: Node) -> None:
         """
@@ -360,14 +444,20 @@ class SimulationUnderTest:
         Wait until the controller under test publishes a topic; simulated time does not pass.
 
         :param topic: such as ``arm/joint_command``
-        :raises ManipSimError: if the node or a process of :meth:`start` has ended meanwhile
+        :raises UnknownNameError: if nobody publishes it
+        :raises ManipSimError: if the node or the processes of :meth:`start` have ended meanwhile
         """
-        self._spin_until(lambda: self.node.count_publishers(topic) > 0, self._controllers.check)
+        self._wait_for_name('published topic', topic, None, self._running_and_published)
+
+    def _running_and_published(self) -> list[tuple[str, Sequence[str]]]:
+        self._controllers.check_running()
+        return self._published()
 
     def _spin_until(self, condition: Callable[[], bool],
                     check: Callable[[], None] = lambda: None) -> None:
         while not condition():
             self.server.check()
+            self._controllers.check()
             check()
             self._executor.spin_once(timeout_sec=_LOOK_S)
 
@@ -386,12 +476,12 @@ class SimulationUnderTest:
         """
         End controllers and node.
 
-        :raises ManipSimError: if the node has failed
+        :raises Exception: that of a controller, if the test has not waited since it failed
+        :raises ManipSimError: if the node has failed, or a controller does not end
         """
-        self._controllers.close()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        try:
-            self.server.close()
-        finally:
-            rclpy.try_shutdown(context=self._context)
+        with ExitStack() as last_first:
+            last_first.callback(rclpy.try_shutdown, context=self._context)
+            last_first.callback(self.server.close)
+            last_first.callback(self.node.destroy_node)
+            last_first.callback(self._executor.shutdown)
+            last_first.callback(self._controllers.close)

@@ -131,6 +131,30 @@ def test_a_run_that_was_killed_goes_on_and_doubles_nothing(whole, tmp_path):
     assert rows(out) == rows(whole)
 
 
+NEVER_ANSWERS = """
+import time
+
+class Policy:
+    def reset(self, seed):
+        print('reset', flush=True)
+
+    def act(self, observation):
+        time.sleep(1000.0)
+"""
+
+
+def test_processes_of_a_run_that_was_killed_end_although_a_policy_has_not_answered(tmp_path):
+    (tmp_path / 'policy.py').write_text(NEVER_ANSWERS)
+    with subprocess.Popen(
+            [sys.executable, '-m', 'manip_sim.cli', 'run', 'reach', '--policy',
+             'policy.py:Policy', '--seeds', '0:2', '--out', 'run', '--worlds', '1'],
+            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert b'reset' in process.stdout.readline()
+        process.kill()
+        # The pipe ends with the last process that has it.
+        assert process.communicate(timeout=100.0) == (b'', None)
+
+
 def test_an_interrupted_run_says_that_it_goes_on(tmp_path):
     out = tmp_path / 'interrupted'
     process = subprocess.Popen(

@@ -3,9 +3,15 @@
 
 """The fixture for tests of controllers: simulated time, lock-step, records of failures."""
 
+import contextlib
 import math
+import os
+from pathlib import Path
+import signal
 import subprocess
 import sys
+import threading
+import time
 
 import pytest
 
@@ -13,6 +19,7 @@ pytest.importorskip('rclpy', reason='the fixture sim_node needs ROS 2')
 
 import numpy as np  # noqa: E402
 import rclpy  # noqa: E402
+from rclpy.executors import MultiThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile  # noqa: E402
 from rclpy.task import Future  # noqa: E402
@@ -21,6 +28,8 @@ from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from manip_sim.errors import ManipSimError, UnknownNameError  # noqa: E402
+from manip_sim.testing import simulation_under_test  # noqa: E402
+from manip_sim.testing.simulation_under_test import SimulationStalled  # noqa: E402
 
 
 @pytest.mark.parametrize('as_process', [False, True])
@@ -98,25 +107,195 @@ def test_a_controller_in_lock_step_gives_the_same_states_to_the_last_bit(sim_nod
         assert getattr(first, field).tobytes() == getattr(again, field).tobytes()
 
 
-def test_lock_step_without_a_controller_is_told(sim_node, monkeypatch):
-    from manip_sim.testing import simulation_under_test
-    monkeypatch.setattr(simulation_under_test, '_PATIENCE', 3)
-    sim = sim_node(stepping='lockstep')
-    with pytest.raises(simulation_under_test.SimulationStalled,
-                       match=r'stands still at 0\.010 s: lock-step waits for a command'):
+def test_lock_step_without_a_controller_fails_after_the_patience_of_the_fixture(sim_node):
+    sim = sim_node(stepping='lockstep', patience=1.5)
+    begin_s = time.monotonic()
+    with pytest.raises(SimulationStalled, match=(
+            r'stands still at 0\.010 s: lock-step waits for a command of the parts arm; no node '
+            r'publishes what it takes; waited for 1\.5 s of wall time$')):
         sim.run_for(0.1)
+    assert time.monotonic() - begin_s >= 1.5
+    for patience in (0.0, -1.0, math.nan):
+        with pytest.raises(ManipSimError, match='patience must be above 0 s'):
+            sim_node(patience=patience)
 
 
-def test_topics_and_services_that_nobody_serves_are_told(sim_node, monkeypatch):
-    from manip_sim.testing import simulation_under_test
+class Raises(Node):
+    """Fails at the third state."""
+
+    def __init__(self):
+        super().__init__('raises')
+        self.states = 0
+        self.create_subscription(JointState, 'arm/joint_states', self.answer, 1)
+
+    def answer(self, state):
+        self.states += 1
+        if self.states == 3:
+            raise ZeroDivisionError('a defect of the controller')
+
+
+def spin_in_own_thread(sim):
+    executor = MultiThreadedExecutor()
+    executor.add_node(Raises())
+    threading.Thread(target=executor.spin, daemon=True).start()
+
+
+def fail_in_a_thread(sim):
+    threading.Thread(target=lambda: {}['no such key']).start()
+
+
+def fail_in_a_process(sim):
+    # What it has started keeps its standard error open.
+    sim.start([sys.executable, '-c', 'import subprocess; subprocess.Popen(["sleep", "1000"]); '
+               'raise RuntimeError("in a process")'])
+
+
+@pytest.mark.parametrize('fail, error', [
+    (lambda sim: sim.spin(Raises()), (ZeroDivisionError, 'a defect of the controller')),
+    (spin_in_own_thread, (ZeroDivisionError, 'a defect of the controller')),
+    (fail_in_a_thread, (KeyError, 'no such key')),
+    (fail_in_a_process, (ManipSimError, r'has ended with exit code 1: Traceback \(most recent '
+                         r'call last\):\n(.*\n)+RuntimeError: in a process$'))])
+def test_a_controller_that_raises_fails_the_test_with_its_own_exception(
+        sim_node, ros, fail, error):
+    sim = sim_node(stepping='lockstep', patience=250.0)
+    ros()
+    fail(sim)
+    kind, text = error
+    with pytest.raises(kind, match=text):
+        sim.run_for(1.0)
+    # It has been raised, and is no reason why the test could not end, or save what it has.
+    assert len(sim.nodes()) >= 2
+    sim.call(Trigger, 'manip_sim/tare_wrench')
+
+
+def test_an_exception_after_the_last_wait_of_a_test_is_raised_at_its_end(sim_node, ros):
+    hook_before = threading.excepthook
     sim = sim_node()
-    monkeypatch.setattr(simulation_under_test, '_PATIENCE', 3)
-    with pytest.raises(UnknownNameError, match="'arm/joint_comand': did you mean 'arm/joint_comm"):
-        sim.publish('arm/joint_comand', JointState())
-    with pytest.raises(UnknownNameError, match='of the type std_msgs/msg/String'):
-        sim.publish('joint_comand', String())
-    with pytest.raises(UnknownNameError, match="did you mean 'manip_sim/tare_wrench'"):
-        sim.call(Trigger, 'manip_sim/tare_wrenches')
+    ros()
+    failing = Raises()
+    sim.spin(failing)
+    while failing.states < 3:
+        time.sleep(0.01)
+    with pytest.raises(ZeroDivisionError, match='a defect of the controller'):
+        sim.close()
+    assert threading.excepthook == hook_before
+
+
+def test_a_controller_that_never_returns_is_named_with_the_line_where_it_is(sim_node, ros):
+    sim = sim_node(stepping='lockstep', patience=1.0)
+    ros()
+    node = rclpy.create_node('hangs')
+    node.create_publisher(JointState, 'arm/joint_command', 1)
+    entered, never = threading.Event(), threading.Event()
+    node.create_subscription(
+        JointState, 'joint_states', lambda _: (entered.set(), never.wait()), 1)
+    sim.spin(node)
+    sim.wait_for_publisher('arm/joint_command')
+    assert entered.wait(300.0)
+    with pytest.raises(SimulationStalled, match=(
+            r"'hangs' publishes arm/joint_command; .*; node 'hangs' is in <lambda> "
+            r'\(.*test_sim_node\.py:\d+\)$')):
+        sim.run_for(0.1)
+    with pytest.raises(ManipSimError, match='a callback of the nodes hangs does not return'):
+        sim.close()
+    never.set()
+
+
+def test_an_end_that_the_test_knows_of_is_no_failure_of_a_controller(sim_node):
+    sim = sim_node(control_mode__arm='velocity')
+    killed = sim.start(['sleep', '1000'])
+    killed.kill()
+    known = sim.start([sys.executable, '-c', 'raise SystemExit(3)'])
+    assert known.wait() == 3
+    sim.start(['true'])
+    sim.run_for(0.5)
+    assert killed.poll() == -signal.SIGKILL
+    with pytest.raises(ManipSimError, match=r"\['true'\] has ended with exit code 0"):
+        sim.wait_for_publisher('arm/joint_command')
+
+
+UNKNOWN = [
+    (lambda sim: sim.publish('arm/joint_comand', JointState()),
+     "subscribed topic .* 'arm/joint_comand': did you mean 'arm/joint_command'"),
+    # The fixture subscribes to these itself.
+    (lambda sim: sim.publish('joint_states', JointState()),
+     "of the type sensor_msgs/msg/JointState 'joint_states': did you mean 'joint_command'"),
+    (lambda sim: sim.publish('arm/joint_state', JointState()),
+     'available: arm/joint_command, joint_command, right/gripper/joint_command, '
+     'right/joint_command$'),
+    (lambda sim: sim.publish('joint_comand', String()), 'of the type std_msgs/msg/String'),
+    (lambda sim: sim.publish('arm/joint_command', String()),
+     'arm/joint_command has the type sensor_msgs/msg/JointState, not std_msgs/msg/String'),
+    (lambda sim: sim.receive(String, 'manip_sim/mjfc'),
+     "published topic .* 'manip_sim/mjfc': did you mean 'manip_sim/mjcf'"),
+    (lambda sim: sim.receive(String, 'joint_states'), 'has the type sensor_msgs/msg/JointState'),
+    (lambda sim: sim.wait_for_publisher('joint_state'), "did you mean 'joint_states'"),
+    (lambda sim: sim.call(Trigger, 'manip_sim/tare_wrenches'),
+     "did you mean 'manip_sim/tare_wrench'"),
+    (lambda sim: sim.call(Trigger, 'manip_sim/pause'), 'has the type std_srvs/srv/SetBool')]
+
+
+def test_names_that_nobody_has_are_unknown_after_three_seconds(sim_node, monkeypatch):
+    sim = sim_node(patience=250.0)
+    begin_s = time.monotonic()
+    for asks, text in UNKNOWN:
+        with pytest.raises(ManipSimError, match=text):
+            asks(sim)
+        # Enough for this list; the first one waits as long as a user does.
+        monkeypatch.setattr(simulation_under_test, '_UNKNOWN_S', 0.3)
+    assert time.monotonic() - begin_s >= 3.0
+
+
+def test_a_topic_or_service_that_keeps_silent_fails_after_the_patience(sim_node, ros):
+    sim = sim_node(patience=1.0)
+    sim.node.create_publisher(String, 'silent', 1)
+    with pytest.raises(ManipSimError, match='no message on silent within 1 s'):
+        sim.receive(String, 'silent')
+    ros()
+    silent = rclpy.create_node('silent')
+    silent.create_service(Trigger, 'silent', print)
+    with pytest.raises(ManipSimError, match='no answer of the service silent within 1 s'):
+        sim.call(Trigger, 'silent')
+
+
+STARTS_A_NODE = """
+import sys
+
+def test_that_is_killed(sim_node):
+    sim = sim_node(as_process=True)
+    sim.start([sys.executable, '-c', %r])
+    print('started', flush=True)
+    sim.run_for(1e6)
+"""
+
+
+def processes_with(mark):
+    """Return the processes whose environment has a text."""
+    found = []
+    for process in Path('/proc').glob('[0-9]*'):
+        with contextlib.suppress(OSError):
+            if mark.encode() in (process / 'environ').read_bytes():
+                found.append(process.name)
+    return found
+
+
+@pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGTERM])
+def test_processes_of_a_fixture_end_with_a_killed_pytest(tmp_path, number):
+    (tmp_path / 'test_of_mine.py').write_text(STARTS_A_NODE % STARTS_ANOTHER)
+    mark = f'of_pytest_{os.getpid()}_{number}'
+    with subprocess.Popen(
+            [sys.executable, '-m', 'pytest', '-qs', '-p', 'no:cacheprovider'], cwd=tmp_path,
+            stdout=subprocess.PIPE, env={**os.environ, 'MARK': mark}) as killed:
+        while b'started' not in killed.stdout.readline():
+            assert killed.poll() is None
+        # With the node, the controller and what that has started.
+        assert len(processes_with(mark)) >= 4
+        killed.send_signal(number)
+    end_s = time.monotonic() + 30.0
+    while processes_with(mark):
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
 
 
 def test_what_a_test_asks_wrongly_is_told(sim_node):
@@ -169,13 +348,12 @@ def test_a_process_is_in_the_domain_of_the_simulation_that_starts_it(sim_node):
 
 
 def test_a_model_that_does_not_come_costs_the_picture_alone(sim_node, monkeypatch, tmp_path):
-    from manip_sim.testing import simulation_under_test
-    sim = sim_node()
+    sim = sim_node(patience=1.0)
     publishers = {p.topic_name: p for p in sim.server.node.publishers}
     sim.server.node.destroy_publisher(publishers['/manip_sim/mjcf_archive'])
-    monkeypatch.setattr(simulation_under_test, '_LOOKS', 2)
+    monkeypatch.setattr(simulation_under_test, '_AGAIN_S', 0.1)
     *_, states, picture = sim.save_evidence(tmp_path / 'failed')
-    assert picture == 'no picture: no message on manip_sim/mjcf_archive'
+    assert picture.startswith('no picture: unknown published topic')
     assert states.endswith('states.npz') and (tmp_path / 'failed' / 'states.npz').is_file()
 
 
@@ -194,8 +372,7 @@ def test_a_message_that_is_lost_is_asked_for_again(sim_node, monkeypatch):
 
 
 def test_a_question_whose_answer_is_lost_is_asked_again(sim_node, monkeypatch):
-    from manip_sim.testing import simulation_under_test
-    monkeypatch.setattr(simulation_under_test, '_LOOKS', 2)
+    monkeypatch.setattr(simulation_under_test, '_AGAIN_S', 0.1)
     sim = sim_node()
     ask, asked = sim._ask, []
 
