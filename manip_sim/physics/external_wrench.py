@@ -18,6 +18,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.physics.physics import Physics
+from manip_sim.physics.uncollected_forces import has_fluid, UncollectedForces
 from manip_sim.validation import positive_number
 
 #: How many steps are kept before they are summed up.
@@ -34,18 +35,21 @@ class ExternalWrench:
     The wrench of the world on a tool, as an integrating force/torque sensor reads it.
 
     In each step MuJoCo keeps the external forces on each body in ``cfrc_ext``, in world axes,
-    about the centre of mass of the tree. Their sum over the bodies of the tool is the negated
-    reading of the sensor minus gravity and inertia of the tool.
+    about the centre of mass of the tree; :class:`UncollectedForces` has the others. Their sum over
+    the bodies of the tool is the negated reading of the sensor minus gravity and inertia of the
+    tool.
 
     :param physics: of the world
     :param sensor: name of a sensor of its frame
     :ivar site: id of that frame
     :ivar forces: on the bodies of the tool in the last step, a view
-    :ivar no_forces: the same where there are none, as bytes
+    :ivar no_forces: the same where there is nothing to record, as bytes
+    :ivar uncollected: the forces that are not in :attr:`forces`
     """
 
     #: A name, and the period that has passed; nothing in the next one depends on that.
-    not_in_digest = ('_sensor', '_rows', '_centres', 'no_forces', '_sum', '_mean', '_steps')
+    not_in_digest = ('_sensor', '_rows', '_centres', 'no_forces', '_no_rows', '_sum', '_mean',
+                     '_steps')
 
     def __init__(self, physics: Physics, sensor: str) -> None:
         self._physics = physics
@@ -73,7 +77,10 @@ class ExternalWrench:
         self.bodies = slice(body, body + _subtree_size(model, body))
         self.forces = data.cfrc_ext[self.bodies]
         self._centre = data.subtree_com[model.body_rootid[body]]
-        self.no_forces = bytes(self.forces.nbytes)
+        self.uncollected = UncollectedForces.of(model, self.bodies)
+        self._no_rows = bytes(self.forces.nbytes)
+        # Adhesion pulls before there is a contact force.
+        self.no_forces = b'' if self.uncollected.adhesions else self._no_rows
 
     def begin_period(self) -> None:
         """Begin a control period in which each step may be recorded."""
@@ -83,8 +90,11 @@ class ExternalWrench:
 
     def record(self) -> None:
         """Record the forces of the last step, if they are not zero."""
+        model, uncollected = self._physics.model, self.uncollected
+        if not uncollected.is_empty or has_fluid(model.opt):
+            self._sum = self._sum + uncollected.wrench(model, self._physics.data)
         forces = self.forces.tobytes()
-        if forces != self.no_forces:
+        if forces != self._no_rows:
             self._rows.append(forces)
             self._centres.append(self._centre.tobytes())
             if len(self._rows) == _ROWS:
@@ -217,16 +227,18 @@ class TouchWatch:
         pushes = (data.xfrc_applied[tool.bodies] for tool in tools)
         self._pushes = [(push, bytes(push.nbytes)) for push in pushes]
         self._ties = _ties(model, of_body)
+        self._pulled, self._options = any(tool.uncollected.pulls for tool in tools), model.opt
         #: The geoms in contact that were last looked at, and the answer.
         self._geoms, self._touching = b'', False
 
     @property
     def pushed(self) -> bool:
-        """Whether a tool is pushed by an applied force, or tied to something else."""
+        """Whether something but contacts may act on a tool."""
         for push, none in self._pushes:
             if push.tobytes() != none:
                 return True
-        return self._ties.size > 0 and bool(self._data.eq_active[self._ties].any())
+        return (self._pulled or has_fluid(self._options)
+                or self._ties.size > 0 and bool(self._data.eq_active[self._ties].any()))
 
     @property
     def touches(self) -> bool:

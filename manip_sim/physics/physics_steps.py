@@ -229,7 +229,8 @@ class PhysicsSteps:
         """
         model, data, contacts, count = self._model, self._data, self._contacts, 0
         laws, pushed, step = self._laws, self._pushed, mujoco.mj_step
-        tools = [(tool.forces, tool.no_forces, tool.record) for tool in self.tools]
+        tools = [(tool.forces, b'' if pushed else tool.no_forces, tool.record)
+                 for tool in self.tools]
         # What depends on positions and velocities alone may have been computed already.
         next_step, self._resumes = (mujoco.mj_step2 if self._resumes else step), False
         for steps in intervals:

@@ -1,0 +1,232 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Forces on the bodies of a tool that MuJoCo does not collect in ``cfrc_ext``.
+
+``cfrc_ext`` has applied forces, contacts, connect and weld constraints, and spatial tendons.
+MuJoCo attributes the others to the joints: actuators on sites, slider-cranks, adhesion, and the
+fluid. Forces between two bodies of the tool cancel.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+import threading
+from weakref import WeakKeyDictionary
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+
+_SITE, _BODY, _CRANK = (int(getattr(mujoco.mjtTrn, f'mjTRN_{name}')) for name in (
+    'SITE', 'BODY', 'SLIDERCRANK'))
+_OF_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
+_BODY_OF_WRAP = {int(mujoco.mjtWrap.mjWRAP_SITE): 'site_bodyid',
+                 int(mujoco.mjtWrap.mjWRAP_SPHERE): 'geom_bodyid',
+                 int(mujoco.mjtWrap.mjWRAP_CYLINDER): 'geom_bodyid'}
+_MESH, _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_MESH), mujoco.mjtGeom.mjGEOM_ELLIPSOID
+#: Many worlds share the models of floating bodies.
+_THREADS = threading.local()
+_OF_MASS = ('body_mass', 'body_inertia', 'body_ipos', 'body_iquat')
+
+
+@dataclass(frozen=True)
+class UncollectedForces:
+    """
+    Where forces act on the bodies of a tool that are not in ``cfrc_ext``.
+
+    :ivar first: id of the first body of the tool; bodies are in depth-first order
+    :ivar end: id after the last one
+    :ivar sites: actuators on sites: actuator, site where the force acts, site of its axes, sign
+    :ivar cranks: slider-cranks with an end on the tool: actuator, site of the crank, of the slider
+    :ivar adhesions: adhesion actuators of any body: actuator, body
+    :ivar tendons: whether a spatial tendon connects the tool with something else
+    :ivar in_fluid: the bodies that have a mass, in :attr:`floating`
+    :ivar floating: a ``mujoco.MjModel`` of these bodies, each with a free joint
+    """
+
+    first: int
+    end: int
+    sites: tuple[tuple[int, int, int, float], ...]
+    cranks: tuple[tuple[int, int, int], ...]
+    adhesions: tuple[tuple[int, int], ...]
+    tendons: bool
+    in_fluid: tuple[int, ...]
+    floating: mujoco.MjModel
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, bodies: slice) -> UncollectedForces:
+        """
+        Find the actuators that act on a tool.
+
+        :param model: the compiled ``mujoco.MjModel``
+        :param bodies: of the tool
+        """
+        first, end = bodies.start, bodies.stop
+        on_tool = np.zeros(model.nbody, dtype=bool)
+        on_tool[first:end] = True
+        sites, cranks, adhesions = [], [], []
+        for actuator, kind in enumerate(model.actuator_trntype.tolist()):
+            one, other = model.actuator_trnid[actuator].tolist()
+            if kind == _BODY:
+                adhesions.append((actuator, one))
+            elif kind in (_SITE, _CRANK):
+                has_one = bool(on_tool[model.site_bodyid[one]])
+                has_other = other >= 0 and bool(on_tool[model.site_bodyid[other]])
+                if kind == _CRANK and has_one != has_other:
+                    cranks.append((actuator, one, other))
+                elif has_one != has_other:
+                    axes = other if other >= 0 else one
+                    sites.append((actuator, one, axes, 1.0) if has_one else
+                                 (actuator, other, axes, -1.0))
+        in_fluid = tuple(body for body in range(first, end) if model.body_mass[body] > 0.0)
+        return cls(first, end, tuple(sites), tuple(cranks), tuple(adhesions),
+                   _is_tied_by_tendons(model, on_tool), in_fluid, _floating(model, in_fluid))
+
+    @property
+    def pulls(self) -> bool:
+        """Whether something may pull at the tool that is no contact, nor the fluid."""
+        return self.tendons or bool(self.sites or self.cranks)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing but the fluid can act that is not in ``cfrc_ext``."""
+        return not (self.sites or self.cranks or self.adhesions)
+
+    def wrench(self, model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+        """
+        Return the sum of the forces in the last step.
+
+        :param model: the ``mujoco.MjModel``
+        :param data: the ``mujoco.MjData``, after ``mj_step`` or ``mj_forward``
+        :returns: force [N] and torque about the origin of ``world`` [N m], in its axes, shape (6,)
+        """
+        wrench = np.zeros(6)
+        for actuator, site, axes, sign in self.sites:
+            gear = sign * data.actuator_force[actuator] * model.actuator_gear[actuator]
+            _add(wrench, _rotated(data.site_xmat[axes], gear[:3]), data.site_xpos[site],
+                 _rotated(data.site_xmat[axes], gear[3:]))
+        for crank in self.cranks:
+            self._add_crank(wrench, model, data, *crank)
+        for actuator, body in self.adhesions:
+            if data.actuator_force[actuator] and data.ncon:
+                self._add_adhesion(wrench, model, data, float(data.actuator_force[actuator]), body)
+        if has_fluid(model.opt):
+            self._add_fluid(wrench, model, data)
+        return wrench
+
+    def _add_crank(self, wrench: FloatArray, model: mujoco.MjModel, data: mujoco.MjData,
+                   actuator: int, crank: int, slider: int) -> None:
+        # The length of the transmission is a.v - sqrt(r^2 + (a.v)^2 - v.v), with the axis a of
+        # the slider and v from there to the crank; its derivatives are the forces.
+        axis = data.site_xmat[slider].reshape(3, 3)[:, 2]
+        way = data.site_xpos[crank] - data.site_xpos[slider]
+        along = mujoco.mju_dot3(axis, way)
+        square = along**2 + model.actuator_cranklength[actuator]**2 - mujoco.mju_dot3(way, way)
+        root = np.sqrt(square) if square > 0.0 else np.inf
+        force = data.actuator_force[actuator] * model.actuator_gear[actuator, 0] * (
+            axis * (1.0 - along / root) + way / root)
+        # What acts on the body of the slider is the opposite, through the pin of the crank too.
+        has_crank = self.first <= model.site_bodyid[crank] < self.end
+        _add(wrench, force if has_crank else -force, data.site_xpos[crank])
+
+    def _add_adhesion(self, wrench: FloatArray, model: mujoco.MjModel, data: mujoco.MjData,
+                      force: float, body: int) -> None:
+        contact = data.contact
+        geoms = contact.geom
+        bodies = np.where(geoms >= 0, model.geom_bodyid[geoms], -1)
+        sticks = ((bodies == body).any(axis=1) & (geoms >= 0).all(axis=1)
+                  & (contact.exclude <= 1))
+        on_tool = (bodies >= self.first) & (bodies < self.end)
+        share = force / max(int(np.count_nonzero(sticks)), 1)
+        for index in np.flatnonzero(sticks & (on_tool[:, 0] != on_tool[:, 1])).tolist():
+            towards_other = share if on_tool[index, 0] else -share
+            _add(wrench, towards_other * contact.frame[index, :3], contact.pos[index])
+
+    def _add_fluid(self, wrench: FloatArray, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        # Edits of the model count.
+        (floating, alone), bodies = _of_thread(self.floating), list(self.in_fluid)
+        for name in _OF_MASS:
+            getattr(floating, name)[1:] = getattr(model, name)[bodies]
+        floating.opt.density, floating.opt.viscosity = model.opt.density, model.opt.viscosity
+        floating.opt.wind[:] = model.opt.wind
+        position, velocity = alone.qpos.reshape(-1, 7), alone.qvel.reshape(-1, 6)
+        position[:, :3], position[:, 3:] = data.xpos[bodies], data.xquat[bodies]
+        for row, body in zip(velocity, bodies):
+            moves = np.empty(6)
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, moves, 0)
+            row[:3] = moves[3:]
+            mujoco.mju_mulMatTVec(row[3:], data.xmat[body].reshape(3, 3), moves[:3])
+        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel, mujoco.mj_passive):
+            stage(floating, alone)
+        for row, body in zip(alone.qfrc_fluid.reshape(-1, 6), bodies):
+            _add(wrench, row[:3], data.xpos[body], _rotated(data.xmat[body], row[3:]))
+
+
+def has_fluid(options: mujoco.MjOption) -> bool:
+    """Return whether there is a fluid, as options can be changed."""
+    return bool(options.density or options.viscosity)
+
+
+def _of_thread(floating: mujoco.MjModel) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return a copy of a model and its data, which this thread may change."""
+    known = vars(_THREADS).setdefault('known', WeakKeyDictionary())
+    if floating not in known:
+        model = copy.copy(floating)
+        known[floating] = model, mujoco.MjData(model)
+    found: tuple[mujoco.MjModel, mujoco.MjData] = known[floating]
+    return found
+
+
+def _add(wrench: FloatArray, force: FloatArray, point: FloatArray,
+         torque: FloatArray | None = None) -> None:
+    """Add a force at a point, and a torque, to a wrench about the origin."""
+    moment = np.empty(3)
+    mujoco.mju_cross(moment, point, force)
+    wrench[:3] += force
+    wrench[3:] += moment if torque is None else moment + torque
+
+
+def _rotated(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    rotated = np.empty(3)
+    mujoco.mju_mulMatVec(rotated, matrix.reshape(3, 3), vector)
+    return rotated
+
+
+def is_spatial(model: mujoco.MjModel, tendon: int) -> bool:
+    """Return whether a tendon is a line through space, and no sum of joints."""
+    return int(model.wrap_type[model.tendon_adr[tendon]]) != _OF_JOINT
+
+
+def _is_tied_by_tendons(model: mujoco.MjModel, on_tool: np.ndarray) -> bool:
+    for first, count in zip(model.tendon_adr.tolist(), model.tendon_num.tolist()):
+        ends = {bool(on_tool[getattr(model, _BODY_OF_WRAP[kind])[model.wrap_objid[wrap]]])
+                for wrap, kind in enumerate(model.wrap_type[first:first + count].tolist(), first)
+                if kind in _BODY_OF_WRAP}
+        if len(ends) == 2:
+            return True
+    return False
+
+
+def _floating(model: mujoco.MjModel, bodies: tuple[int, ...]) -> mujoco.MjModel:
+    """Return a model of some bodies, each with a free joint and what the fluid acts on."""
+    spec, shapes = mujoco.MjSpec(), []
+    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
+    spec.compiler.balanceinertia = True
+    for body in bodies:
+        added = spec.worldbody.add_body(mass=1.0, inertia=[1.0] * 3, explicitinertial=True)
+        added.add_freejoint()
+        first = int(model.body_geomadr[body])
+        for geom in range(first, first + int(model.body_geomnum[body])):
+            if model.geom_fluid[geom, 0] > 0.0:
+                kind = int(model.geom_type[geom])
+                added.add_geom(type=_ELLIPSOID if kind == _MESH else mujoco.mjtGeom(kind),
+                               size=model.geom_size[geom], pos=model.geom_pos[geom],
+                               quat=model.geom_quat[geom])
+                shapes.append(geom)
+    floating = spec.compile()
+    floating.geom_fluid[:] = model.geom_fluid[shapes]
+    return floating
