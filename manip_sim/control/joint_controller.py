@@ -286,6 +286,8 @@ class JointController(ControlledJoints):
         :param reason: why, for the handle
         """
         own = self.commands.withdraw(handle, reason)
+        if not own.size:
+            return  # Nothing must change: a reset or a restored state has ended it before.
         velocity = data.qvel[self._servos.dofs[own]]
         stop = data.qpos[self._servos.qpos[own]] + velocity * np.abs(velocity) / (
             2.0 * self._servos.acceleration_limit[own])

@@ -193,3 +193,48 @@ def test_goal_of_one_robot_does_not_answer_for_another(tracked_thread):
     running.start(robot=second, joint=joint, position=0.1, seconds=5.0)
     assert running.next_end() is goal
     assert goal.outcome.ending is Ending.SUCCEEDED
+
+
+def goal_of(kind, running, part):
+    """Return a goal of a kind for a robot."""
+    robot, now_ns = running.simulation.robot, running.thread.progress.time_ns
+    if kind == 'gripper':
+        return GripperGoal(robot, 'right/gripper', GripperRequest(0.01))
+    indices = robot.joints.indices_of(part)
+    names = [robot.joints.names[index] for index in indices]
+    here = robot.controller_state(part).reference.position
+    # One whose tolerance is never met still waits when its command is done.
+    never = [JointTolerance(name, position=1e-12) for name in names] if kind == 'done' else []
+    return TrajectoryGoal(robot, part, TrajectoryRequest(
+        names, [0.03 if kind == 'done' else 1.0], [[value - 0.01 for value in here]],
+        start_ns=now_ns + 300_000_000 if kind == 'deferred' else 0, goal_tolerance=never), now_ns)
+
+
+@pytest.mark.parametrize('how', ['reset', 'restore'])
+@pytest.mark.parametrize('kind', ['trajectory', 'deferred', 'done', 'gripper'])
+@pytest.mark.parametrize('robot, part', [('Panda', 'arm'), ('PandaOmron', 'torso')])
+def test_the_end_of_a_goal_changes_nothing_after_a_reset_or_a_restored_state(
+        robot, part, kind, how, tracked_thread):
+    digests = []
+    # Without a goal, with one that is submitted only, and with one that has begun.
+    for periods in (None, 0, 10):
+        running = tracked_thread(compose(robot), paused=True)
+        thread, own = running.thread, running.simulation.robot
+        if part == 'arm':  # It moves, while PandaOmron rests.
+            thread.submit([own.parse.action(part, [0.3] * 7)], robot=own.name)
+        for _ in range(3):
+            thread.step()
+        thread.change('save')
+        if periods is not None:
+            goal = goal_of(kind, running, part)
+            running.tracker.start(goal)
+        for _ in range(periods or 0):
+            thread.step()
+        getattr(thread, how)()
+        if periods is not None:
+            assert running.next_end() is goal and goal.outcome.ending is Ending.ABORTED
+        digests.append([thread.call(running.simulation.digest)])
+        for _ in range(15):
+            thread.step()
+        digests[-1].append(thread.call(running.simulation.digest))
+    assert digests[0] == digests[1] == digests[2]
