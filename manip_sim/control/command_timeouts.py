@@ -24,6 +24,10 @@ class CommandTimeouts:
         self._last_s: dict[str, float] = {}
         self.counts = dict.fromkeys(self._timeout_s, 0)
 
+    def __getitem__(self, part: str) -> float:
+        """Return the timeout of a part, simulation time [s]; 0 for none."""
+        return self._timeout_s[part]
+
     def set(self, part: str, timeout_s: float) -> None:
         """
         Change the timeout of a part.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -85,6 +85,17 @@ class JointController(ControlledJoints):
     def timeouts(self) -> dict[str, int]:
         """Number of command timeouts of each atomic part."""
         return self._timeouts.counts
+
+    def settings(self, part: str) -> dict[str, Any]:
+        """Return what acts for an atomic part, by the names of parameters."""
+        index = int(self.indices_of(part)[0])
+        longest_s, hold_s = self._setpoints.stream_settings(index)
+        return {'control_mode': self.modes[index], 'command_timeout': self._timeouts[part],
+                'stream_interval': longest_s, 'stream_hold': hold_s}
+
+    def ends_targets(self, part: str) -> bool:
+        """Return whether the timeout of an atomic part ends Cartesian targets too."""
+        return part in self._targets_end
 
     @property
     def resting(self) -> bool:

@@ -82,6 +82,11 @@ class Reflexes:
         self._joints.take_back()
         self.armed = tuple(name for name, limits in self._limits.items() if limits.any)
 
+    @property
+    def limits(self) -> Mapping[str, ReflexLimits]:
+        """The limits of each part."""
+        return self._limits
+
     def check(self, data: mujoco.MjData) -> None:
         """Stop the parts that do too much, at the beginning of a control period."""
         for part in self.armed:

@@ -175,6 +175,11 @@ class ExternalWrench:
         """Let what is read now read zero."""
         self._tare = self._untared(data)
 
+    @property
+    def cutoff_hz(self) -> float:
+        """Of the low-pass [Hz]; 0 for no filter."""
+        return self._cutoff_hz
+
     def set_cutoff(self, cutoff_hz: float, data: mujoco.MjData) -> None:
         """
         Filter the means by a low-pass of first order from now on, which starts at the last mean.

@@ -1,16 +1,14 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cartesian commands of a robot's arms over topics, their settings as parameters."""
+"""Cartesian commands of a robot's arms over topics."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any, TYPE_CHECKING
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 
 from manip_sim.control.cartesian.reports import CartesianReport
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
 
 class CartesianSubscribers:
     """
-    Subscriptions to the Cartesian command topics of the arms of a robot, and their parameters.
+    Subscriptions to the Cartesian command topics of the arms of a robot.
 
     :param node: the node, with the parameters of the robot
     :param commands: the subscriptions of the robot, which count the messages
@@ -33,23 +31,8 @@ class CartesianSubscribers:
     def __init__(self, node: SimNode, commands: CommandSubscribers) -> None:
         self._node, self._robot = node, commands.robot
         self._parse = commands.robot.parse_cartesian
-        self._settings: dict[str, tuple[str, str]] = {}
         commands.subscribe({'target_pose': self._pose, 'target_twist': self._twist,
                             'pose_command': self._action})
-        for arm, settings in self._robot.joints.cartesian.settings.items():
-            for setting in asdict(settings):
-                name = commands.scope.parameter(f'cartesian.{arm}.{setting}')
-                self._settings[name] = arm, setting
-                self._change(name, node.declared.value(name))
-
-    def parameter_changed(self, parameter: Parameter) -> None:
-        """Use the new value of a parameter, if it is a setting of these arms."""
-        if parameter.name in self._settings:
-            self._change(parameter.name, parameter.value)
-
-    def _change(self, name: str, value: float) -> None:
-        self._node.thread.change(
-            'cartesian', self._robot.name, *self._settings[name], value)
 
     def _pose(self, arm: str, message: PoseStamped) -> Sequence[Command]:
         return [self._parse.pose(arm, numbers_of(message.pose.position),

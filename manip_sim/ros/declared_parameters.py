@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -14,6 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.control.modes import MODES
+from manip_sim.control.reflexes import ReflexLimits
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import check_names
 from manip_sim.interface.parameter_spec import ParameterSpec
@@ -22,8 +24,10 @@ from manip_sim.interface.scope import Scope
 from manip_sim.physics.parts import Part
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 
-#: Groups of parameters whose values for a part are those of the parts that it consists of.
-_COUPLED = ('control_mode', 'command_timeout', 'stream_interval', 'stream_hold')
+#: Parameters of parts whose values are those of the parts that a part consists of.
+_COUPLED = ('control_mode.{}', 'command_timeout.{}', 'stream_interval.{}', 'stream_hold.{}',
+            *(f'reflex.{{}}.{field.name}' for field in fields(ReflexLimits)))
+_MODE, _TIMEOUT = _COUPLED[:2]
 
 
 class Parameters:
@@ -37,9 +41,13 @@ class Parameters:
         self._node = node
         self._specs: dict[str, ParameterSpec] = {}
         self._parts: dict[Scope, Mapping[str, Part]] = {}
+        #: Scope, one of :data:`_COUPLED`, and part of the parameters of parts.
+        self._of_part: dict[str, tuple[Scope, str, str]] = {}
         #: Timeouts that the user has set, and those that follow the modes in the present change.
         self._set_timeouts: set[str] = set()
         self._following: set[str] = set()
+        #: Whether a present change is what acts already.
+        self.showing = False
         node.add_pre_set_parameters_callback(lambda parameters: self._with_timeouts(
             self._with_coupled([self._as_declared(parameter) for parameter in parameters])))
         node.add_on_set_parameters_callback(self._validate)
@@ -64,6 +72,7 @@ class Parameters:
         """Remove all parameters of a robot, and those of the QoS of its topics."""
         begin = scope.parameter('')
         self._parts.pop(scope, None)
+        self._of_part = {name: found for name, found in self._of_part.items() if found[0] != scope}
         self._set_timeouts = {name for name in self._set_timeouts if not name.startswith(begin)}
         self._specs = {name: spec for name, spec in self._specs.items()
                        if not name.startswith(begin)}
@@ -100,51 +109,99 @@ class Parameters:
         """
         Let parameters of a part set those of the parts that it consists of, and of its other name.
 
-        At the start, a value given for one arm overrides one given for both.
+        At the start, a value given for one arm overrides one given for both, and a timeout that
+        is the default of the control mode follows it.
         """
         self._parts[scope] = parts
         given = parameter_overrides(self._node)
-        for whole in (True, False):
-            for part in parts:
-                for group in _COUPLED:
-                    name = scope.parameter(f'{group}.{part}')
+        for pattern in _COUPLED:
+            names = {scope.parameter(pattern.format(part)): part for part in parts}
+            names = {name: part for name, part in names.items() if name in self._specs}
+            self._of_part.update({name: (scope, pattern, part) for name, part in names.items()})
+            for whole in (True, False):
+                for name, part in names.items():
                     if name in given and whole == (parts[part].atomic != (part,)):
                         self._node.set_parameters([given[name]])
+        for name in [*self._set_timeouts]:
+            its, _, part = self._of_part[name]
+            mode = self.value(its.parameter(_MODE.format(part)))
+            if self.value(name) == default_timeout(part, mode):
+                self._set_timeouts.discard(name)
 
-    def of_part(self, name: str) -> tuple[Scope, str, str] | None:
-        """Return the scope, the group and the part that a parameter belongs to, or None."""
-        for scope, parts in self._parts.items():
-            for group in _COUPLED:
-                begin = scope.parameter(f'{group}.')
-                if name.startswith(begin) and name[len(begin):] in parts:
-                    return scope, group, name[len(begin):]
-        return None
+    def of_atomic_part(self, name: str) -> tuple[Scope, str, str] | None:
+        """
+        Return the scope, the group and the part of a parameter that acts on an atomic part.
+
+        Those of other parts, and None, have no effect but on the parameters of atomic parts.
+        """
+        scope, pattern, part = self._of_part.get(name, (None, '', ''))
+        if scope is None or self._parts[scope][part].atomic != (part,):
+            return None
+        return scope, pattern.replace('.{}', ''), part
+
+    def show(self, values: Mapping[str, Any], timeouts: Mapping[str, bool]) -> None:
+        """
+        Let parameters have the values that act already.
+
+        :param values: by name; names that are not declared are left out
+        :param timeouts: of atomic parts, by name, whether they were set
+        """
+        changed = [Parameter(name, value=value) for name, value in values.items()
+                   if name in self._specs and self.value(name) != value]
+        self.showing = True
+        try:
+            self._node.set_parameters(changed)
+        finally:
+            self.showing = False
+        for name, is_set in timeouts.items():
+            scope, pattern, part = self._of_part[name]
+            names = {name, *(scope.parameter(pattern.format(other))
+                             for other in _coupled_parts(self._parts[scope], part))}
+            if is_set:
+                self._set_timeouts |= names
+            else:
+                self._set_timeouts -= names
 
     def _with_coupled(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Add the parameters of coupled parts, unless the user sets them at the same time."""
-        values = {p.name: p for p in parameters}
-        result = list(parameters)
-        for parameter in parameters:
-            found = self.of_part(parameter.name)
-            if found is None:
-                continue
-            scope, group, part = found
-            for other in _coupled_parts(self._parts[scope], part):
-                name = scope.parameter(f'{group}.{other}')
-                if name not in values:
+        """
+        Add the parameters of the same joints.
+
+        Of several in one change, that of fewer parts acts, and of equal parts the last one.
+        """
+        values = {parameter.name: parameter for parameter in parameters}
+        coupled = [(parameter, *self._of_part[parameter.name]) for parameter in parameters
+                   if parameter.name in self._of_part]
+        for parameter, scope, pattern, part in sorted(
+                coupled, key=lambda found: -len(self._parts[found[1]][found[3]].atomic)):
+            for other in (part, *_coupled_parts(self._parts[scope], part)):
+                name = scope.parameter(pattern.format(other))
+                if name in self._specs:
                     values[name] = Parameter(name, parameter.type_, parameter.value)
-                    result.append(values[name])
-        return result
+        for scope, pattern in {found[1:3]: None for found in coupled}:
+            self._join(scope, pattern, values)
+        return [*values.values()]
+
+    def _join(self, scope: Scope, pattern: str, values: dict[str, Parameter]) -> None:
+        """Add the parameters of parts that consist of several, where these agree."""
+        for name, (its, own, part) in self._of_part.items():
+            atomic = self._parts[its][part].atomic
+            if (its, own) != (scope, pattern) or len(atomic) < 2:
+                continue
+            names = [scope.parameter(pattern.format(other)) for other in atomic]
+            parts = [values.get(n) or self._node.get_parameter(n) for n in names]
+            if name not in values and any(n in values for n in names) and all(
+                    one.value == parts[0].value for one in parts):
+                values[name] = Parameter(name, parts[0].type_, parts[0].value)
 
     def _with_timeouts(self, parameters: list[Parameter]) -> list[Parameter]:
         """Add the timeouts of parts whose control mode is set, unless the user has set them."""
         known = {parameter.name for parameter in parameters} | self._set_timeouts
         self._following = set()
-        for parameter in list(parameters):
-            scope, group, part = self.of_part(parameter.name) or (None, '', '')
-            if scope is None or group != 'control_mode' or parameter.value not in [*MODES]:
+        for parameter in () if self.showing else list(parameters):
+            scope, pattern, part = self._of_part.get(parameter.name, (None, '', ''))
+            if scope is None or pattern != _MODE or parameter.value not in [*MODES]:
                 continue
-            name = scope.parameter(f'command_timeout.{part}')
+            name = scope.parameter(_TIMEOUT.format(part))
             if name not in known:
                 self._following.add(name)
                 parameters.append(Parameter(
@@ -180,9 +237,10 @@ class Parameters:
             problem = _problem(spec, parameter)
             if problem:
                 return SetParametersResult(successful=False, reason=problem)
-        self._set_timeouts.update(
-            parameter.name for parameter in parameters if parameter.name not in self._following
-            and (self.of_part(parameter.name) or ('', '', ''))[1] == 'command_timeout')
+        if not self.showing:
+            self._set_timeouts.update(
+                parameter.name for parameter in parameters if parameter.name not in self._following
+                and self._of_part.get(parameter.name, ('', '', ''))[1] == _TIMEOUT)
         return SetParametersResult(successful=True)
 
 

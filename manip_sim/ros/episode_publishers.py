@@ -98,23 +98,24 @@ class TaskPublisher:
 
     :param node: the node, whose thread has not been started
     :param task: what is done
-    :ivar seed: of the present start
     """
 
     def __init__(self, node: SimNode, task: Task) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/task'])
         self._task, self._simulation, self._thread = task, node.simulation, node.thread
-        self.seed: int = node.declared.value('seed')
         self._seen_ns = -1
-        self.restart(None)
+        self.restart(node.declared.value('seed'))
         # What the task changes at the end of a period is in the states that are published.
         node.thread.observe(self._end_period)
 
     def restart(self, seed: int | None) -> None:
         """Begin the episode of a seed, or the same one again."""
-        own = self.seed if seed is None else seed
-        start(self._task, self._simulation, own)
-        self.seed = own
+        start(self._task, self._simulation, self.seed if seed is None else seed)
+
+    @property
+    def seed(self) -> int:
+        """The seed of the present start."""
+        return self._simulation.seed
 
     def _end_period(self, simulation: Simulation) -> None:
         if simulation.time_ns == self._seen_ns:

@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from typing import Any, TYPE_CHECKING
 
 from rclpy.parameter import Parameter
 
-from manip_sim.interface.parameters import commanded_parts, reflex_parameters
 from manip_sim.interface.scope import Scope
 from manip_sim.ros.cartesian_topics import CartesianSubscribers
 from manip_sim.ros.command_subscribers import CommandSubscribers
@@ -53,24 +53,34 @@ class ServedRobot:
     def _control(self) -> None:
         scope, robot, change = self.scope, self.robot, self._thread.change
         value = self._declared.value
-        for name, part in robot.parts.items():
-            if part.gripper is None and part.actuators and part.atomic == (name,):
-                for group in ('control_mode', 'command_timeout', 'stream_interval', 'stream_hold'):
-                    self._change_part(group, name, value(scope.parameter(f'{group}.{name}')))
-        for arm in robot.end_effectors:
-            name = scope.parameter(f'wrench_cutoff.{arm}')
-            self._uses[name] = partial(change, 'wrench_cutoff', robot.name, arm)
-            self._uses[name](value(name))
         for quantity in QUANTITIES:
             name = scope.parameter(quantity)
             self._uses[name] = partial(change, 'sensing', robot.name, quantity)
-            if value(name):
-                self._uses[name](value(name))
-        for spec in reflex_parameters(scope, commanded_parts(robot.parts), [*robot.end_effectors]):
-            name, quantity = spec.name.split('.')[-2:]
-            self._uses[spec.name] = partial(change, 'reflex', robot.name, name, quantity)
-            if value(spec.name):
-                self._uses[spec.name](value(spec.name))
+        for arm in robot.end_effectors:
+            self._uses[scope.parameter(f'wrench_cutoff.{arm}')] = partial(
+                change, 'wrench_cutoff', robot.name, arm)
+        for arm, settings in robot.joints.cartesian.settings.items():
+            for setting in asdict(settings):
+                self._uses[scope.parameter(f'cartesian.{arm}.{setting}')] = partial(
+                    change, 'cartesian', robot.name, arm, setting)
+        for name, acting in self.robot.settings.items():
+            given = scope.parameter(name)
+            # What randomization has drawn stays, unless the user gives something else.
+            if given in self._declared.names and value(given) != acting and (
+                    value(given) or name not in QUANTITIES):
+                self._use(given, value(given))
+
+    @property
+    def acting(self) -> dict[str, Any]:
+        """What acts of the live parameters of the robot, but for those that follow from them."""
+        return {self.scope.parameter(name): value for name, value in self.robot.settings.items()}
+
+    @property
+    def timeouts(self) -> dict[str, bool]:
+        """Whether the timeout of each atomic part was set, as far as that makes a difference."""
+        begin, joints = self.scope.parameter('command_timeout.'), self.robot.joints
+        return {name: joints.ends_targets(name.removeprefix(begin))
+                for name, value in self.acting.items() if name.startswith(begin) and value}
 
     def parameter_changed(self, parameter: Parameter) -> None:
         """
@@ -78,20 +88,21 @@ class ServedRobot:
 
         :raises SimulationEnded: if the simulation has ended
         """
-        if parameter.name in self._uses:
-            self._uses[parameter.name](parameter.value)
-        self._cartesian.parameter_changed(parameter)
-        scope, group, part = self._declared.of_part(parameter.name) or (None, '', '')
-        if scope == self.scope:
-            self._change_part(group, part, parameter.value)
+        self._use(parameter.name, parameter.value)
 
-    def _change_part(self, group: str, part: str, value: Any) -> None:
+    def _use(self, name: str, value: Any) -> None:
+        if name in self._uses:
+            self._uses[name](value)
+        scope, group, part = self._declared.of_atomic_part(name) or (None, '', '')
+        if scope != self.scope:
+            return
         robot, change = self.robot.name, self._thread.change
         if group == 'control_mode':
             change('mode', robot, part, value)
         elif group == 'command_timeout':
             # A Cartesian target comes to rest by itself: only a timeout that was set ends it.
-            name = self.scope.parameter(f'command_timeout.{part}')
             change('timeout', robot, part, self._declared.value(name), self._declared.is_set(name))
+        elif group.startswith('reflex'):
+            change('reflex', robot, part, group.removeprefix('reflex.'), value)
         else:
             change(group, robot, part, value)

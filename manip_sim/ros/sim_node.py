@@ -157,6 +157,8 @@ class SimNode(Node):
             self._ends.callback(self._command_thread.stop)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
+        self.thread.restarted = self._show_settings
+        self._show_settings()
         self._world = world
 
     def _serve_robots(self) -> None:
@@ -245,7 +247,25 @@ class SimNode(Node):
                 part for name in names for part in self.declared.value(name)):
             raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
 
+    def _show_settings(self) -> None:
+        """Let parameters have the values that act, as a reset or a restored state changes them."""
+        def acting() -> tuple[dict[str, Any], dict[str, bool]]:
+            seed = self.thread.next_seed
+            values: dict[str, Any] = {
+                'seed': self.simulation.seed if seed is None else seed,
+                'keyframe': self.simulation.episode_start.keyframe}
+            timeouts: dict[str, bool] = {}
+            for served in self.served.values():
+                values.update(served.acting)
+                timeouts.update(served.timeouts)
+            return values, timeouts
+        with contextlib.suppress(SimulationEnded):
+            self.declared.show(*self.thread.call(acting))
+
     def _parameters_changed(self, parameters: list[Parameter]) -> None:
+        if self.declared.showing:
+            self._publish_truth()
+            return
         # After the end of the simulation there is nothing to change.
         with contextlib.suppress(SimulationEnded):
             for parameter in parameters:
@@ -281,12 +301,10 @@ class SimNode(Node):
         reason = self.declared.rejection(parameter_list)
         if reason is not None:
             return SetParametersResult(successful=False, reason=reason)
-        before = [self.get_parameter(given.name) for given in parameter_list
-                  if self.has_parameter(given.name)]
         try:
             return super().set_parameters_atomically(parameter_list)
         except Exception as error:  # The class of a control mode may raise anything.
-            super().set_parameters_atomically(before)
+            self._show_settings()
             return SetParametersResult(successful=False, reason=one_line(str(error)))
 
     def world_changed(self, simulation: Simulation) -> None:
@@ -321,6 +339,7 @@ class SimNode(Node):
         """
         self.cameras.start()
         self._episode.begin()
+        self._show_settings()
         self.thread.start()
         if self._command_thread is not None:
             self._command_thread.start()

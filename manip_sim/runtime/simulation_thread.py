@@ -57,6 +57,7 @@ class SimulationThread:
     :ivar observers: that are called
     :ivar next_seed: draws the start anew at the next reset; None: the start stays
     :ivar at_start: whether nothing has moved since the start or the last reset
+    :ivar restarted: is called after each :meth:`reset` and :meth:`restore`, by their caller
     :ivar error: what ended the thread, or None
     """
 
@@ -93,6 +94,7 @@ class SimulationThread:
         self._at_once = 1
         self.progress = Progress(time.monotonic(), simulation.time_ns)
         self.at_start = True
+        self.restarted = _nothing
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name='physics')
 
@@ -285,6 +287,7 @@ class SimulationThread:
             self.at_start = True
             self._show_new()
         self.call(change)
+        self.restarted()
 
     def _show_new(self) -> None:
         self._pacer.restart(time.monotonic())
@@ -306,7 +309,9 @@ class SimulationThread:
             self.at_start = False
             self._show_new()
             return digest
-        return self.call(change)
+        restored = self.call(change)
+        self.restarted()
+        return restored
 
     def set_real_time_factor(self, factor: float) -> None:
         """

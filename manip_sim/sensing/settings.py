@@ -134,6 +134,11 @@ class SensingSettings:
         self._values[name] = float(value)
         self._look()
 
+    @property
+    def all(self) -> dict[str, float]:
+        """All values, by name, a copy."""
+        return dict(self._values)
+
     def as_dict(self) -> dict[str, float]:
         """Return the values that are not zero, by name."""
         return {name: value for name, value in self._values.items() if value}

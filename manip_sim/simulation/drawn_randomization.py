@@ -278,6 +278,12 @@ class Randomized:
             if name.startswith(begin) and name[len(begin):] in QUANTITIES:
                 sensing.set(name[len(begin):], value)
 
+    def replace_parameter(self, robot: str, name: str, value: float) -> None:
+        """Note that something else than a draw has set what was drawn, which acts until the next."""
+        key = f'{OF_NODE}/{name}' if len(self._sensing) == 1 else f'{OF_NODE}/{robot}.{name}'
+        if key in self.drawn:
+            self.drawn = {**self.drawn, key: float(value)}
+
     @property
     def _posed(self) -> list[str]:
         """The keys of poses of free bodies."""

@@ -120,6 +120,7 @@ class Operations:
 
     def _sensing(self, robot: str, quantity: str, value: float) -> None:
         self._robot(robot).sensing.set(quantity, value)
+        self._simulation.randomized.replace_parameter(robot, quantity, value)
 
     def _reflex(self, robot: str, name: str, quantity: str, value: float) -> None:
         self._robot(robot).set_reflex(name, quantity, value)

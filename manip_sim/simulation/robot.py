@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from typing import Any
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
@@ -273,6 +274,20 @@ class SimulatedRobot:
         if arm not in self.end_effectors:
             raise UnknownNameError('arm with a gripper', arm, self.end_effectors)
         self.end_effectors[arm].external.set_cutoff(cutoff_hz, self._physics.data)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What can be set and acts at present, by the name of the parameter of the node."""
+        found: dict[str, Any] = {}
+        for part, limits in self.reflexes.limits.items():
+            values = self.joints.settings(part)
+            found.update({f'{name}.{part}': value for name, value in values.items()})
+            found.update({f'reflex.{part}.{name}': v for name, v in asdict(limits).items()})
+        for arm, settings in self.joints.cartesian.settings.items():
+            found.update({f'cartesian.{arm}.{name}': v for name, v in asdict(settings).items()})
+        for arm, reader in self.end_effectors.items():
+            found[f'wrench_cutoff.{arm}'] = reader.external.cutoff_hz
+        return {**found, **self.sensing.settings.all}
 
     def state(self) -> State:
         """Return what is measured at the present instant, with noise and latency."""

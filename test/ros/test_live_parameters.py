@@ -1,0 +1,166 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Of every live parameter, get, dump and what acts agree, whatever has changed it."""
+
+import pytest
+from rclpy.parameter import Parameter
+
+#: Live parameters of the node that are no settings of a robot.
+OF_NODE = {'seed', 'keyframe', 'pause_at', 'real_time_factor'}
+
+
+def live(node):
+    """Return the specifications of all live parameters, by name."""
+    return {name: spec for name, spec in node.declared._specs.items() if spec.live}
+
+
+def another(spec, number):
+    """Return a value of a parameter that is not its default; another one for each number."""
+    if spec.choices:
+        return [choice for choice in spec.choices if choice != spec.default][number % 2]
+    low, high = spec.minimum or 0.0, min(spec.maximum, 3.0)
+    return low + (high - low) * (0.3 + 0.1 * number)
+
+
+def assert_agree(node):
+    """Check every live parameter of the only robot; for parts of several, where those agree."""
+    robot, get = node.simulation.robot, node.declared.value
+    acting = robot.settings
+    joints = {name: tuple(sorted(part.atomic)) for name, part in robot.parts.items()}
+    for name in live(node).keys() - OF_NODE:
+        head, part, *rest = [*name.split('.'), '']
+        parts = joints.get(part, (part,)) if name not in acting else (part,)
+        values = {acting['.'.join(filter(None, (head, own, *rest)))] if name not in acting
+                  else acting[name] for own in parts}
+        if len(values) == 1:
+            assert {get(name)} == values, name
+
+
+def set_live(node, **values):
+    for result in node.set_parameters([Parameter(name.replace('__', '.'), value=value)
+                                       for name, value in values.items()]):
+        assert result.successful, result.reason
+
+
+def number_of(node):
+    return [name for name in live(node) if name not in OF_NODE
+            and not name.startswith('control_mode')]
+
+
+@pytest.mark.parametrize('robot', ['Panda', 'Baxter', 'PandaOmron'])
+def test_get_and_what_acts_agree_for_every_live_parameter(robot, serve):
+    node = serve(robot=robot, start_paused=True)
+    assert_agree(node)
+    for number in (0, 1):
+        for name in number_of(node):
+            value = another(live(node)[name], number)
+            set_live(node, **{name: value})
+            assert node.declared.value(name) == value
+        assert_agree(node)
+        if number == 0:
+            node.thread.change('save')
+            saved = {name: node.declared.value(name) for name in number_of(node)}
+    for name in [name for name in live(node) if name.startswith('control_mode')]:
+        set_live(node, **{name: 'effort'})
+        assert_agree(node)
+    node.thread.reset()
+    assert_agree(node)
+    node.thread.restore()
+    assert_agree(node)
+    assert {name: node.declared.value(name) for name in number_of(node)} == saved
+    assert node.declared.value('control_mode.arm') == 'position'
+
+
+def test_in_one_change_the_parameter_of_fewer_parts_acts_and_then_the_last_one(serve):
+    baxter = serve(robot='Baxter', start_paused=True)
+    for order in (1, -1):
+        changes = [Parameter('control_mode.right', value='velocity'),
+                   Parameter('control_mode.arm', value='effort')][::order]
+        assert baxter.set_parameters_atomically(changes).successful
+        assert [baxter.declared.value(f'control_mode.{part}') for part in ('right', 'left')] == [
+            'velocity', 'effort']
+        assert_agree(baxter)
+    # What both arms have is what the part of both has.
+    set_live(baxter, reflex__right__velocity=0.5)
+    assert baxter.declared.value('reflex.arm.velocity') == 0.0
+    set_live(baxter, reflex__left__velocity=0.5)
+    assert baxter.declared.value('reflex.arm.velocity') == 0.5
+    panda = serve(robot='Panda', start_paused=True)
+    for names in (('arm', 'right'), ('right', 'arm')):
+        assert panda.set_parameters_atomically(
+            [Parameter(f'reflex.{part}.velocity', value=value)
+             for part, value in zip(names, (0.4, 0.6))]).successful
+        assert panda.declared.value('reflex.arm.velocity') == 0.6
+        assert_agree(panda)
+
+
+def test_a_timeout_that_was_set_for_one_arm_stays_when_the_mode_of_both_changes(serve):
+    node = serve(robot='Baxter', start_paused=True)
+    set_live(node, command_timeout__right=0.7)
+    set_live(node, control_mode__arm='velocity')
+    assert_agree(node)
+    assert [node.declared.value(f'command_timeout.{part}') for part in ('right', 'left')] == [
+        0.7, 0.2]
+
+
+def test_a_restored_timeout_follows_the_mode_as_it_did_when_it_was_saved(serve):
+    node = serve(robot='Panda', start_paused=True)
+    set_live(node, control_mode__arm='effort')
+    node.thread.change('save')
+    set_live(node, command_timeout__arm=0.7)
+    node.thread.restore()
+    assert node.declared.value('command_timeout.right') == 0.2
+    set_live(node, control_mode__arm='position')
+    assert node.declared.value('command_timeout.arm') == 0.0
+    assert_agree(node)
+
+
+def test_a_mode_that_cannot_be_used_leaves_all_parameters_at_what_acts(serve, monkeypatch):
+    node = serve(robot='Baxter', start_paused=True)
+    robot = node.simulation.robot
+    monkeypatch.setattr(robot, 'set_control_mode', lambda part, mode: 1 / 0)
+    result = node.set_parameters_atomically([Parameter('control_mode.arm', value='effort')])
+    assert (result.successful, result.reason) == (False, 'division by zero')
+    assert_agree(node)
+    assert node.declared.value('control_mode.arm') == 'position'
+
+
+def test_what_is_drawn_is_what_get_says(serve, tmp_path):
+    file = tmp_path / 'drawn.yaml'
+    file.write_text('parameters:\n  noise.joint_position: {uniform: [0.001, 0.01]}\n')
+    node = serve(robot='UR5e', randomization=str(file), start_paused=True,
+                 noise__joint_position=0.5, seed=3)
+    values = []
+    for seed in (3, 4, 5):
+        set_live(node, seed=seed)
+        node.thread.reset()
+        assert_agree(node)
+        drawn = node.simulation.randomized.drawn['parameters/noise.joint_position']
+        values.append(node.declared.value('noise.joint_position'))
+        assert values[-1] == drawn
+        node.thread.change('save')
+    assert len(set(values)) == 3 and max(values) <= 0.01
+    # What is set by hand replaces what was drawn, until the next draw.
+    set_live(node, noise__joint_position=0.2, seed=9)
+    assert node.simulation.randomized.drawn['parameters/noise.joint_position'] == 0.2
+    node.thread.restore()
+    assert_agree(node)
+    assert node.declared.value('noise.joint_position') == values[-1]
+
+
+@pytest.mark.parametrize('robot', ['Panda', 'Baxter', 'PandaOmron'])
+def test_a_dump_starts_an_identical_node(robot, serve):
+    first = serve(robot=robot, start_paused=True)
+    set_live(first, control_mode__arm='velocity', reflex__right__velocity=0.9,
+             cartesian__right__stiffness=99.0, latency__command=0.02, stream_hold__right=0.3)
+    dumped = {name.replace('.', '__'): value for name, value in first.declared.values.items()}
+    second = serve(**dumped)
+    assert second.declared.values == first.declared.values
+    assert second.simulation.robot.settings == first.simulation.robot.settings
+    digests = []
+    for node in (first, second):
+        assert_agree(node)
+        node.thread.reset()
+        digests.append(node.thread.call(node.simulation.digest))
+    assert digests[0] == digests[1]
