@@ -17,7 +17,6 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -29,7 +28,7 @@ from manip_sim.interface.topics import SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox
-from manip_sim.ros.lazy_publishers import message_class
+from manip_sim.ros.lazy_publishers import message_class, qos_options
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.reading import read_command, trajectory_fields
 from manip_sim.ros.rejection_log import kind_of
@@ -82,7 +81,7 @@ class CommandSubscription:
             QoSProfile(depth=COMMAND_DEPTH),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=match_best_effort, use_default_callbacks=False),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            **qos_options(node, topic))
 
     def close(self) -> None:
         """Take no messages any more; to be called in the thread that spins the node."""

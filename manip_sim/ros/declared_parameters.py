@@ -69,16 +69,14 @@ class Parameters:
             self._node.declare_parameter(spec.name, spec.default, _descriptor(spec))
 
     def undeclare(self, scope: Scope) -> None:
-        """Remove all parameters of a robot, and those of the QoS of its topics."""
+        """Remove all parameters of a robot that came while the node ran."""
         begin = scope.parameter('')
         self._parts.pop(scope, None)
         self._of_part = {name: found for name, found in self._of_part.items() if found[0] != scope}
         self._set_timeouts = {name for name in self._set_timeouts if not name.startswith(begin)}
         self._specs = {name: spec for name, spec in self._specs.items()
                        if not name.startswith(begin)}
-        topics = self._node.resolve_topic_name(scope.topic('joint_states')).removesuffix(
-            'joint_states')
-        forget_parameters(self._node, (begin, f'qos_overrides.{topics}'))
+        forget_parameters(self._node, (begin,))
 
     @property
     def names(self) -> list[str]:

@@ -79,6 +79,8 @@ class InstrumentPublishers(Publications):
         self.replace(tuple(publication for _, publication in self._topics.values()))
         for publication in gone.values():
             publication.output.close(self._node)
+        table = self._node.table
+        table[:] = [row for row in table if row.name not in gone or row.name in served]
 
     def publish_truth(self, scope: Scope) -> None:
         """Also publish the exact values of the instruments of a robot, below ``truth/``."""

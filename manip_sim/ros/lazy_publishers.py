@@ -20,7 +20,7 @@ from rclpy.serialization import serialize_message
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import Topic
-from manip_sim.rclpy_internals import publish_bytes, RCLError
+from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.serialized import Make, SerializedMessage
@@ -107,6 +107,20 @@ def message_class(row: Topic) -> Any:
     return getattr(import_module(f'{package}.msg'), kind)
 
 
+def qos_options(node: Node, topic: str) -> dict[str, Any]:
+    """
+    Return the arguments with which parameters override the QoS of a topic that is created now.
+
+    Topics that come while the node runs have no such parameters, unless they were given: a dump
+    has to start a node in which the topics are not there yet.
+    """
+    begin = f'qos_overrides.{node.resolve_topic_name(topic)}.'
+    if getattr(node, 'is_built', False) and not any(
+            name.startswith(begin) for name in parameter_overrides(node)):
+        return {}
+    return {'qos_overriding_options': QoSOverridingOptions.with_default_policies()}
+
+
 def create_publisher(node: Node, row: Topic, message_type: Any = None) -> Publisher:
     """Create the publisher of a row of the table, or of another message type."""
     message_type = message_type or message_class(row)
@@ -114,13 +128,12 @@ def create_publisher(node: Node, row: Topic, message_type: Any = None) -> Publis
         return node.create_publisher(message_type, row.name, QoSProfile(
             depth=row.depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
     return node.create_publisher(
-        message_type, row.name, QoSProfile(depth=row.depth),
-        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        message_type, row.name, QoSProfile(depth=row.depth), **qos_options(node, row.name))
 
 
 def create_output(node: SimNode, row: Topic, message_type: Any = None) -> Output:
     """
-    Create the output of a row of the table; unless it is latched, parameters override its QoS.
+    Create the output of a row of the table; at the start, parameters override its QoS.
 
     :param node: with its ``rejections`` and the thread ``publishing``
     :param message_type: instead of that of the row

@@ -50,10 +50,13 @@ def check_qos_names(node: Node) -> None:
     """
     Check that each QoS override belongs to a topic; to be called when all topics exist.
 
+    Exact values below ``truth/`` may come later, beside the topics that exist.
+
     :raises ParameterError: naming the nearest override that has an effect
     """
     for name, _ in _qos_overrides(node):
-        if not node.has_parameter(name):
+        if not node.has_parameter(name) and not node.has_parameter(
+                name.replace('/truth/', '/', 1)):
             known = node.list_parameters([_QOS[:-1]], 0).names
             near = difflib.get_close_matches(name, known, n=2, cutoff=0.0)
             raise ParameterError(f'unknown parameter {quoted(name, 200)}: did you mean '

@@ -71,6 +71,8 @@ class SimNode(Node):
     """
 
     actions: ActionServers | None = None
+    #: Whether all is there that there is at the start.
+    is_built = False
 
     def __init__(self, **arguments: Any) -> None:
         #: The rows of the table for this world but for objects; none while rclpy makes its own
@@ -156,6 +158,7 @@ class SimNode(Node):
         if self._command_thread is not None:
             self._ends.callback(self._command_thread.stop)
         check_qos_names(self)
+        self.is_built = True
         self.add_post_set_parameters_callback(self._parameters_changed)
         self.thread.restarted = self._show_settings
         self._show_settings()

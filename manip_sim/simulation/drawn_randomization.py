@@ -279,7 +279,7 @@ class Randomized:
                 sensing.set(name[len(begin):], value)
 
     def replace_parameter(self, robot: str, name: str, value: float) -> None:
-        """Note that something else than a draw has set what was drawn, which acts until the next."""
+        """Let a value that was set by hand stand for what was drawn, until the next draw."""
         key = f'{OF_NODE}/{name}' if len(self._sensing) == 1 else f'{OF_NODE}/{robot}.{name}'
         if key in self.drawn:
             self.drawn = {**self.drawn, key: float(value)}

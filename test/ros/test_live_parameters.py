@@ -5,6 +5,7 @@
 
 import pytest
 from rclpy.parameter import Parameter
+from spawning_node import ask, SpawningByParameters
 
 #: Live parameters of the node that are no settings of a robot.
 OF_NODE = {'seed', 'keyframe', 'pause_at', 'real_time_factor'}
@@ -164,3 +165,58 @@ def test_a_dump_starts_an_identical_node(robot, serve):
         node.thread.reset()
         digests.append(node.thread.call(node.simulation.digest))
     assert digests[0] == digests[1]
+
+
+BOX = '{shape: box, size: [0.05, 0.05, 0.05], mass: 0.2}'
+#: With a sensor and an actuator, which have topics and commands of their own.
+MECHANISM = ('<mujoco><worldbody><body name="top"><freejoint/><geom size="0.05" mass="0.1"/>'
+             '<site name="s"/><body><joint name="h"/><geom size="0.02" mass="0.01"/></body></body>'
+             '</worldbody><actuator><motor name="m" joint="h"/></actuator><sensor><gyro name="g" '
+             'site="s"/></sensor></mujoco>')
+
+
+def ledger(node):
+    """Return how much the node has for objects."""
+    return (sorted(node._parameters), sorted(row.name for row in node.table),
+            sorted(node.surroundings.statistics), len(list(node.publishers)),
+            len(list(node.subscriptions)))
+
+
+def all_values(node):
+    """Return all parameters as a dump has them, those of QoS too."""
+    return {name: parameter.value for name, parameter in node._parameters.items()
+            if parameter.value is not None}
+
+
+def test_objects_that_came_and_went_leave_nothing_and_dumps_start_identical_nodes(
+        serve, client, tmp_path):
+    node = serve(robot='UR5e', arena='table', start_paused=True)
+    SpawningByParameters(node, tmp_path)
+
+    def come_and_go(number):
+        for text in (BOX, MECHANISM):
+            name = f'thing{number}'
+            answer = ask(client, 'spawn_entity', name=name, resource_string=text)
+            assert answer.successful, answer.reason
+            if text == BOX and number == 0:
+                assert all_values(node).keys() == before.keys()
+            assert ask(client, 'delete_entity', entity=name).successful
+
+    before = all_values(node)
+    come_and_go(0)
+    first = ledger(node)  # Commands of loose actuators stay subscribed to.
+    assert first[0] == sorted(before)
+    for number in range(1, 4):
+        come_and_go(number)
+    assert ledger(node) == first
+    assert ask(client, 'spawn_entity', name='stays', resource_string=BOX).successful
+    assert ask(client, 'delete_entity', entity='cube').successful
+    again = serve(**all_values(node))
+    assert all_values(again) == before
+
+
+def test_a_dump_starts_a_node_after_noise_was_switched_off(serve):
+    first = serve(robot='UR5e', start_paused=True, noise__joint_position=0.1)
+    set_live(first, noise__joint_position=0.0)
+    second = serve(**all_values(first))
+    assert second.declared.values == first.declared.values
