@@ -33,7 +33,7 @@ _THREADS = threading.local()
 _OF_MASS = ('body_mass', 'body_inertia', 'body_ipos', 'body_iquat')
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UncollectedForces:
     """
     Where forces act on the bodies of a tool that are not in ``cfrc_ext``.
