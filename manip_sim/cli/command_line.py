@@ -290,7 +290,8 @@ def _add_run(commands: Any) -> None:
     parser = _command(
         commands, 'run', 'run', 'run a policy on a task for many seeds, and report its success',
         'Writes a row for each episode to episodes.parquet, and the success with its 95 % '
-        'interval to summary.json. To continue an interrupted run, repeat the command. An '
+        'interval to summary.json. To continue an interrupted run, repeat the command; with '
+        'further --seeds, they are added. An '
         'episode in which the policy fails gets a row with the error, and the exit code is 1.',
         'examples: manip_sim run pick_cube --policy expert --seeds 0:100 --out results\n'
         '          manip_sim run reach --policy my_policy.py:Reach --latency 0.15 --seeds 0:1000 '
@@ -346,6 +347,10 @@ def _add_run(commands: Any) -> None:
                         'from 1/K to K/K; parts in one folder are merged')
     parser.add_argument('--record', action='store_true',
                         help='record each episode in DIR/records/SEED.mcap')
+    parser.add_argument('--again', action='store_true',
+                        help='remove the rows that DIR has, such as those of an older policy')
+    parser.add_argument('--retry-errors', action='store_true',
+                        help='run episodes again whose rows have an error')
 
 
 def _add_merge(commands: Any) -> None:

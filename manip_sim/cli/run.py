@@ -142,8 +142,8 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
         period_s = Worker(experiment).period_s
     finally:
         os.chdir(folder_before)  # A policy may have left it.
-    folder = RunFolder(out, experiment.description(), seeds, period_s)
-    with folder.shard(number, count) as shard:
+    folder = RunFolder(out, experiment.description(), seeds, period_s, options.again)
+    with folder.shard(number, count, options.retry_errors) as shard:
         if options.engine == 'ray':
             rows = run_on_ray(experiment, shard.left, options.address, options.worlds)
         else:
@@ -172,7 +172,7 @@ def _interruptible() -> Iterator[None]:
 
 def _collect(rows: Iterator[Row], shard: Shard) -> None:
     """Add rows as they come, and show how far it is."""
-    successes = episodes = 0
+    successes, episodes = shard.successes, shard.done
     with contextlib.closing(rows), _progress(shard) as bar:  # type: ignore[type-var]
         for row in rows:
             shard.add(row)
@@ -194,20 +194,23 @@ def _progress(shard: Shard) -> Any:
 
 def _merge(options: argparse.Namespace) -> tuple[str, int]:
     first = _description(options.folders[0])
-    seeds, period_s = parse_seeds(first.pop('seeds')), first.pop('period_s')
-    for folder in options.folders[1:]:
-        _description(folder)  # A RunFolder would be made where there is none.
-        RunFolder(folder, first, seeds, period_s)
+    first.pop('seeds')
+    period_s = first.pop('period_s')
+    runs = []
+    for path in options.folders:  # A RunFolder would be made where there is none.
+        seeds = parse_seeds(_description(path)['seeds'])
+        runs.append(RunFolder(path, first, seeds, period_s))
+    seeds = [*dict.fromkeys(seed for folder in runs for seed in folder.seeds)]
     target = RunFolder(options.out, first, seeds, period_s)
     given: dict[int, Path] = {}
     with target.shard(1, 1) as shard:
         left = set(shard.left)
-        for path in options.folders:
-            for seed, row in RunFolder(path, first, seeds, period_s).rows().items():
+        for folder in runs:
+            for seed, row in folder.rows().items():
                 if seed in given:
-                    raise ModelError(f'{given[seed]} and {path} both have the seed {seed}: the '
-                                     'same shard twice')
-                given[seed] = path
+                    raise ModelError(f'{given[seed]} and {folder.path} both have the seed {seed}: '
+                                     'the same shard twice')
+                given[seed] = folder.path
                 if seed in left:
                     shard.add(row)
     return _summary_text(target.finish())

@@ -18,7 +18,7 @@ import numpy as np
 
 from manip_sim.errors import ManipSimError
 from manip_sim.experiments.policies import (
-    failing_as, LIMIT_S, load_policy, LOCAL_LIMIT_S, PolicyFailure, ROS)
+    failing_as, LIMIT_S, load_policy, LOCAL_LIMIT_S, policy_content, PolicyFailure, ROS)
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
@@ -63,7 +63,7 @@ class Experiment:
             'image_size': _plain(setting.image_size),
             'composition': _plain(setting.plain_composition),
             **({'noise': dict(setting.noise)} if setting.noise else {}),
-            'policy': self.policy,
+            'policy': self.policy, 'policy_content': policy_content(self.policy),
             'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                          'numpy': np.__version__, 'python': platform.python_version()}}
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Iterator, Sequence
 import functools
 import pickle
@@ -12,7 +13,8 @@ import socket
 from typing import Any
 
 from manip_sim.errors import ManipSimError
-from manip_sim.experiments.experiment import Experiment, Worker
+from manip_sim.experiments.experiment import Experiment
+from manip_sim.experiments.processes import WorkerPool
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
 
@@ -67,7 +69,7 @@ def _check_answered(address: str) -> None:
 
 def _spread(ray: Any, experiment: Experiment, seeds: Sequence[int], count: int | None
             ) -> Iterator[Row]:
-    # A task that dies with its worker or node is run again by Ray; the same seed, the same row.
+    # Ray runs a task again that dies with its node; the same seed, the same row.
     run = ray.remote(max_retries=-1, scheduling_strategy='SPREAD')(_run)
     shared = ray.put(experiment)
     pieces = [list(seeds[i:i + _SEEDS_OF_TASK]) for i in range(0, len(seeds), _SEEDS_OF_TASK)]
@@ -86,15 +88,22 @@ def _spread(ray: Any, experiment: Experiment, seeds: Sequence[int], count: int |
 
 def _run(experiment: Experiment, seeds: list[int]) -> list[Row] | str:
     """Return the rows of some seeds, or why there are none."""
+    pool = _pool(pickle.dumps(experiment))
     try:
-        worker = _worker(pickle.dumps(experiment))
-        return [worker.run(seed) for seed in seeds]
+        return list(pool.run(seeds))
     except ManipSimError as error:
+        pool.close()
+        _pool.cache_clear()
         return str(error)
 
 
 @functools.lru_cache(maxsize=1)
-def _worker(pickled: bytes) -> Worker:
-    """Return the worker of this process, which Ray uses for one task after the other."""
-    experiment: Experiment = pickle.loads(pickled)
-    return Worker(experiment)
+def _pool(pickled: bytes) -> WorkerPool:
+    """
+    Return the process that runs episodes for this one, for one task of Ray after the other.
+
+    A policy that ends its process, or takes too long, costs its own episode only.
+    """
+    pool = WorkerPool(pickle.loads(pickled), 1)
+    atexit.register(pool.close)
+    return pool

@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import ast
+from collections.abc import Callable, Iterable, Iterator
 import contextlib
+import hashlib
 import importlib
 import importlib.util
 import inspect
 from pathlib import Path
 import signal
 import sys
+import sysconfig
 from typing import Any
 import warnings
 
@@ -34,8 +37,81 @@ _FORMS = ("'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt, FILE
           'ros:/NAMESPACE')
 
 
+#: Longest constant of a source file that may be the path of a file.
+_MOST_OF_PATH = 256
+
+
 class PolicyFailure(ManipSimError):
     """A policy raised an error."""
+
+
+def policy_content(name: str) -> str | None:
+    """
+    Return a hash of the files that a policy is made of.
+
+    These are its file, and of a Python policy also the modules that it imports from its own folder
+    or package, and the files that a text constant in them names, such as weights.
+
+    :param name: as for :func:`load_policy`
+    :returns: SHA-256; None for an expert, which is a part of the package, and a ROS node
+    """
+    if name == EXPERT or name.startswith(ROS):
+        return None
+    where = name if Path(name).is_file() else name.rpartition(':')[0]
+    file = Path(where) if Path(where).is_file() else _source(where, [Path(), *sys.path])
+    digest = hashlib.sha256()
+    for path in sorted(set() if file is None else _files(file.resolve())):
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _files(first: Path) -> set[Path]:
+    """Return a file and what it imports or names, but no other installed packages."""
+    installed = [Path(sysconfig.get_path(name)) for name in ('stdlib', 'purelib', 'platlib')]
+    own = next((path for path in first.parents if path.parent in installed),
+               first if first.parent in installed else first.parent)
+    found: set[Path] = set()
+    waiting = [first]
+    while waiting:
+        path = waiting.pop()
+        if path in found or path != first and own not in path.parents and any(
+                folder in path.parents for folder in installed):
+            continue
+        found.add(path)
+        if path.suffix == '.py':
+            with contextlib.suppress(SyntaxError, ValueError):
+                waiting += _referred(path, ast.parse(path.read_bytes()))
+        elif path.suffix == '.onnx':  # Large weights are in files beside it.
+            waiting += path.parent.glob(f'{path.name}.*')
+    return found
+
+
+def _referred(path: Path, tree: ast.Module) -> Iterator[Path]:
+    """Yield the files that a module imports, or names in a text constant."""
+    for node in ast.walk(tree):
+        names: list[str] = []
+        folders: list[Path | str] = [path.parent, Path(), *sys.path]
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            if node.level:
+                folders = [path.parents[node.level - 1]]
+            parents = [node.module] if node.module else []
+            names = [*parents, *('.'.join([*parents, alias.name]) for alias in node.names)]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and (
+                0 < len(node.value) < _MOST_OF_PATH and '\0' not in node.value):
+            yield from ((base / node.value).resolve() for base in (Path(), path.parent)
+                        if (base / node.value).is_file())
+        sources = (_source(name, folders) for name in names)
+        yield from (source.resolve() for source in sources if source is not None)
+
+
+def _source(module: str, folders: Iterable[Path | str]) -> Path | None:
+    """Return the source file of a module, in the first of some folders that has it."""
+    parts = Path(*module.split('.'))
+    candidates = (path for folder in folders for path in (
+        Path(folder, f'{parts}.py'), Path(folder, parts, '__init__.py')))
+    return next((path for path in candidates if path.is_file()), None)
 
 
 @contextlib.contextmanager
@@ -47,9 +123,12 @@ def failing_as(what: str, kind: type[ManipSimError]) -> Iterator[None]:
     :param kind: of the error
     :raises ManipSimError: of that kind
     :raises KeyboardInterrupt: by Ctrl-C, unless that is ignored
+    :raises MemoryError: if memory is exhausted, which other code may have caused
     """
     try:
         yield
+    except MemoryError:
+        raise
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and (
                 signal.getsignal(signal.SIGINT) is not signal.SIG_IGN):

@@ -11,6 +11,7 @@ import contextlib
 import multiprocessing
 from multiprocessing.connection import Connection, wait
 import os
+from pathlib import Path
 import signal
 import threading
 from typing import Any
@@ -18,28 +19,43 @@ from typing import Any
 from manip_sim.errors import ManipSimError
 from manip_sim.experiments.experiment import Experiment, Worker
 from manip_sim.experiments.summary import Row
-from manip_sim.startup import use_one_blas_thread
+from manip_sim.startup import processors, use_one_blas_thread
 
 #: How often a seed is tried whose process dies each time.
 TRIES = 3
 #: How often processes are looked after that neither answer nor close their pipe, wall time [s].
 _LOOK_S = 1.0
+#: Exit code of a process without memory, and of the memory of this machine, what all may use.
+_WITHOUT_MEMORY, _MEMORY_SHARE = 12, 0.8
 
 
-def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -> Iterator[Row]:
+class WorkerPool:
     """
-    Yield the row of each seed, as they come.
+    Processes that run the episodes of an experiment.
 
-    A seed whose process dies three times gets a row with that error.
+    A process that has died is replaced, and one that uses more memory than its share, and twice
+    what it used after its first episode.
 
     :param experiment: what is run
-    :param seeds: of the episodes
     :param count: number of processes
-    :raises ManipSimError: if a process cannot begin
     """
-    waiting, died = deque(seeds), Counter[int]()
-    workers = [_WorkerProcess(experiment) for _ in range(min(count, len(seeds)))]
-    try:
+
+    def __init__(self, experiment: Experiment, count: int) -> None:
+        self._experiment = experiment
+        self._workers = [_WorkerProcess(experiment) for _ in range(count)]
+        memory_bytes = os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE')
+        self._share_bytes = _MEMORY_SHARE * memory_bytes / max(count, processors())
+
+    def run(self, seeds: Sequence[int]) -> Iterator[Row]:
+        """
+        Yield the row of each seed, as they come.
+
+        A seed whose process dies three times gets a row with that error.
+
+        :param seeds: of the episodes
+        :raises ManipSimError: if a process cannot begin
+        """
+        waiting, died, workers = deque(seeds), Counter[int](), self._workers
         while waiting or any(worker.seed is not None for worker in workers):
             for worker in workers:
                 if worker.seed is None and waiting:
@@ -49,22 +65,50 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
                 assert seed is not None
                 if isinstance(answer, ManipSimError):
                     raise answer
-                if answer is not None:
-                    yield answer
-                    continue
-                died[seed] += 1
-                if worker.exit_code == -signal.SIGALRM:
-                    yield Row(seed, False, 0.0, 0, '', 'the policy took longer than '
-                              f'{experiment.policy_limit_s:g} s')
-                elif died[seed] < TRIES:
+                if answer is None:
+                    died[seed] += 1
+                    answer = self._failed(seed, died[seed], worker.exit_code)
+                    worker.restart()
+                elif worker.used_bytes > max(self._share_bytes, 2 * worker.first_bytes):
+                    worker.end()
+                    worker.restart()
+                if answer is None:
                     waiting.appendleft(seed)
                 else:
-                    yield Row(seed, False, 0.0, 0, '', f'its process died {TRIES} times, '
-                              f'exit code {worker.exit_code}')
-                worker.restart()
-    finally:
-        for worker in workers:
+                    yield answer
+
+    def _failed(self, seed: int, count: int, exit_code: int | None) -> Row | None:
+        """Return the row of a seed whose process died, or None if it is to be tried again."""
+        if exit_code == -signal.SIGALRM:
+            why = f'the policy took longer than {self._experiment.policy_limit_s:g} s'
+        elif count < TRIES:
+            return None
+        elif exit_code == _WITHOUT_MEMORY:
+            why = f'its process ran out of memory {TRIES} times'
+        else:
+            why = f'its process died {TRIES} times, exit code {exit_code}'
+        return Row(seed, False, 0.0, 0, '', why)
+
+    def close(self) -> None:
+        """End the processes."""
+        for worker in self._workers:
             worker.end()
+
+
+def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -> Iterator[Row]:
+    """
+    Yield the row of each seed, as they come.
+
+    :param experiment: what is run
+    :param seeds: of the episodes
+    :param count: number of processes
+    :raises ManipSimError: if a process cannot begin
+    """
+    pool = WorkerPool(experiment, min(count, len(seeds)))
+    try:
+        yield from pool.run(seeds)
+    finally:
+        pool.close()
 
 
 def _ready(workers: Sequence[_WorkerProcess]) -> list[_WorkerProcess]:
@@ -82,6 +126,7 @@ class _WorkerProcess:
 
     :ivar seed: what it runs, or None
     :ivar pipe: of the answers
+    :ivar first_bytes: memory that it used after its first episode, 0 before
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -98,6 +143,7 @@ class _WorkerProcess:
             target=_serve, args=(theirs, self._experiment), daemon=True)
         self._process.start()
         theirs.close()
+        self.first_bytes = 0
 
     def begin(self, seed: int) -> None:
         """Let it run a seed; that it has died shows in the answer."""
@@ -111,6 +157,7 @@ class _WorkerProcess:
         with contextlib.suppress(EOFError, OSError):
             if self.pipe.poll():
                 found: Row | ManipSimError = self.pipe.recv()
+                self.first_bytes = self.first_bytes or self.used_bytes
                 return found
         self._process.join()
         self.exit_code = self._process.exitcode
@@ -121,8 +168,17 @@ class _WorkerProcess:
         """Whether its process runs."""
         return bool(self._process.is_alive())
 
+    @property
+    def used_bytes(self) -> int:
+        """Memory that its process uses, 0 if it has ended."""
+        try:
+            pages = Path(f'/proc/{self._process.pid}/statm').read_text().split()[1]
+        except OSError:
+            return 0
+        return int(pages) * os.sysconf('SC_PAGE_SIZE')
+
     def restart(self) -> None:
-        """Start another process in place of one that has died."""
+        """Start another process in place of one that has ended."""
         self.pipe.close()
         self._start()
 
@@ -149,6 +205,8 @@ def _serve(pipe: Connection, experiment: Experiment) -> None:
             if os.getpid() != process:  # A policy has forked; one of the two may answer.
                 os._exit(1)
             pipe.send(row)
+    except MemoryError:  # Not that of the seed: others before it may have kept the memory.
+        os._exit(_WITHOUT_MEMORY)
     except ManipSimError as error:
         pipe.send(type(error)(*error.args) if len(error.args) == 1 else ManipSimError(str(error)))
     except (EOFError, OSError):

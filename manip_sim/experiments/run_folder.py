@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack
 import fcntl
 import json
 import os
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.experiments.seeds import parse_seeds
 from manip_sim.experiments.summary import Row, summarize
 from manip_sim.quoting import shown
 
@@ -28,18 +29,35 @@ class RunFolder:
 
     :param path: of the folder; it is made
     :param description: what the rows depend on, as JSON can hold it
-    :param seeds: of the whole run
+    :param seeds: of the whole run; those that the folder does not have yet are added to it
     :param period_s: length of a control period [s]
-    :raises ManipSimError: if the folder has files, but not of this run
+    :param again: forget the rows of an earlier run, whatever it was
+    :raises ManipSimError: if the folder has files, but not of this run, or has other seeds too
     """
 
     def __init__(self, path: Path, description: Mapping[str, Any], seeds: Sequence[int],
-                 period_s: float) -> None:
+                 period_s: float, again: bool = False) -> None:
         self.path = path
         self._seeds = list(seeds)
         self._period_s = period_s
         self._run = {**description, 'seeds': spans(seeds), 'period_s': period_s}
+        if again and (path / RUN).is_file():
+            self._forget()
         self._claim()
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of the whole run, in the order of the rows."""
+        return tuple(self._seeds)
+
+    def _forget(self) -> None:
+        """Remove the rows, unless a process adds some; the others keep off meanwhile."""
+        files = [*self.path.glob('rows-*.jsonl')]
+        with ExitStack() as stack:
+            for file in files:
+                _lock(stack.enter_context(file.open('a+')), file)
+            for file in [*files, *(self.path / name for name in (EPISODES, SUMMARY, RUN))]:
+                file.unlink(missing_ok=True)
 
     def _claim(self) -> None:
         """Write what the run is, or check that the folder is of this run."""
@@ -51,36 +69,49 @@ class RunFolder:
                 raise ModelError(f'{self.path} is not the folder of a run, but has {others[0]}: '
                                  'choose another one')
             # Shards may begin at the same time: the first one wins, and all write the same.
-            part = file.with_suffix(f'.{os.getpid()}')
-            part.write_text(json.dumps(self._run, indent=2))
-            part.replace(file)
+            _replace(file, json.dumps(self._run, indent=2).encode())
         there = read_json(file)
-        for key in sorted({*there, *self._run}):
+        if there.get('policy_content') != self._run.get('policy_content') and (
+                there.get('policy') == self._run.get('policy')):
+            raise ModelError(f'{self.path} has rows of {self._run.get("policy")} as it was before '
+                             'its files changed: choose another folder, or replace the rows '
+                             'with --again')
+        for key in sorted({*there, *self._run} - {'seeds'}):
             if there.get(key) != self._run.get(key):
                 raise ModelError(
                     f'{self.path} is the folder of another run: its {key} is '
                     f'{shown(there.get(key), 100)}, not {shown(self._run.get(key), 100)}')
+        self._add_seeds(parse_seeds(there['seeds']))
+
+    def _add_seeds(self, there: list[int]) -> None:
+        """Let the seeds begin with those that are there: shards keep the seeds that they have."""
+        if not set(there) <= set(self._seeds):
+            raise ModelError(f'{self.path} has the seeds {spans(there)}: name all of them, and '
+                             f'those to add, not {spans(self._seeds)}')
+        had = set(there)
+        self._seeds = [*there, *(seed for seed in self._seeds if seed not in had)]
+        if len(self._seeds) > len(there):
+            self._run['seeds'] = spans(self._seeds)
+            _replace(self.path / RUN, json.dumps(self._run, indent=2).encode())
 
     @contextmanager
-    def shard(self, number: int, count: int) -> Iterator[Shard]:
+    def shard(self, number: int, count: int, retry_errors: bool = False) -> Iterator[Shard]:
         """
         Open a shard for the one process that may write its rows.
 
         :param number: from 1
         :param count: number of shards
+        :param retry_errors: run seeds again whose rows have an error
         :raises ModelError: if it runs already, or the folder has shards of another count
         """
         for file in self.path.glob('rows-*.jsonl'):
             other = file.stem.rpartition('-')[2]
             if other != str(count):
                 raise ModelError(f'{self.path} has shards of {other}, not of {count}')
-        with (self.path / _ROWS.format(number, count)).open('a+') as own:
-            try:
-                fcntl.flock(own, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise ModelError(
-                    f'shard {number}/{count} of {self.path} is already running') from error
-            yield Shard(own, self._seeds[number - 1::count])
+        file = self.path / _ROWS.format(number, count)
+        with file.open('a+') as own:
+            _lock(own, file)
+            yield Shard(own, self._seeds[number - 1::count], retry_errors)
 
     def rows(self) -> dict[int, Row]:
         """
@@ -116,14 +147,17 @@ class Shard:
 
     :param file: of its rows, locked
     :param seeds: all of its seeds
+    :param retry_errors: count rows with an error as missing
     :ivar left: the seeds that have no row yet
     :ivar done: number of rows that were there
+    :ivar successes: number of those that succeeded
     """
 
-    def __init__(self, file: Any, seeds: Sequence[int]) -> None:
+    def __init__(self, file: Any, seeds: Sequence[int], retry_errors: bool = False) -> None:
         self._file = file
         file.seek(0)
-        there = read_rows(file)
+        there = {seed: row for seed, row in read_rows(file).items()
+                 if not (retry_errors and row.error)}
         # What a process that was killed has left of a line is cut off.
         file.seek(0)
         whole = file.read().rpartition('\n')
@@ -131,6 +165,7 @@ class Shard:
         file.truncate(len((whole[0] + whole[1]).encode()))
         self.left = [seed for seed in seeds if seed not in there]
         self.done = len(there)
+        self.successes = sum(row.success for row in there.values())
 
     def add(self, row: Row) -> None:
         """
@@ -146,7 +181,7 @@ class Shard:
 
 def read_rows(lines: Iterable[str]) -> dict[int, Row]:
     """
-    Return rows by seed.
+    Return rows by seed; of several of a seed, the last one.
 
     :param lines: JSON each; one without an end is left out
     :raises ModelError: if a line is not a row
@@ -208,6 +243,16 @@ def write_table(file: Path, rows: Iterable[Row]) -> None:
     part = file.with_name(f'.{file.name}.{os.getpid()}')
     parquet.write_table(pyarrow.Table.from_pylist([row.as_dict() for row in rows], schema), part)
     part.replace(file)
+
+
+def _lock(opened: Any, file: Path) -> None:
+    """Lock a file of rows; a process that adds rows to it has it locked."""
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        number, count = file.stem.split('-')[1::2]
+        raise ModelError(
+            f'shard {number}/{count} of {file.parent} is already running') from error
 
 
 def _replace(file: Path, content: bytes) -> None:

@@ -183,6 +183,29 @@ class Writes(Towards):
         return found
 
 
+class Leaks(Towards):
+    """Keeps 64 MiB of each episode from the second on, and has none left in the third."""
+
+    kept = []
+
+    def reset(self, seed):
+        super().reset(seed)
+        if len(self.kept) == 2:
+            raise MemoryError
+        self.kept.append(np.ones(2**23))
+
+
+class FailsWhileMarked(OnceInSeedTwo):
+    def otherwise(self):
+        if Path(os.environ[MARK]).exists():
+            raise RuntimeError('marked')
+
+
+class NeverHasMemory(OnceInSeedTwo):
+    def otherwise(self):
+        raise MemoryError
+
+
 class ExitsAtOnce:
     def __init__(self):
         sys.exit(0)

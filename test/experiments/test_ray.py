@@ -67,3 +67,13 @@ def test_a_task_that_cannot_be_used_is_said(cluster):
 def test_a_cluster_that_is_not_there_is_said_at_once(address):
     with pytest.raises(ManipSimError, match='no Ray cluster answers at '):
         list(run_on_ray(EXPERIMENT, [0], address, None))
+
+
+def test_a_policy_that_ends_its_process_or_hangs_costs_its_own_seed_on_ray_too(cluster):
+    for policy, limit_s in (('AlwaysDeadly', None), ('Hangs', 2.0)):
+        experiment = Experiment(Setting('reach'), EXPERIMENT.policy.replace('Towards', policy),
+                                limit_s=limit_s)
+        rows = sorted(run_on_ray(experiment, range(4), None, None), key=lambda row: row.seed)
+        assert [bool(row.error) for row in rows] == [False, False, True, False]
+        assert rows == sorted(
+            run_in_processes(experiment, range(4), 1), key=lambda row: row.seed)

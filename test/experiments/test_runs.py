@@ -21,7 +21,8 @@ from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ModelError  # noqa: E402
 from manip_sim.experiments import (  # noqa: E402
     Experiment, parse_seeds, parse_shard, wilson_interval, Worker)
-from manip_sim.experiments.policies import flat, load_policy  # noqa: E402
+from manip_sim.experiments import processes  # noqa: E402
+from manip_sim.experiments.policies import flat, load_policy, policy_content  # noqa: E402
 from manip_sim.experiments.run_folder import spans  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
 
@@ -268,6 +269,127 @@ def test_a_seed_whose_process_always_dies_is_a_row_with_that_error(tmp_path):
     assert run(tmp_path / 'dies', policy='AlwaysDeadly', seeds='1:4') == 1
     assert [row['error'] for row in rows(tmp_path / 'dies')] == [
         '', 'its process died 3 times, exit code -9', '']
+
+
+def test_memory_that_earlier_episodes_keep_costs_no_seed(whole, tmp_path):
+    assert run(tmp_path / 'leaks', policy='Leaks', worlds='1') == 0
+    assert rows(tmp_path / 'leaks') == rows(whole)
+
+
+def test_a_seed_that_never_has_memory_is_a_row_with_that_error(tmp_path):
+    assert run(tmp_path / 'none', policy='NeverHasMemory', seeds='2:3', worlds='1') == 1
+    assert rows(tmp_path / 'none')[0]['error'] == 'its process ran out of memory 3 times'
+
+
+def test_a_process_whose_memory_grows_beyond_its_share_is_replaced(monkeypatch):
+    monkeypatch.setattr(processes, '_MEMORY_SHARE', 0.0)
+    pool = processes.WorkerPool(Experiment(Setting('reach'), f'{POLICIES}:Towards'), 1)
+    (worker,) = pool._workers
+    try:
+        first = worker._process.pid
+        list(pool.run([0]))
+        assert worker._process.pid == first  # Twice of what it had is allowed.
+        worker.first_bytes = 1
+        list(pool.run([1]))
+        assert worker._process.pid != first
+    finally:
+        pool.close()
+
+
+def towards_file(path, factor):
+    path.write_text('import numpy as np\nimport helper\n\n\ndef act(observation):\n'
+                    '    way = observation["goal"] - observation["eef_pose"][0, :3]\n'
+                    f'    return np.array([*np.clip({factor} * way / 0.05, -1, 1), 0, 0, 0, 0])\n')
+    return f'{path}:act'
+
+
+@pytest.fixture
+def policy_files(tmp_path, monkeypatch):
+    """Return the name of a policy in a file that imports another one, and names its weights."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path))
+    (tmp_path / 'helper.py').write_text("WEIGHTS = 'weights.bin'\n")
+    (tmp_path / 'weights.bin').write_bytes(b'1')
+    yield towards_file(tmp_path / 'policy.py', 0.0)
+    sys.modules.pop('helper', None)
+
+
+def test_a_policy_that_has_changed_is_not_reported_with_its_old_rows(
+        policy_files, tmp_path, capsys):
+    out = tmp_path / 'out'
+    assert run(out, policy=policy_files, worlds='1') == 0
+    before = summary(out)['successes']
+    assert run(out, policy=policy_files, worlds='1') == 0  # Nothing has changed.
+    towards_file(tmp_path / 'policy.py', 1.0)
+    capsys.readouterr()
+    assert run(out, policy=policy_files, worlds='1') == 1
+    assert ('as it was before its files changed: choose another folder, or replace the rows with '
+            '--again') in capsys.readouterr().err
+    assert summary(out)['successes'] == before
+    assert run(out, '--again', policy=policy_files, worlds='1') == 0
+    assert summary(out)['successes'] > before
+
+
+@pytest.mark.parametrize('file, content', [
+    ('helper.py', "WEIGHTS = 'weights.bin'\n\n"), ('weights.bin', '2')])
+def test_what_a_policy_imports_and_names_is_a_part_of_it(policy_files, tmp_path, file, content):
+    before = policy_content(policy_files)
+    (tmp_path / 'unrelated.py').write_text('')
+    assert policy_content(policy_files) == before
+    (tmp_path / file).write_text(content)
+    assert policy_content(policy_files) != before
+
+
+def test_modules_packages_and_networks_have_a_content_and_experts_and_nodes_have_none(
+        policy_files, tmp_path):
+    package = tmp_path / 'my_policies'
+    package.mkdir()
+    (package / '__init__.py').write_text('')
+    (package / 'act.py').write_text('from . import net\nimport numpy\n')
+    (package / 'net.py').write_text('A = 1\n')
+    (tmp_path / 'net.onnx').write_bytes(b'1')
+    names = ['my_policies.act:act', 'policy:act', str(tmp_path / 'net.onnx')]
+    before = [policy_content(name) for name in names]
+    assert len({*before, policy_content('nothing:there')}) == 4
+    (package / 'net.py').write_text('A = 2\n')
+    (tmp_path / 'net.onnx.data').write_bytes(b'2')
+    towards_file(tmp_path / 'policy.py', 2.0)
+    assert not set(before) & {policy_content(name) for name in names}
+    assert policy_content('expert') is policy_content('ros:/policy') is None
+
+
+def test_seeds_are_added_to_a_run_and_runs_of_other_seeds_are_merged(whole, tmp_path, capsys):
+    out = tmp_path / 'grows'
+    assert run(out, seeds='0:3', worlds='1') == 0
+    assert run(out, seeds='0:6', worlds='1') == 0
+    assert rows(out) == rows(whole) and summary(out)['seeds'] == '0:6'
+    assert run(out, seeds='0:4') == 1
+    assert 'has the seeds 0:6: name all of them' in capsys.readouterr().err
+    for name, seeds in (('a', '4:6'), ('b', '0:4')):
+        assert run(tmp_path / name, seeds=seeds, worlds='1') == 0
+    merged = tmp_path / 'merged'
+    assert main(['merge', str(tmp_path / 'b'), str(tmp_path / 'a'), '--out', str(merged)]) == 0
+    assert rows(merged) == rows(whole) and summary(merged)['complete']
+
+
+def test_shards_keep_their_seeds_when_seeds_are_added(whole, tmp_path):
+    out = tmp_path / 'shards'
+    for seeds in ('0:3', '0:6'):
+        for number in (1, 2):
+            assert run(out, '--shard', f'{number}/2', seeds=seeds, worlds='1') == 0
+    assert rows(out) == rows(whole)
+
+
+def test_rows_with_an_error_can_be_run_again(whole, tmp_path, monkeypatch):
+    out, mark = tmp_path / 'errors', tmp_path / 'mark'
+    mark.touch()
+    monkeypatch.setenv('MANIP_SIM_TEST_MARK', str(mark))
+    assert run(out, policy='FailsWhileMarked', worlds='1') == 1
+    assert rows(out)[2]['error']
+    mark.unlink()
+    assert run(out, policy='FailsWhileMarked', worlds='1') == 1  # The row stays.
+    assert run(out, '--retry-errors', policy='FailsWhileMarked', worlds='1') == 0
+    assert rows(out) == rows(whole)
 
 
 @pytest.mark.parametrize('policy', ['WithoutSeed', 'towards'])
