@@ -110,6 +110,7 @@ def test_runs_of_other_policies_are_not_merged_and_leave_no_folder(whole, tmp_pa
     assert not out.exists()
 
 
+@pytest.mark.full
 def test_a_run_that_was_killed_goes_on_and_doubles_nothing(whole, tmp_path):
     out = tmp_path / 'killed'
     command = [sys.executable, '-m', 'manip_sim.cli', 'run', 'reach', '--policy',
@@ -185,6 +186,7 @@ def test_a_policy_that_fails_costs_its_episode(tmp_path, capsys):
     assert '1 x act() of the policy: ZeroDivisionError: one' in capsys.readouterr().out
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('policy, error', [
     ('Interrupts', 'act() of the policy: KeyboardInterrupt: '),
     ('Exits', 'act() of the policy: SystemExit: 0'),
@@ -199,6 +201,7 @@ def test_whatever_a_policy_raises_costs_one_episode_only(whole, tmp_path, capfd,
     assert 'Traceback' not in capfd.readouterr().err
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('policy', ['Hangs', 'HangsWhateverIsRaised', 'HangsInTheSecondProcess'])
 def test_a_policy_that_hangs_is_ended(tmp_path, policy):
     assert run(tmp_path / 'hangs', '--policy-limit', '2', policy=policy, seeds='2:3') == 1
@@ -215,12 +218,14 @@ def test_the_timer_of_a_process_that_runs_a_policy_itself_is_left_alone():
         signal.setitimer(signal.ITIMER_REAL, *before)
 
 
+@pytest.mark.full
 def test_a_process_that_dies_is_noticed_though_a_copy_of_it_lives(tmp_path):
     assert run(tmp_path / 'copies', policy='DiesBesideACopy', seeds='1:4', worlds='1') == 1
     assert [row['error'] for row in rows(tmp_path / 'copies')] == [
         '', 'its process died 3 times, exit code -9', '']
 
 
+@pytest.mark.full
 def test_a_copy_that_a_policy_forks_gives_no_second_row(whole, tmp_path):
     assert run(tmp_path / 'forks', policy='Forks', seeds='1:4', worlds='1') == 0
     assert rows(tmp_path / 'forks') == rows(whole)[1:4]
@@ -265,6 +270,7 @@ def test_a_process_that_dies_loses_nothing(whole, tmp_path, monkeypatch):
     assert rows(tmp_path / 'dies') == rows(whole)
 
 
+@pytest.mark.full
 def test_a_seed_whose_process_always_dies_is_a_row_with_that_error(tmp_path):
     assert run(tmp_path / 'dies', policy='AlwaysDeadly', seeds='1:4') == 1
     assert [row['error'] for row in rows(tmp_path / 'dies')] == [
@@ -276,11 +282,13 @@ def test_memory_that_earlier_episodes_keep_costs_no_seed(whole, tmp_path):
     assert rows(tmp_path / 'leaks') == rows(whole)
 
 
+@pytest.mark.full
 def test_a_seed_that_never_has_memory_is_a_row_with_that_error(tmp_path):
     assert run(tmp_path / 'none', policy='NeverHasMemory', seeds='2:3', worlds='1') == 1
     assert rows(tmp_path / 'none')[0]['error'] == 'its process ran out of memory 3 times'
 
 
+@pytest.mark.full
 def test_a_process_whose_memory_grows_beyond_its_share_is_replaced(monkeypatch):
     monkeypatch.setattr(processes, '_MEMORY_SHARE', 0.0)
     pool = processes.WorkerPool(Experiment(Setting('reach'), f'{POLICIES}:Towards'), 1)
@@ -372,6 +380,7 @@ def test_seeds_are_added_to_a_run_and_runs_of_other_seeds_are_merged(whole, tmp_
     assert rows(merged) == rows(whole) and summary(merged)['complete']
 
 
+@pytest.mark.full
 def test_shards_keep_their_seeds_when_seeds_are_added(whole, tmp_path):
     out = tmp_path / 'shards'
     for seeds in ('0:3', '0:6'):
@@ -380,6 +389,7 @@ def test_shards_keep_their_seeds_when_seeds_are_added(whole, tmp_path):
     assert rows(out) == rows(whole)
 
 
+@pytest.mark.full
 def test_rows_with_an_error_can_be_run_again(whole, tmp_path, monkeypatch):
     out, mark = tmp_path / 'errors', tmp_path / 'mark'
     mark.touch()
