@@ -98,6 +98,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--poses', type=Path, metavar='FILE',
                         help='keep the poses that you save on the page in this file (JSON); '
                         'without it they are lost when sim_view ends')
+    parser.add_argument('--records', type=Path, default=Path(), metavar='FOLDER',
+                        help='where Record on the page writes its MCAP files; the present folder '
+                        'by default')
     parser.add_argument('--dark', action='store_true', help='start with a dark page')
     parser.add_argument('--record', type=Path, nargs='+', metavar='FILE',
                         help='show records of episodes or nodes instead: files, or folders with '

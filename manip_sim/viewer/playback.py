@@ -98,8 +98,7 @@ class Player:
         self._choice = gui.add_dropdown('Episode', labels)
         self._choice.on_update(lambda event: add(
             lambda: self._open(labels.index(event.target.value))))
-        jump = gui.add_button_group('Jump to', ('Failure', 'Previous', 'Next'),
-                                    hint='Failure: the next episode without success')
+        jump = gui.add_button_group('Jump to', ('Failure', 'Previous', 'Next'))
         jump.on_click(lambda event: add(lambda: self._jump(event.target.value)))
         self._timeline = Timeline(gui, self._events, 'Period', 1, self._show)
         self._quantity = gui.add_dropdown('Plot', ('nothing',))

@@ -77,7 +77,7 @@ class PageClient:
         """Give those inputs that are chosen by kind and label the values that they may have."""
         values = {'GuiSliderMessage': (0.3,), 'GuiCheckboxMessage': (True,),
                   'GuiButtonMessage': (True,), 'GuiButtonGroupMessage': (
-                      'Pause', 'Step', 'Reset', 'Tare', 'Open', 'Close', 'Resume')}
+                      'Pause', 'Step', 'Reset', 'Tare wrench', 'Open', 'Close', 'Resume')}
         for uuid, (kind, label) in list(self.inputs.items()):
             for value in values.get(kind, ()) if chosen(kind, label) else ():
                 await self.send('GuiUpdateMessage', uuid=uuid, updates={'value': value})

@@ -143,7 +143,7 @@ def test_pause_stops_the_time_and_the_page_says_so(page, client, node):
 
 
 def test_the_picture_goes_back_a_minute_while_the_node_goes_on(page, client, node):
-    page.get_by_role('button', name='Look back').dispatch_event('click')
+    page.get_by_role('button', name='Last minute').dispatch_event('click')
     act_until(client, lambda: slider(page, 'Seconds').press('Home'),
               lambda: page.get_by_text('before it was stopped').count()
               and 's, 0.00 s before' not in page.content())

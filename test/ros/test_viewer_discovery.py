@@ -12,7 +12,9 @@ from std_msgs.msg import String, UInt8MultiArray
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
+from manip_sim.viewer.ros.command_sender import CommandSender  # noqa: E402
 from manip_sim.viewer.ros.discovery import Discovery  # noqa: E402
+from manip_sim.viewer.ros.node_recording import NodeRecording  # noqa: E402
 from manip_sim.viewer.ros.readers import Readers  # noqa: E402
 
 #: Of a description; what the viewer takes at most [bytes].
@@ -66,6 +68,65 @@ def test_robots_and_their_limits_are_those_of_the_node(client, serve):
             assert joint.ranges['position'] == pytest.approx(model.joint(joint.name).range)
     base = robot.joints.find(robot.parts['base'].joints)
     assert right.twist == pytest.approx(robot.joints.velocity_limits(base))
+
+
+def test_control_modes_are_those_of_the_node_and_are_switched(client, serve):
+    node = serve(robots=['left', 'right'], left__robot='UR5e', right__robot='PandaOmron')
+    told = []
+    sender = CommandSender(client.node, 'manip_sim', {}, told.append)
+    sender.prepare({f'{part}/joint_command': JointState for part in (
+        '/left/arm', '/left/right/gripper', '/right/arm', '/right/base')})
+    parts = [('/left/', 'arm'), ('/right/', 'arm'), ('/right/', 'base')]
+
+    def known():
+        sender.send_waiting()
+        return all(sender.modes(*part) for part in parts)
+    client.spin_until(known)
+    assert all({'position', 'velocity', 'effort'} <= set(sender.modes(*part)) for part in parts)
+    assert not sender.modes('/left/', 'right/gripper')
+    left, right = node.simulation.robots.values()
+
+    def modes(robot, part):
+        return {*robot.joints.modes_of(robot.joints.indices_of(part))}
+    sender.switch_mode('/left/', 'arm', 'effort')
+    sender.switch_mode('/right/', 'base', 'position')
+    client.spin_until(lambda: modes(left, 'arm') == {'effort'}
+                      and modes(right, 'base') == {'position'})
+    assert modes(right, 'arm') == {'position'} and told == []
+    sender.switch_mode('/left/', 'arm', 'efort')
+    client.spin_until(lambda: bool(told))
+    assert told[0].startswith('set_parameters: ') and 'efort' in told[0]
+
+
+def test_a_record_of_the_node_is_written_until_it_is_ended(client, serve, tmp_path):
+    serve()
+    told = []
+    recording = NodeRecording('/manip_sim', tmp_path, lambda *report: told.append(report))
+    recording.record(False)
+    assert not recording.is_running
+    recording.record(True)
+    recording.record(True)  # A second press is no second record.
+    client.spin_until(lambda: any(file.stat().st_size > 100_000 for file in tmp_path.iterdir()))
+    recording.update()
+    assert recording.is_running and told == []
+    recording.record(False)
+
+    def ended():
+        recording.update()
+        return not recording.is_running
+    client.spin_until(ended)
+    ((text, written),) = told
+    (file,) = tmp_path.glob('manip_sim_*.mcap')
+    assert written and file.name in text, told
+    assert file.read_bytes()[-8:] == b'\x89MCAP0\r\n'  # It is complete.
+    # What ends the page ends the record too; what cannot be written is told.
+    recording.record(True)
+    recording.close()
+    assert not recording.is_running
+    missing = NodeRecording('/manip_sim', tmp_path / 'missing', recording._report)
+    missing.record(True)
+    client.spin_until(lambda: missing.update() or not missing.is_running)
+    assert told[-1][1] is False and 'missing' in told[-1][0]
 
 
 def test_limits_are_those_of_the_description(client, other):

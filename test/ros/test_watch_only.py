@@ -73,7 +73,7 @@ def test_a_page_that_only_watches_can_send_nothing(client, options):
             node.get_subscriber_names_and_types_by_node))
         if not options:
             client.spin_until(lambda: len(names_at_the_viewer(
-                node.get_client_names_and_types_by_node)) >= 4 and names_at_the_viewer(
+                node.get_client_names_and_types_by_node)) >= 6 and names_at_the_viewer(
                     node.get_publisher_names_and_types_by_node) > COMMANDS)
         publishers, clients = (names_at_the_viewer(found) for found in (
             node.get_publisher_names_and_types_by_node, node.get_client_names_and_types_by_node))
@@ -82,12 +82,12 @@ def test_a_page_that_only_watches_can_send_nothing(client, options):
             assert publishers <= OF_EVERY_NODE
             assert clients == set()
             assert not labels & {
-                'Simulation', 'Start again', 'Target right', 'Pull', 'joint'}
+                'Simulation', 'Sensors', 'Target right', 'Pull', 'joint'}
         else:  # The same does a lot where it may.
             client.spin_until(lambda: {type(taken).__name__ for taken in list(hostile.taken)} == {
                 'JointState', 'Marker', 'PoseStamped', 'SetBool_Request', 'Trigger_Request'})
             assert publishers > COMMANDS
-            assert len(clients) == 4
+            assert len(clients) == 6
     finally:
         hostile.close()
         _, errors = end(process)

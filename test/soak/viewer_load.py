@@ -142,7 +142,7 @@ async def _use(page: PageClient, rng: random.Random) -> None:
     """Send what a page sends, or what none does."""
     values = {'GuiSliderMessage': (0.3, -1e9, 1e300, float('nan')),
               'GuiCheckboxMessage': (True, False), 'GuiDropdownMessage': ('arm', '', '<b>'),
-              'GuiButtonGroupMessage': ('Pause', 'Step', 'Reset', 'Tare', 'x')}
+              'GuiButtonGroupMessage': ('Pause', 'Step', 'Reset', 'Tare wrench', 'x')}
     uuid, (kind, _) = rng.choice(sorted(page.inputs.items()))
     await page.send(rng.choice(('GuiUpdateMessage', 'ShareUrlRequest', 'x')), uuid=uuid, updates={
         rng.choice(('value', 'value', 'value', 'removed')): rng.choice(values.get(kind, (0,)))})

@@ -365,17 +365,31 @@ def test_contacts_and_wrenches_are_drawn_while_their_boxes_are_ticked(server):
 def test_names_of_bodies_go_with_their_tick(server):
     page = Page(server, None, lambda *_: None)
     page.show_model(box(), Latest())
-    page._scene.show_names(True)
-    (label,) = page._scene._labels
-    page._scene.show_names(False)
-    assert label._impl.removed and not page._scene._labels
+    drawn = []
+    scene = SimpleNamespace(add_label=lambda name, text, **_: drawn.append(SimpleNamespace(
+        text=text, remove=lambda: drawn.clear())) or drawn[-1])
+    camera = SimpleNamespace(position=np.array([2.0, 0.0, 0.0]), look_at=np.zeros(3), fov=1.0,
+                             up_direction=np.array([0.0, 0.0, 1.0]), image_height=400)
+    server_of_labels = page._labels._server = SimpleNamespace(
+        get_clients=lambda: {1: SimpleNamespace(scene=scene, camera=camera)})
+    assert server_of_labels
+    for shown, texts in ((True, ['b']), (False, [])):
+        page._view._names.value = shown
+        page._view._apply()
+        page._labels.update(1.0, page._posture)
+        assert [label.text for label in drawn] == texts
 
 
 class Ignored:
     """Takes all commands."""
 
+    switchable = ()
+
     def __getattr__(self, command):
         return lambda *_: None
+
+    def modes(self, space, part):
+        return ('position', 'velocity') if part in self.switchable else ()
 
 
 def test_panels_have_the_order_of_the_parts_and_all_but_the_first_ones_are_folded(
@@ -383,7 +397,7 @@ def test_panels_have_the_order_of_the_parts_and_all_but_the_first_ones_are_folde
     made = []
 
     class Panel:
-        field = 'position'
+        field, mode = 'position', SimpleNamespace(modes=())
 
         def __init__(self, gui, robot, part, field, commands, events, folded, order):
             made.append((robot.space, part.name, folded, order))
@@ -438,3 +452,8 @@ def test_a_base_is_driven_by_its_velocity_and_has_sliders_in_another_mode(server
     again, _, gone, _ = panels('velocity', 5.0)
     assert again not in (None, drive) and gone is None
     assert drive.folder._impl.removed and base.folder._impl.removed
+    # The node says later what modes it has.
+    page._commands.switchable = {'arm', 'base'}
+    drive, with_modes, _, same = panels('velocity', 6.0)
+    assert drive.mode.modes == with_modes.mode.modes == ('position', 'velocity')
+    assert drive is not again and with_modes is not arm and same is other

@@ -19,7 +19,7 @@ from manip_sim.viewer.page.dragging import EndEffectorTarget  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
 from manip_sim.viewer.page.page_commands import Events  # noqa: E402
 from manip_sim.viewer.page.panels import (  # noqa: E402
-    CameraPanel, DrivePanel, JointPanel, rounded_inward, SimulationPanel)
+    _marks, CameraPanel, DrivePanel, JointPanel, rounded_inward, SavePanel, SimulationPanel)
 from manip_sim.viewer.page.plots import PlotPanel  # noqa: E402
 from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart  # noqa: E402
 from manip_sim.viewer.page.saved_poses import PosePanel, Poses  # noqa: E402
@@ -107,10 +107,13 @@ class Sent:
     """Keeps what is asked of it, as (method, arguments)."""
 
     def __init__(self):
-        self.calls = []
+        self.calls, self.offered = [], ()
 
     def __getattr__(self, method):
         return lambda *arguments: self.calls.append((method, *arguments))
+
+    def modes(self, space, part):
+        return self.offered
 
     def taken(self):
         calls, self.calls = self.calls, []
@@ -128,8 +131,8 @@ def joint_panel(rig, mode):
 
 @pytest.mark.parametrize(('group', 'button', 'call'), [
     ('Simulation', 'Pause', ('pause', True)), ('Simulation', 'Resume', ('pause', False)),
-    ('Simulation', 'Step', ('step',)), ('Start again', 'Reset', ('reset',)),
-    ('Start again', 'Tare', ('tare',))])
+    ('Simulation', 'Step', ('step',)), ('Simulation', 'Reset', ('reset',)),
+    ('Sensors', 'Tare wrench', ('tare',))])
 def test_a_button_of_the_simulation_asks_for_what_it_says(rig, group, button, call):
     SimulationPanel(rig.gui, rig.sent, rig.events)
     rig.gui.found[group].use(value=button)
@@ -142,7 +145,7 @@ def test_a_paused_simulation_can_be_resumed_and_one_of_no_known_state_is_left_al
     panel = SimulationPanel(rig.gui, rig.sent, rig.events)
     for paused, first in ((None, 'Pause'), (True, 'Resume'), (None, 'Resume'), (False, 'Pause')):
         panel.show('waiting', 'waiting for <it>', paused)
-        assert rig.gui.found['Simulation'].options == (first, 'Step')
+        assert rig.gui.found['Simulation'].options == (first, 'Step', 'Reset')
     assert 'waiting for &lt;it&gt;' in rig.gui.found['text'].content
 
 
@@ -309,12 +312,12 @@ def test_a_saved_pose_is_gone_to_within_the_ranges_of_the_joints(rig):
     assert press(rig, 'Save pose') == []
     assert rig.gui.found['Pose'].options == ('ready',)
     panel.update(latest(0.0, 0.0), {})
-    assert press(rig, 'Saved', 'Go') == [
+    assert press(rig, 'Saved', 'Go to pose') == [
         ('move_joints', '/left/', 'arm', 'position', {'robot0_a': -1.0, 'robot0_b': 0.6})]
     assert press(rig, 'Saved', 'Delete') == []
     assert rig.gui.found['Pose'].options == ('(none saved)',)
     rig.gui.found['Pose'].value = '(none saved)'
-    assert press(rig, 'Saved', 'Go') == []
+    assert press(rig, 'Saved', 'Go to pose') == []
 
 
 def test_poses_are_kept_in_a_file_and_a_name_is_replaced(tmp_path):
@@ -370,12 +373,13 @@ def test_a_pose_needs_position_commands_and_joints_of_the_robot(rig):
     poses = Poses()
     poses.save('ready', {'robot0_a': 0.1})
     pose_panel(rig, poses, arm='effort')
-    assert press(rig, 'Saved', 'Go') == [
+    assert press(rig, 'Saved', 'Go to pose') == [
         ('tell', 'left: arm takes effort commands: a pose needs position commands')]
     assert press(rig, 'Save pose') == [('tell', 'no pose saved: no part takes position commands')]
     poses.save('ready', {'another': 0.1})
     pose_panel(rig, poses)
-    assert press(rig, 'Saved', 'Go') == [('tell', 'this pose has no joint of these robots')]
+    assert press(rig, 'Saved', 'Go to pose') == [
+        ('tell', 'this pose has no joint of these robots')]
 
 
 @pytest.mark.parametrize(('count', 'told'), [(2, True), (8, True), (9, False)])
@@ -415,15 +419,56 @@ def test_what_a_slider_sends_is_within_the_limits_of_its_joint(limits, expected)
 
 
 @pytest.mark.parametrize('measured', [-9.0, -0.99, -0.503, 0.5, 1.2345, 1.9999, 2.0, 9.0])
-def test_a_slider_shows_the_nearest_of_its_steps_within_its_range(rig, measured):
+def test_a_slider_shows_four_digits_of_what_is_measured_within_its_range(rig, measured):
     panel, slider = joint_panel(rig, 'position'), rig.gui.found['a']
     panel.show(0.0, {'robot0_a': measured}, {}, paused=False)
-    assert slider.min <= slider.value <= slider.max
-    nearest = min(max(measured, slider.min), slider.max)
-    assert abs(slider.value - nearest) <= 0.5 * slider.step + 1e-9
-    steps = (slider.value - slider.min) / slider.step
-    assert steps == pytest.approx(round(steps), abs=1e-6)
+    assert slider.value == min(max(round(measured, 4), -1.0), 2.0)
+    assert slider.precision == 4  # Of its step by itself, which may have fewer digits.
     assert len(str(slider.value)) <= len('-0.1234')  # The browser shows it whole.
+
+
+def test_the_ends_of_a_slider_are_told_in_few_digits(rig):
+    assert _marks(-3.0718, -0.0698) == ((-3.0718, '-3.07'), (-0.0698, '-0.07'))
+    assert _marks(0.0, 0.04) == ((0.0, '0'), (0.04, '0.04'))
+    assert _marks(-0.0025, 10.0) == ((-0.0025, '0'), (10.0, '10'))
+
+
+def test_a_record_and_a_picture_are_asked_for_by_buttons(rig):
+    pictures = []
+    panel = SavePanel(rig.gui, rig.sent, pictures.append, rig.events)
+    assert rig.gui.found['Save'].options == ('Picture', 'Record')
+    assert press(rig, 'Save', 'Picture') == [] and pictures == [1]
+    assert press(rig, 'Save', 'Record') == [('record', True)]
+    panel.show(True)
+    assert rig.gui.found['Save'].options == ('Picture', 'Stop recording')
+    assert press(rig, 'Save', 'Stop recording') == [('record', False)]
+    panel.show(False)
+    assert rig.gui.found['Save'].options == ('Picture', 'Record')
+    SavePanel(rig.gui, None, pictures.append, rig.events).show(True)
+    assert rig.gui.found['Save'].options == ('Picture',)
+
+
+@pytest.mark.parametrize('panel', ['joints', 'drive'])
+def test_the_control_mode_is_chosen_from_those_of_the_node_and_shown_as_it_is(rig, panel):
+    rig.sent.offered = ('position', 'velocity')
+    part = 'arm' if panel == 'joints' else 'base'
+    mode = (joint_panel(rig, 'position') if panel == 'joints' else DrivePanel(
+        rig.gui, ROBOT, rig.sent, rig.events)).mode
+    choice = rig.gui.found['Mode']
+    assert choice.options == ('position', 'velocity')
+    mode.show(0.0, 'velocity')
+    assert choice.value == 'velocity' and rig.sent.taken() == []
+    assert press(rig, 'Mode', 'position') == [('switch_mode', '/left/', part, 'position')]
+    mode.show(time.monotonic(), 'velocity')
+    assert choice.value == 'position'  # Just chosen.
+    mode.show(time.monotonic() + 5.0, 'velocity and effort')  # It was rejected.
+    assert choice.value == 'velocity and effort' and choice.value in choice.options
+
+
+def test_a_part_without_a_choice_of_modes_has_no_list(rig):
+    for rig.sent.offered in ((), ('position',)):
+        joint_panel(rig, 'position').mode.show(0.0, 'position')
+    assert 'Mode' not in rig.gui.found
 
 
 @given(st.floats(-1e3, 1e3), st.floats(0.0, 1e3))

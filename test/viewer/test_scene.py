@@ -3,6 +3,7 @@
 
 """Where bodies are on the page, what they look like, and from where they are seen."""
 
+import itertools
 import math
 
 import mujoco
@@ -207,6 +208,46 @@ def test_each_view_shows_the_whole_robot(robot, aspect, covered, below, view):
     widest = max(np.ptp(seen @ right / depth) / aspect / (1.0 - covered),
                  np.ptp(above / depth) / (1.0 - below))
     assert widest > (0.3 if view == 'Top' else 0.5) * tangent
+
+
+@pytest.mark.parametrize(('aspect', 'covered', 'below'), [
+    (1.6, 400 / 1280, 0.0), (390 / 844, 0.0, 0.45), (4 / 3, 0.5, 0.0)])
+@pytest.mark.parametrize('arena', ['table', 'bins'])
+def test_the_first_view_shows_the_whole_table(arena, aspect, covered, below):
+    model = compose('Panda', arena=arena).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    position, target = first_view(model, data, aspect, covered, below)
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    tangent = math.tan(FIELD_OF_VIEW / 2.0)
+    boxes = [i for i in range(model.ngeom) if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX]
+    assert len(boxes) > 1
+    for geom in boxes:
+        for signs in itertools.product((-1.0, 1.0), repeat=3):
+            seen = data.geom_xpos[geom] - position + data.geom_xmat[geom].reshape(3, 3) @ (
+                model.geom_size[geom] * signs)
+            depth = seen @ forward
+            assert -1.0 < seen @ right / depth / tangent / aspect < 1.0 - 2.0 * covered
+            above = seen @ np.cross(right, forward) / depth / tangent
+            assert 2.0 * below - 1.0 < above < 1.0
+
+
+def test_walls_and_floors_and_what_is_far_away_do_not_widen_the_first_view():
+    def view(more):
+        model = mujoco.MjModel.from_xml_string(
+            '<mujoco><worldbody><body><freejoint/><geom size="0.2"/></body>'
+            f'{more}</worldbody></mujoco>')
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        return first_view(model, data, 1.5)
+    alone = view('')
+    for more in ('<geom type="box" size="9 9 0.1"/>', '<geom size="0.1" pos="8 0 0"/>',
+                 '<geom type="plane" size="1 1 1"/>'):
+        np.testing.assert_array_equal(view(more), alone)
+    assert np.linalg.norm(view('<geom size="0.1" pos="1 0 0"/>')[0]) > 1.5 * np.linalg.norm(
+        alone[0])
 
 
 def test_colours_have_four_digits():

@@ -64,7 +64,7 @@ def press(page, what):
 
 def test_a_person_scrubs_back_while_the_node_goes_on_and_returns_to_the_present(page):
     live(page, 0.0, 40.0)
-    press(page, 'Look back')
+    press(page, 'Last minute')
     slider = page._look_back._timeline._slider
     assert slider.visible and slider.value == slider.max == 0.0
     for ago_s in (10.0, 35.5, 0.5):
@@ -85,7 +85,7 @@ def test_it_goes_back_a_minute_and_takes_no_more_memory_in_an_hour(page):
         live(page, first_s, first_s + 0.01)
         for time_s in np.arange(first_s, last_s, 1.0 / rate):
             page._take(at(time_s))
-    press(page, 'Look back')
+    press(page, 'Last minute')
     times, rows = page._look_back._times, page._look_back._rows
     assert 59.9 < times[-1] - times[0] <= 60.0
     assert len(rows) <= 3601 and rows.nbytes < 2**21
@@ -97,7 +97,7 @@ def test_it_goes_back_a_minute_and_takes_no_more_memory_in_an_hour(page):
 
 def test_it_plays_what_it_keeps(page):
     live(page, 0.0, 20.0)
-    press(page, 'Look back')
+    press(page, 'Last minute')
     timeline = page._look_back._timeline
     timeline._slider.value = -10.0
     timeline._play.value = True
@@ -112,31 +112,31 @@ def test_it_plays_what_it_keeps(page):
 
 def test_another_world_begins_it_again_and_shows_the_present(page, models):
     live(page, 0.0, 20.0)
-    press(page, 'Look back')
+    press(page, 'Last minute')
     page._look_back._timeline._slider.value = -15.0
     page.events.run()
     page.show_model(models[1], at(20.0))
     page.update(20.0, at(20.0), False)
     np.testing.assert_allclose(shown(page), 20.0, atol=1e-3)
     live(page, 20.0, 25.0)
-    press(page, 'Look back')
+    press(page, 'Last minute')
     assert page._look_back._times[0] == pytest.approx(20.0)
     assert page._look_back._rows.shape[1] == models[1].nq
     # Panels for other robots or cameras do so too.
     page.show_robots((), ('front',))
     live(page, 25.0, 26.0)
-    press(page, 'Look back')
+    press(page, 'Last minute')
     assert page._look_back._times[0] == pytest.approx(25.0, abs=0.04)
 
 
 def test_without_states_there_is_nothing_to_look_back_at(page):
-    press(page, 'Look back')
+    press(page, 'Last minute')
     page.update(1.0, Latest(), False)
     assert page._look_back.shown is None
     # Simulation time that begins anew, as of another node, is another minute.
     live(page, 50.0, 55.0)
     live(page, 1.0, 3.0)
-    press(page, 'Look back')
+    press(page, 'Last minute')
     assert page._look_back._times[[0, -1]] == pytest.approx([1.0, 2.967], abs=1e-3)
 
 

@@ -84,15 +84,19 @@ def test_an_error_of_the_page_is_logged_and_the_next_round_comes(monkeypatch):
         def update(self, now_s):
             rounds.append(now_s)
             raise ValueError('another model')
+
+        def close(self):
+            rounds.append('closed')
     for name in ('open_server', 'page_address', 'close_server'):
         monkeypatch.setattr(session, name, lambda *_: None)
     monkeypatch.setattr(session, 'Session', Failing)
     readers = SimpleNamespace(log=SimpleNamespace(failure=lambda *told: logged.append(told)))
     options = SimpleNamespace(
-        allow_host=[], listen='', port=0, dark=False, no_commands=False, poses=None)
+        allow_host=[], listen='', port=0, dark=False, no_commands=False, poses=None,
+        records=None)
     session._serve(None, readers, 'sim', SimpleNamespace(run_ready=lambda: None), options,
                    SimpleNamespace(wait=lambda most_s: waits.append(most_s) or len(rounds) == 3))
     assert max(waits) < len(waits) * session._PERIOD_S
-    assert len(rounds) == 3
+    assert len(rounds) == 4 and rounds[3] == 'closed'
     assert [(kind, what, str(error)) for kind, what, error in logged] == [
         ('callbacks', 'the page', 'another model')] * 3

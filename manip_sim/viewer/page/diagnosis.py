@@ -53,6 +53,12 @@ def command_fields(statuses: Iterable[ShownStatus]) -> dict[str, str]:
             if status.values.get('command_interface') in FIELDS}
 
 
+def control_modes(statuses: Iterable[ShownStatus]) -> dict[str, str]:
+    """Return the control modes of parts, by topic, such as ``left/arm``."""
+    return {status.name: status.values['control_mode'] for status in statuses
+            if 'control_mode' in status.values}
+
+
 def in_words(statuses: Iterable[ShownStatus]) -> list[Line]:
     """Return a line for each status, the most severe first."""
     ranked = sorted(statuses, key=lambda status: -status.level)

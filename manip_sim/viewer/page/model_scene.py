@@ -15,7 +15,6 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.body_meshes import body_meshes, planes
-from manip_sim.viewer.page.plain_text import plain
 
 _NOTHING = np.zeros((0, 3))
 _CONTACTS, _POINT = 'contacts', (255, 140, 0)
@@ -86,9 +85,12 @@ _FADE_M = 12.0
 FIELD_OF_VIEW = math.radians(40.0)
 #: First view: from the front right of the robot; factor on the least distance that fits.
 FIRST = (0.78, -0.82, 0.42)
-_ROOM = 1.4
-#: What is shown of a model without shapes: a sphere around the origin [m].
+_ROOM = 1.15
+#: What is shown of a model without shapes: a box around the origin [m].
 _EMPTY_M = 1.0
+#: Fixed shapes are shown as a whole if their half diagonal is at most so long, and their centre so
+#: near to what moves [m]; walls and floors are not.
+_FURNITURE_M, _NEAR_M = 1.5, 2.0
 #: Length of the name of a body in the scene at most.
 _MAX_NAME = 60
 
@@ -113,7 +115,6 @@ class Scene:
         self._visual: list[Any] = []
         #: The shapes of bodies that can move, with the names of these.
         self._moving: list[tuple[str, Any]] = []
-        self._labels: list[Any] = []
         for number, mesh in enumerate(body_meshes(model)):
             self._add_mesh(f'{self._paths[mesh.body]}/shape{number}', mesh)
         for geom in planes(model):
@@ -186,16 +187,6 @@ class Scene:
             if dragged is not None:
                 handle.on_drag(_awaited(dragged, body))
 
-    def show_names(self, shown: bool) -> None:
-        """Show or hide the names of the bodies that have joints."""
-        for label in self._labels:
-            label.remove()
-        self._labels = []
-        if shown:
-            self._labels = [self._server.scene.add_label(
-                f'{self._paths[body]}/label', plain(self._model.body(body).name),
-                font_screen_scale=0.8) for body in sorted(set(self._model.jnt_bodyid.tolist()))]
-
     def remove(self) -> None:
         self._server.scene.remove_by_name(ROOT)
 
@@ -241,7 +232,7 @@ def first_view(model: mujoco.MjModel, data: mujoco.MjData, aspect: float, covere
                below: float = 0.0, direction: tuple[float, float, float] = FIRST
                ) -> tuple[FloatArray, FloatArray]:
     """
-    Return where to look from and to, so that robots and objects are seen.
+    Return where to look from and to, so that robots, objects and tables are seen.
 
     :param aspect: aspect ratio of the picture, width / height
     :param covered: how much of its width something covers on the right, from 0 to 1
@@ -249,22 +240,42 @@ def first_view(model: mujoco.MjModel, data: mujoco.MjData, aspect: float, covere
     :param direction: from which to look, in ``world``; not along z
     :returns: two positions in ``world`` [m]
     """
-    moving = np.flatnonzero(model.body_weldid[model.geom_bodyid] > 0)
-    if not moving.size:
-        moving = np.arange(model.ngeom)
-    at, reach = data.geom_xpos[moving], model.geom_rbound[moving]
-    if not moving.size:
-        at, reach = np.zeros((1, 3)), np.array([_EMPTY_M])
-    center = ((at - reach[:, None]).min(axis=0) + (at + reach[:, None]).max(axis=0)) / 2.0
+    corners = _corners(model, data)
+    center = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
     back = np.array(direction) / np.linalg.norm(direction)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
     up = np.cross(back, right)
     tangent = math.tan(FIELD_OF_VIEW / 2.0)
-    # Each sphere around a shape is to be between the four planes that bound the view.
-    distance = _ROOM * max(float((
-        (np.abs((at - center) @ axis) + reach) / slope + (at - center) @ back).max())
-        for axis, slope in ((right, tangent * aspect * (1.0 - covered)),
-                            (up, tangent * (1.0 - below))))
-    center = center + distance * tangent * (aspect * covered * right - below * up)
+    ahead = (corners - center) @ back
+    # Each corner is to be between two planes through the camera on each axis: by their slopes, the
+    # nearest camera, and the places beside the center that it may have at a distance.
+    bounds = []
+    for axis, low, high in (
+            (right, tangent * aspect, tangent * aspect * (1.0 - 2.0 * covered)),
+            (up, tangent * (1.0 - 2.0 * below), tangent)):
+        aside = (corners - center) @ axis
+        bounds.append((axis, low, high, float((ahead * high + aside).max()),
+                       float((ahead * low - aside).max())))
+    distance = _ROOM * max((above + under) / (low + high)
+                           for _, low, high, above, under in bounds)
+    for axis, low, high, above, under in bounds:
+        center = center + axis * (above - under + distance * (low - high)) / 2.0
     return center + distance * back, center
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    """Return the corners of the shapes that move, and of furniture, in ``world``, shape (n, 3)."""
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(1, 8, 3)
+    local = model.geom_aabb[:, None, :3] + signs * model.geom_aabb[:, None, 3:]
+    world: FloatArray = data.geom_xpos[:, None] + np.einsum(
+        'nij,nkj->nki', data.geom_xmat.reshape(-1, 3, 3), local)
+    bounded = model.geom_rbound > 0.0  # Planes have no bounds.
+    moving = bounded & (model.body_weldid[model.geom_bodyid] > 0)
+    if moving.any():
+        middle = world[moving].reshape(-1, 3).mean(axis=0)
+        small = np.linalg.norm(model.geom_aabb[:, 3:], axis=1) <= _FURNITURE_M
+        near = np.linalg.norm(world.mean(axis=1) - middle, axis=1) <= _NEAR_M
+        bounded = moving | (bounded & small & near)
+    shown = world[bounded] if bounded.any() else signs * _EMPTY_M
+    return np.concatenate([shown.reshape(-1, 3), data.xpos[model.body_weldid > 0]])

@@ -6,25 +6,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import mujoco
 
 from manip_sim.quoting import one_line
 from manip_sim.viewer.page.aiming import Aiming
-from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus
+from manip_sim.viewer.page.body_labels import BodyLabels
+from manip_sim.viewer.page.diagnosis import (
+    command_fields, control_modes, in_words, ShownStatus)
 from manip_sim.viewer.page.dragging import EndEffectorTarget, Pulling
 from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.model_scene import Overlays, Scene
 from manip_sim.viewer.page.page_commands import Events, PageCommands
 from manip_sim.viewer.page.panels import (
-    CameraPanel, DrivePanel, JointPanel, SimulationPanel, ViewPanel)
+    CameraPanel, DrivePanel, JointPanel, SavePanel, SimulationPanel, ViewPanel)
 from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.plots import PlotPanel
 from manip_sim.viewer.page.robots import Robot, ShownPart
 from manip_sim.viewer.page.saved_poses import PosePanel, Poses
-from manip_sim.viewer.page.server import set_theme
+from manip_sim.viewer.page.server import save_picture, set_theme
 from manip_sim.viewer.page.timeline import LookBack
 
 #: Parts with more joints, and all parts after the first ones, are folded up at first.
@@ -53,10 +56,12 @@ class Page:
         self._dark = dark
         self._posture: Kinematics | None = None
         self._scene: Scene | None = None
+        self._labels: BodyLabels
         self._aiming = Aiming(server)
         self._overlays = Overlays(server.scene)
         self._robots: tuple[Robot, ...] = ()
         self._fields: dict[str, str] = {}
+        self._modes: dict[str, str] = {}
         self._sliders_s = 0.0
         set_theme(server, dark)
         server.gui.set_panel_label('manip_sim')
@@ -72,9 +77,11 @@ class Page:
 
     def _build(self, robots: Sequence[Robot], cameras: Sequence[str]) -> None:
         gui, scene = self._server.gui, self._server.scene
-        self._robots, self._fields = tuple(robots), {}
+        self._robots, self._fields, self._modes = tuple(robots), {}, {}
         self._simulation = SimulationPanel(gui, self._commands, self.events)
         self._look_back = LookBack(gui, self.events)
+        self._save = SavePanel(gui, self._commands, partial(save_picture, self._server),
+                               self.events)
         self._forget()
         tabs = gui.add_tab_group()
         self._joints: dict[tuple[str, str], JointPanel] = {}
@@ -107,7 +114,7 @@ class Page:
 
     def _attach(self) -> None:
         if self._scene is not None:
-            self._view.attach(self._scene)
+            self._view.attach(self._scene, self._labels)
             if self._pulling is not None:
                 self._pulling.attach(self._scene)
 
@@ -130,26 +137,37 @@ class Page:
         """Replace the model in the scene, at the newest positions of joints and objects."""
         if self._scene is not None:
             self._scene.remove()
+            self._labels.show(False)
         self._posture = Kinematics(model)
         self._forget()
         self._take(latest)
         self._scene = Scene(self._server, model, self._posture.data)
+        self._labels = BodyLabels(self._server, model)
         self._attach()
         self._aiming.begin(self._posture)
 
     def show_state(self, state: str, text: str, paused: bool | None = None) -> None:
         self._simulation.show(state, text, paused)
 
+    def show_recording(self, recording: bool) -> None:
+        self._save.show(recording)
+
+    def show_note(self, text: str) -> None:
+        """Notify all browsers of something that was done."""
+        self._notify('Done', text, 'green')
+
     def show_trouble(self, text: str) -> None:
         """Notify all browsers of something that could not be done."""
+        self._notify('Command failed', text, 'orange')
+
+    def _notify(self, title: str, text: str, color: str) -> None:
         for client in self._server.get_clients().values():
-            client.add_notification('Command failed', one_line(text), color='orange',
-                                    auto_close_seconds=8.0)
+            client.add_notification(title, one_line(text), color=color, auto_close_seconds=8.0)
 
     def show_diagnostics(self, statuses: Sequence[ShownStatus]) -> None:
         """Show the diagnostics, and take the fields that the sliders command from them."""
         self._health.show(in_words(statuses))
-        self._fields = command_fields(statuses)
+        self._fields, self._modes = command_fields(statuses), control_modes(statuses)
 
     def update(self, now_s: float, latest: Latest, paused: bool) -> None:
         """
@@ -174,6 +192,7 @@ class Page:
             self._take(latest, now_s)
             self._scene.update(self._posture.data)
             self._aiming.update(self._posture)
+            self._labels.update(now_s, self._posture)
         self._show_overlays(now_s, latest)
         self._cameras.show(now_s, latest.images, self.is_watched)
         self._plots.show(now_s, latest)
@@ -221,6 +240,10 @@ class Page:
             for part in robot.parts:
                 panel = self._panel(self._commands, robot, part, number)
                 number += 1
+                drive = self._drives.get(robot.space) if part.name == 'base' else None
+                shown, mode = panel or drive, self._modes.get(_status_name(robot, part))
+                if shown is not None and mode is not None:
+                    shown.mode.show(now_s, mode)
                 if states is not None and panel is not None:
                     panel.show(now_s, dict(zip(states.names, states.position)),
                                dict(zip(states.names, states.velocity)), paused)
@@ -228,13 +251,20 @@ class Page:
     def _panel(self, commands: PageCommands, robot: Robot, part: ShownPart, number: int
                ) -> JointPanel | None:
         """Return the panel of a part for its present commands; None if it needs none."""
-        field = self._fields.get(f'{robot.title}/{part.name}'.lstrip('/'), _POSITION)
+        field = self._fields.get(_status_name(robot, part), _POSITION)
         drives = part.name == 'base' and robot.twist is not None and field == 'velocity'
-        if drives != (robot.space in self._drives) and part.name == 'base':
-            self._change_drive(commands, robot, drives)
+        modes = tuple(commands.modes(robot.space, part.name))
+        if part.name == 'base':
+            drive = self._drives.get(robot.space)
+            if drive is not None and (not drives or drive.mode.modes != modes):
+                self._drives.pop(robot.space).remove()
+            if drives and robot.space not in self._drives:
+                with self._control:
+                    self._drives[robot.space] = DrivePanel(
+                        self._server.gui, robot, commands, self.events)
         key = robot.space, part.name
         found = self._joints.get(key)
-        if found is not None and (found.field != field or drives):
+        if found is not None and (found.field != field or found.mode.modes != modes or drives):
             self._joints.pop(key).remove()
             found = None
         if found is None and not drives:
@@ -245,10 +275,7 @@ class Page:
                     order=float(number))
         return found
 
-    def _change_drive(self, commands: PageCommands, robot: Robot, wanted: bool) -> None:
-        if wanted:
-            with self._control:
-                self._drives[robot.space] = DrivePanel(
-                    self._server.gui, robot, commands, self.events)
-        else:
-            self._drives.pop(robot.space).remove()
+
+def _status_name(robot: Robot, part: ShownPart) -> str:
+    """Return the name of the diagnostics of a part."""
+    return f'{robot.title}/{part.name}'.lstrip('/')

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 import queue
 from typing import Protocol
 
@@ -52,6 +52,15 @@ class PageCommands(Protocol):
 
     def let_go(self, body: str) -> None:
         """End the pull of a body."""
+
+    def modes(self, space: str, part: str) -> Sequence[str]:
+        """Return the control modes that a part can be switched to; none if it has no choice."""
+
+    def switch_mode(self, space: str, part: str, mode: str) -> None:
+        """Switch the control mode of a part."""
+
+    def record(self, wanted: bool) -> None:
+        """Begin or end a record of the node."""
 
     def pause(self, paused: bool) -> None:
         """Pause the simulation, or let it go on."""

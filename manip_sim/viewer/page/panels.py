@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.aiming import VIEWS
+from manip_sim.viewer.page.body_labels import BodyLabels
 from manip_sim.viewer.page.dragging import EndEffectorTarget
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.model_scene import Scene
@@ -41,23 +42,12 @@ class SimulationPanel:
             self._add_buttons(gui, commands, events)
 
     def _add_buttons(self, gui: Any, commands: PageCommands, events: Events) -> None:
-        self._buttons = gui.add_button_group(
-            'Simulation', ('Pause', 'Step'),
-            hint='Step: one control period of a paused simulation')
-        self._again = gui.add_button_group(
-            'Start again', ('Reset', 'Tare'),
-            hint='Reset: back to the start. Tare: let the external wrenches read zero now')
-
-        def pressed(event: Any) -> None:
-            what = event.target.value
-            if what == 'Step':
-                events.add(commands.step)
-            elif what in ('Pause', 'Resume'):
-                events.add(lambda: commands.pause(what == 'Pause'))
-        self._buttons.on_click(pressed)
-        again = {'Reset': commands.reset, 'Tare': commands.tare}
-        self._again.on_click(lambda event: events.add(
-            again.get(event.target.value, lambda: None)))
+        actions = {'Pause': lambda: commands.pause(True), 'Resume': lambda: commands.pause(False),
+                   'Step': commands.step, 'Reset': commands.reset, 'Tare wrench': commands.tare}
+        self._buttons = gui.add_button_group('Simulation', ('Pause', 'Step', 'Reset'))
+        for buttons in (self._buttons, gui.add_button_group('Sensors', ('Tare wrench',))):
+            buttons.on_click(lambda event: events.add(
+                actions.get(event.target.value, lambda: None)))
 
     def show(self, state: str, text: str, paused: bool | None = None) -> None:
         """
@@ -71,7 +61,39 @@ class SimulationPanel:
         if paused is not None and paused != self._paused:
             self._paused = paused
             if self._buttons is not None:
-                self._buttons.options = ('Resume' if paused else 'Pause', 'Step')
+                self._buttons.options = ('Resume' if paused else 'Pause', 'Step', 'Reset')
+
+
+_PICTURE, _RECORD, _STOP = 'Picture', 'Record', 'Stop recording'
+
+
+class SavePanel:
+    """
+    Buttons that save a picture of the scene and a record of the node.
+
+    :param commands: receives what people command; None: there is no button for records
+    :param picture: lets a browser, by its number, save what it shows
+    """
+
+    def __init__(self, gui: Any, commands: PageCommands | None,
+                 picture: Callable[[int | None], None], events: Events) -> None:
+        self._records = commands is not None
+        self._buttons = gui.add_button_group(
+            'Save', (_PICTURE, _RECORD) if self._records else (_PICTURE,))
+
+        def pressed(event: Any) -> None:
+            what, number = event.target.value, event.client_id
+            if what == _PICTURE:
+                events.add(lambda: picture(number))
+            elif commands is not None and what in (_RECORD, _STOP):
+                events.add(lambda: commands.record(what == _RECORD))
+        self._buttons.on_click(pressed)
+
+    def show(self, recording: bool) -> None:
+        """Show whether the node is recorded."""
+        options = (_PICTURE, _STOP if recording else _RECORD)
+        if self._records and self._buttons.options != options:
+            self._buttons.options = options
 
 
 _CONTACTS, _FORCES = 'contact_points', 'contact_forces'
@@ -92,7 +114,7 @@ class ViewPanel:
                  set_dark: Callable[[bool], None], look: Callable[[int | None, str], None],
                  events: Events) -> None:
         self._scene: Scene | None = None
-        gui.add_button_group('Camera', tuple(VIEWS), hint='look at the robot from there').on_click(
+        gui.add_button_group('Camera', tuple(VIEWS)).on_click(
             lambda event: events.add(lambda: look(event.client_id, event.target.value)))
         for title, target in targets.items():
             box = gui.add_checkbox(f'Target {title}', False,
@@ -110,15 +132,15 @@ class ViewPanel:
             box.on_update(lambda _: events.add(self._apply))
         dark_box.on_update(lambda _: events.add(lambda: set_dark(bool(dark_box.value))))
 
-    def attach(self, scene: Scene) -> None:
-        """Let the boxes act on this scene from now on."""
-        self._scene = scene
+    def attach(self, scene: Scene, labels: BodyLabels) -> None:
+        """Let the boxes act on this scene and the names of its bodies from now on."""
+        self._scene, self._labels = scene, labels
         self._apply()
 
     def _apply(self) -> None:
         if self._scene is not None:
             self._scene.show_frames(bool(self._frames.value))
-            self._scene.show_names(bool(self._names.value))
+            self._labels.show(bool(self._names.value))
             self._scene.show_collision(bool(self._collision.value))
 
     @property
@@ -187,7 +209,7 @@ class CameraPanel:
                     self._images[name] = self._gui.add_image(pixels, jpeg_quality=_QUALITY)
 
 
-#: Steps of a slider, the least of them [rad or m ...], and its decimal digits.
+#: Steps of a slider under the mouse; the least step [rad or m ...], and the decimal digits shown.
 _STEPS, _RESOLUTION, _DIGITS = 500, 1e-4, 4
 #: A joint that is slower is still [steps of the slider per second].
 _STILL = 2.0
@@ -201,6 +223,46 @@ def rounded_inward(low: float, high: float) -> tuple[float, float]:
     inner = (round(math.ceil(low / _RESOLUTION) * _RESOLUTION, _DIGITS),
              round(math.floor(high / _RESOLUTION) * _RESOLUTION, _DIGITS))
     return inner if inner[0] < inner[1] else (low, high)
+
+
+def _marks(low: float, high: float) -> tuple[tuple[float, str], tuple[float, str]]:
+    """Return the ends of a slider with their numbers, short enough to stand below it."""
+    digits = 2 if high - low >= 1.0 else 3
+    return tuple((end, f'{round(end, digits) + 0.0:.{digits}f}'.rstrip('0').rstrip('.'))
+                 for end in (low, high))  # type: ignore[return-value]
+
+
+class ModeChoice:
+    """
+    A list of the control modes of a part; there is none if the part has no choice.
+
+    :param robot: that has the part
+    :ivar modes: those that the node offers
+    """
+
+    def __init__(self, gui: Any, robot: Robot, part: str, commands: PageCommands, events: Events
+                 ) -> None:
+        self.modes = tuple(commands.modes(robot.space, part))
+        self._choice = None
+        if len(self.modes) > 1:
+            self._choice = choice = gui.add_dropdown('Mode', self.modes)
+            self._following = Following()
+
+            def chosen(event: Any) -> None:
+                if event.client_id is not None:  # Otherwise this program changed it.
+                    self._following.asked(time.monotonic())
+                    events.add(lambda: commands.switch_mode(
+                        robot.space, part, str(choice.value)))
+            choice.on_update(chosen)
+
+    def show(self, now_s: float, mode: str) -> None:
+        """Show the mode that the node reports, unless a person has just chosen another one."""
+        choice = self._choice
+        if choice is None or choice.value == mode or not self._following.follows(now_s, False):
+            return
+        if mode not in choice.options:  # Such as that of two arms with a mode each.
+            choice.options = (*choice.options, mode)
+        choice.value = mode
 
 
 class JointPanel:
@@ -233,14 +295,14 @@ class JointPanel:
         with self.folder:
             if part.is_gripper:
                 self._add_actions(gui)
+            self.mode = ModeChoice(gui, robot, part.name, commands, events)
             for joint in part.joints:
                 self._add_slider(gui, joint)
             if field != 'position':
                 gui.add_button('Stop').on_click(lambda _: events.add(self.stop))
 
     def _add_actions(self, gui: Any) -> None:
-        group = gui.add_button_group('Fingers', ('Open', 'Close'),
-                                     hint='an action of -1 or +1 on all fingers')
+        group = gui.add_button_group('Fingers', ('Open', 'Close'))
         group.on_click(lambda event: self._act(event.target.value))
 
     def _act(self, value: str) -> None:
@@ -254,8 +316,8 @@ class JointPanel:
             f'{joint.label} [{unit}]' if self._unit_shown else joint.label, min=low, max=high,
             step=max(_RESOLUTION, round((high - low) / _STEPS, _DIGITS)),
             initial_value=min(max(0.0, low), high),
-            marks=((low, f'{low:.3g}'), (high, f'{high:.3g}')),
-            hint=f'{self.field} of {plain(joint.name)} [{unit}]')
+            marks=_marks(low, high), hint=f'{self.field} of {plain(joint.name)} [{unit}]')
+        slider.precision = _DIGITS
         self._sliders[joint.name], self._following[joint.name] = slider, Following()
 
         def moved(event: Any) -> None:
@@ -300,10 +362,8 @@ class JointPanel:
             moving = paused or abs(velocities.get(name, 0.0)) > _STILL * slider.step
             if not self._following[name].follows(now_s, moving):
                 continue
-            steps = round((positions[name] - slider.min) / slider.step)
-            value = round(slider.min + steps * slider.step, _DIGITS)
-            value = min(max(value, slider.min), slider.max)
-            if abs(value - slider.value) > 0.5 * slider.step:
+            value = min(max(round(positions[name], _DIGITS), slider.min), slider.max)
+            if abs(value - slider.value) > 0.5 * _RESOLUTION:
                 slider.value = value
 
     def remove(self) -> None:
@@ -324,9 +384,10 @@ class DrivePanel:
         self._sent_s = 0.0
         self.folder = gui.add_folder(robot.titled('base'), order=-1.0)
         with self.folder:
+            self.mode = ModeChoice(gui, robot, 'base', commands, events)
             self._sliders = [gui.add_slider(
                 f'{label} [{unit}]', min=-limit, max=limit, step=limit / 50.0, initial_value=0.0,
-                marks=((-limit, f'{-limit:.3g}'), (limit, f'{limit:.3g}')),
+                marks=_marks(-limit, limit),
                 hint=f'velocity of the base {what} [{unit}]')
                 for label, what, unit, limit in zip(
                     ('forward', 'left', 'turn'),

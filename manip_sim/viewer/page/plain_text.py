@@ -19,9 +19,25 @@ from manip_sim.quoting import one_line
 
 #: Length of a name on the page at most.
 _MAX_NAME = 60
-#: The labels of the page are grey and narrow otherwise.
-_STYLE = ('<style>.mantine-Text-root{color:inherit!important;letter-spacing:-0.1px!important}'
-          '</style>')
+#: The labels of the page are grey and narrow otherwise, and the boxes and ends of sliders cut.
+#: Hints are beside the panel, not over its buttons. On a phone the panel is as wide as the screen
+#: and lower than half of it.
+_STYLE = """<style>
+.mantine-Text-root{color:inherit!important;letter-spacing:-0.1px!important}
+.mantine-Slider-root~.mantine-NumberInput-root{width:3.9rem!important}
+.mantine-Slider-markWrapper:first-of-type .mantine-Slider-markLabel
+{transform:translate(-0.1rem,0.05rem)!important}
+.mantine-Slider-markWrapper:last-of-type .mantine-Slider-markLabel
+{transform:translate(-85%,0.05rem)!important}
+.mantine-Tooltip-tooltip{margin-left:-24rem}
+.mantine-Tooltip-arrow{display:none}
+.mantine-Tabs-list{flex-wrap:nowrap!important;overflow-x:auto!important}
+@media (max-width:36em){
+.mantine-Paper-root[style*="fixed"]{width:100%!important;max-height:45%!important}
+.mantine-Paper-root[style*="fixed"] [style*="20em"]{width:100%!important}
+.mantine-Tabs-tab{padding:0.75em 0.5em!important}
+.mantine-Tooltip-tooltip{display:none!important}
+}</style>"""
 
 
 def plain(text: str) -> str:

@@ -121,12 +121,11 @@ class PosePanel:
         self._latest, self._fields = Latest(), dict[str, str]()
         with gui.add_folder('Poses', expand_by_default=False, order=-2.0):
             self._choice = gui.add_dropdown('Pose', self._options)
-            gui.add_button_group(
-                'Saved', ('Go', 'Delete'), hint='Go: move each joint to the pose').on_click(
+            gui.add_button_group('Saved', ('Go to pose', 'Delete')).on_click(
                 lambda event: events.add(
-                    self._go if event.target.value == 'Go' else self._delete))
+                    self._delete if event.target.value == 'Delete' else self._go))
             self._name = gui.add_text('Name', '', hint='of the pose to save')
-            gui.add_button('Save pose', hint='save where the joints are').on_click(
+            gui.add_button('Save pose').on_click(
                 lambda _: events.add(self._save))
 
     def update(self, latest: Latest, fields: Mapping[str, str]) -> None:

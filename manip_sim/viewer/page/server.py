@@ -100,6 +100,25 @@ def close_server(server: Any) -> None:
         server.stop()
 
 
+#: Saves what the canvas of the scene shows as a file of the browser.
+_SAVE_PICTURE = """document.querySelector('canvas[data-engine]').toBlob(picture => {
+const link = document.createElement('a');
+link.href = URL.createObjectURL(picture);
+link.download = 'manip_sim_' + new Date().toISOString().slice(0, 19).replace(/:/g, '') + '.png';
+link.click();
+URL.revokeObjectURL(link.href);
+});"""
+
+
+def save_picture(server: Any, number: int | None) -> None:
+    """Let a browser, by its number, save the scene as it shows it; one that is gone is ignored."""
+    from viser import _messages
+    client = server.get_clients().get(number)
+    if client is not None:
+        client._websock_connection.queue_message(
+            _messages.RunJavascriptMessage(source=_SAVE_PICTURE))
+
+
 def set_theme(server: Any, dark: bool) -> None:
     server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False,
                                brand_color=_BRAND, control_width='large')

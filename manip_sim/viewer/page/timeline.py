@@ -98,7 +98,7 @@ class Timeline:
 #: How far it looks back in simulation time [s], how many instants it keeps of that at most, and
 #: how many bytes they take at most; a view is updated 30 times a second.
 _SPAN_S, _MAX_INSTANTS, _MAX_BYTES = 60.0, 3600, 2**26
-_LIVE, _BACK = 'Live', 'Look back'
+_LIVE, _BACK = 'Live', 'Last minute'
 
 
 class LookBack:
@@ -113,9 +113,7 @@ class LookBack:
         self._kept = History()
         self._rows: FloatArray | None = None
         self._times: FloatArray = np.zeros(0)
-        self._buttons = gui.add_button_group(
-            'Last minute', (_BACK,), hint='Look back: stop the view and scrub through the last '
-            'minute, while the node goes on. Live: show the present again')
+        self._buttons = gui.add_button_group('History', (_BACK,))
         self._buttons.on_click(lambda event: events.add(
             self._begin if event.target.value == _BACK else self.end))
         self._text = PlainText(gui)

@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+import re
 from typing import Any
 
 from geometry_msgs.msg import Point, PoseStamped, Twist
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -19,7 +23,11 @@ from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.diagnosis import ShownStatus
 
 _ACTION_SIZE, _MAX_ACTION_SIZE = 'action_size', 100
-_SERVICES = {'pause': SetBool, 'step': Trigger, 'reset': Trigger, 'tare_wrench': Trigger}
+_SERVICES = {'pause': SetBool, 'step': Trigger, 'reset': Trigger, 'tare_wrench': Trigger,
+             'describe_parameters': DescribeParameters, 'set_parameters': SetParameters}
+_JOINT_COMMAND = '/joint_command'
+#: The constraint in the description of a parameter that has choices.
+_CHOICES = re.compile(r'One of: (?P<names>[\w:, -]+)\.')
 
 
 class CommandSender:
@@ -31,6 +39,7 @@ class CommandSender:
     :param frames: those in which the node gives the poses of end effectors, by namespace and arm
     :param notify: called with what could not be done, for people
     :ivar paused: called when the simulation has been paused or goes on
+    :ivar recorded: called when people want to record the node, or no longer
     """
 
     def __init__(self, node: Node, simulation: str, frames: Mapping[tuple[str, str], str],
@@ -40,7 +49,11 @@ class CommandSender:
         self._clients: dict[str, Any] = {}
         self._waiting: dict[str, Any] = {}
         self._action_sizes: dict[str, int] = {}
+        #: The control modes of parts, by the name of their parameter; None if not asked for.
+        self._modes: dict[str, list[str]] | None = None
+        self._parts: set[str] = set()
         self.paused: Callable[[bool], None] = lambda paused: None
+        self.recorded: Callable[[bool], None] = lambda wanted: None
 
     def notice(self, base: str, statuses: list[ShownStatus]) -> None:
         """Take from the diagnostics how many numbers the actions of grippers have."""
@@ -55,6 +68,9 @@ class CommandSender:
         for topic, kind in topics.items():
             if topic not in self._publishers:
                 self._publishers[topic] = self._node.create_publisher(kind, topic, 10)
+        self._modes = None
+        self._parts = {topic.removesuffix(_JOINT_COMMAND) for topic in topics
+                       if topic.endswith(_JOINT_COMMAND)}
         for name, kind in _SERVICES.items():
             if name not in self._clients:
                 self._clients[name] = self._node.create_client(kind, f'/{self._name}/{name}')
@@ -69,13 +85,45 @@ class CommandSender:
             self._waiting[topic] = message
 
     def send_waiting(self) -> None:
-        """Publish what waits for the node to be discovered: the last message of each topic."""
+        """Send what waits for the node to be discovered: the last message of each topic."""
+        self._ask_modes()
         for topic in list(self._waiting):
             self._publish(topic, self._waiting.pop(topic))
 
     def forget_waiting(self) -> None:
         """Drop the messages that wait for a node that is gone."""
         self._waiting.clear()
+
+    def _ask_modes(self) -> None:
+        client = self._clients.get('describe_parameters')
+        if self._modes is not None or client is None or not client.service_is_ready():
+            return
+        self._modes = modes = {}
+
+        def answered(future: Any, name: str) -> None:
+            for descriptor in future.result().descriptors:
+                if found := _CHOICES.fullmatch(descriptor.additional_constraints):
+                    modes[name] = found['names'].split(', ')
+        # Each by itself: a name that the node does not know leaves its answer empty.
+        for name in sorted(self._mode_parameter('', part) for part in self._parts):
+            client.call_async(DescribeParameters.Request(names=[name])).add_done_callback(
+                partial(answered, name=name))
+
+    def _mode_parameter(self, space: str, part: str) -> str:
+        base = f'/{self._name}'.rpartition('/')[0]
+        *scope, name = f'{space}{part}'.removeprefix(f'{base}/').strip('/').split('/')
+        return '.'.join((*scope, 'control_mode', name))
+
+    def modes(self, space: str, part: str) -> Sequence[str]:
+        return (self._modes or {}).get(self._mode_parameter(space, part), ())
+
+    def switch_mode(self, space: str, part: str, mode: str) -> None:
+        self._call('set_parameters', SetParameters.Request(parameters=[Parameter(
+            name=self._mode_parameter(space, part), value=ParameterValue(
+                type=ParameterType.PARAMETER_STRING, string_value=mode))]))
+
+    def record(self, wanted: bool) -> None:
+        self.recorded(wanted)
 
     def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
         """Publish goals of joints; see :class:`PageCommands`, as for all that follows."""
@@ -137,8 +185,12 @@ class CommandSender:
 
         def answered(future: Any) -> None:
             answer = future.result()
-            if answer.success:
+            if isinstance(answer, SetParameters.Response):
+                success, message = answer.results[0].successful, answer.results[0].reason
+            else:
+                success, message = answer.success, answer.message
+            if success:
                 done()
             else:
-                self._notify(f'{name}: {answer.message}')
+                self._notify(f'{name}: {message}')
         client.call_async(request).add_done_callback(answered)

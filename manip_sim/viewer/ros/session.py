@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 import os
+from pathlib import Path
 import time
 from typing import Any
 
@@ -33,6 +34,7 @@ from manip_sim.viewer.page.saved_poses import Poses
 from manip_sim.viewer.page.server import close_server, open_server, page_address
 from manip_sim.viewer.ros.command_sender import CommandSender
 from manip_sim.viewer.ros.discovery import Discovery
+from manip_sim.viewer.ros.node_recording import NodeRecording
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
 from manip_sim.viewer.ros.states import States
 
@@ -51,10 +53,12 @@ class Session:
     :param dark: whether the page begins dark
     :param commands: whether people can command the node; else there is nothing that could
     :param poses: those saved before
+    :param records: folder of the records that people make
     """
 
     def __init__(self, node: Node, readers: Readers, simulation: str, server: Any, dark: bool,
-                 commands: bool = True, poses: Poses | None = None) -> None:
+                 commands: bool = True, poses: Poses | None = None, records: Path = Path()
+                 ) -> None:
         self._name, self._readers = simulation, readers
         self._discovery = Discovery(node, readers, simulation)
         self._states = States(node, readers, simulation, self._discovery.base)
@@ -64,6 +68,9 @@ class Session:
             self._sender = CommandSender(node, simulation, self._states.frames,
                                          lambda text: self._page.show_trouble(text))
             self._sender.paused = self._set_paused
+            self._recording = NodeRecording(f'/{simulation}', records, lambda text, written: (
+                self._page.show_note if written else self._page.show_trouble)(text))
+            self._sender.recorded = self._recording.record
         self._cameras: set[str] = set()
         self._page = Page(server, self._sender, self._watch, dark, poses)
         self._shown: tuple[Any, ...] = ()
@@ -107,6 +114,14 @@ class Session:
         if now_s >= self._next_report_s:
             self._next_report_s = now_s + _REPORT_S
             self._page.show_state(*self._state(now_s))
+            if self._sender is not None:
+                self._recording.update()
+                self._page.show_recording(self._recording.is_running)
+
+    def close(self) -> None:
+        """Complete the record that is being written."""
+        if self._sender is not None:
+            self._recording.close()
 
     def _search(self) -> None:
         discovery = self._discovery
@@ -226,9 +241,11 @@ def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecut
     access = Access.of(os.environ, options.allow_host)
     poses = Poses(options.poses)
     server: Any = open_server(options.listen, options.port, access)
+    session: Session | None = None
     try:
         session = Session(node, readers, simulation, server, options.dark,
-                          commands=not options.no_commands, poses=poses)
+                          commands=not options.no_commands, poses=poses,
+                          records=options.records)
         address = page_address(server, options.listen, access)
         print(f'sim_view: {address} shows the node /{simulation} while it runs', flush=True)
         due_s = time.monotonic()
@@ -242,3 +259,5 @@ def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecut
             due_s = max(due_s + _PERIOD_S, time.monotonic())
     finally:
         close_server(server)
+        if session is not None:
+            session.close()
