@@ -166,7 +166,8 @@ def _tasks() -> dict[str, list[Row]]:
             task = TASKS.get(name) if file is None else create_task(file)
         except ModelError as error:
             return {'name': name, 'error': one_line(str(error))}
-        return {'name': name, 'instruction': task.instruction, 'arms': task.arms_needed,
+        arms = max(task.arms_needed, task.arms_in_all)
+        return {'name': name, 'instruction': task.instruction, 'arms': arms,
                 'horizon s': task.horizon_s, 'not for': [*task.unable], 'from': (
                     f'file {file}' if isinstance(task, Task) else _package(task, 'tasks'))}
     return {'tasks': [row(name) for name in task_names()]}

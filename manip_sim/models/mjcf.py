@@ -272,7 +272,12 @@ class MujocoXMLModel:
     @property
     def name(self) -> str:
         """Class name and idn, such as ``Panda0``."""
-        return f'{type(self).__name__}{self.idn}'
+        return f'{self.type_name}{self.idn}'
+
+    @property
+    def type_name(self) -> str:
+        """Class name, such as ``Panda``: the same for each of several in a world."""
+        return type(self).__name__
 
     @property
     def naming_prefix(self) -> str:

@@ -71,7 +71,7 @@ class EpisodeRecorder:
         try:
             self._about = {
                 'format': FORMAT, 'task': task.name, 'instruction': task.instruction,
-                'arguments': json.dumps(task.arguments), 'robot': task.robot.name,
+                'arguments': json.dumps(task.arguments), 'robot': task.robot.type_name,
                 'robots': json.dumps(_joints(episode.simulation)),
                 'period_s': repr(episode.period_s), 'action': episode.kind,
                 'action_names': json.dumps(episode.actions.names),

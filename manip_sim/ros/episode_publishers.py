@@ -124,7 +124,7 @@ class TaskPublisher:
         if not (self._thread.at_start or simulation.diverged):
             self._task.end_period(simulation)
         self._publisher.publish(String(data=json.dumps({
-            'task': self._task.name, 'robot': self._task.robot.name,
+            'task': self._task.name, 'robot': self._task.robot.type_name,
             'instruction': self._task.instruction, 'seed': self.seed,
             'stamp_ns': simulation.time_ns, 'success': bool(self._task.success(simulation)),
             'reward': float(self._task.reward(simulation)),

@@ -32,6 +32,10 @@ _BAR_M, _EDGE_M, _HELD_AT_M = 0.28, 0.03, 0.105
 _ASIDE_M, _HALF_AREA, _TURN_RAD = 0.02, np.array([0.03, 0.06]), 0.3
 #: How high the bar must be held above the table, and where it changes grippers [m].
 _HIGH_M, _HANDED_AT_M = 0.1, 0.16
+#: Where the camera is and what it looks at, in ``world`` [m], for one robot that looks along x and
+#: for two that look at each other: both grippers and the fronts of their arms are seen.
+_IN_FRONT = (1.7, 0.0, 1.75), (0.0, 0.0, 1.0)
+_BESIDE = (0.0, -2.1, 1.65), (0.0, 0.0, 1.05)
 
 
 class HandOver(Task):
@@ -45,6 +49,7 @@ class HandOver(Task):
     name = 'hand_over'
     instruction = 'Pick up the bar with one gripper, and take it over with the other.'
     horizon_s = 10.0
+    arms_in_all = 2
     unable = MappingProxyType({
         **TOO_SHORT, 'Jaco': 'its fingers need 3 s to close, so that the time is up before'})
 
@@ -62,7 +67,9 @@ class HandOver(Task):
         """
         world = super().compose(robot, gripper, composition)
         (first,) = world.robots
+        view = 'agentview'
         if len(usable_arms(first, self.needs_fingers)) != 1:
+            world.arena.aim_camera(view, *_IN_FRONT)
             return world
         if not isinstance(robot, (str, PathLike)) or isinstance(gripper, GripperModel):
             raise ModelError(f'{self.name} has two robots of {first.name}: give robot and gripper '
@@ -73,6 +80,7 @@ class HandOver(Task):
                              + ', '.join(sorted(alone)))
         second = compose_robot(robot, gripper, composition.get('base', DEFAULT), idn=1,
                                tactile=composition.get('tactile', False))
+        world.arena.aim_camera(view, *_BESIDE)
         x, y, z = world.arena.robot_position(first)
         second.set_base_xpos([-x, -y, z])
         second.set_base_ori([0.0, 0.0, math.pi])

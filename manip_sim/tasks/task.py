@@ -51,6 +51,7 @@ class Task(ABC):
     :cvar instruction: what to do, as one would say it
     :cvar horizon_s: an episode is over after this simulated time [s]
     :cvar arms_needed: number of arms with grippers that the robot must have
+    :cvar arms_in_all: number of arms that take part, where several robots may bring them
     :cvar needs_fingers: whether the grippers must be able to grasp
     :cvar own_gripper: the gripper that replaces ``default``
     :cvar unable: why robots of the catalogue cannot do it where they stand, by class
@@ -70,6 +71,7 @@ class Task(ABC):
     instruction: ClassVar[str]
     horizon_s: ClassVar[float]
     arms_needed: ClassVar[int] = 1
+    arms_in_all: ClassVar[int] = 1
     needs_fingers: ClassVar[bool] = True
     own_gripper: ClassVar[str] = DEFAULT
     unable: ClassVar[Mapping[str, str]] = MappingProxyType({})

@@ -97,6 +97,8 @@ def test_objects_tell_their_arena_and_what_brings_them(here):
 
 def test_tasks_tell_what_is_to_be_done(here):
     rows = json.loads(here('list', 'tasks', '--json')[1])['tasks']
+    arms = {row['name']: row['arms'] for row in rows if 'arms' in row}
+    assert arms['hand_over'] == 2 and arms['pick_cube'] == arms['reach'] == 1
     assert [row['name'] for row in rows] == task_names()
     assert {'name': 'pick_cube', 'instruction': 'Pick up the red cube.', 'arms': 1,
             'horizon_s': 6.0, 'not_for': ['GR1', 'SO101'], 'from': 'manip_sim'} in rows

@@ -91,6 +91,7 @@ def test_the_description_fits_the_files(lerobot, episodes):
     total = sum(len(frames.actions) for frames in episodes)
     assert (info['codebase_version'], info['fps'], info['total_frames'],
             info['total_episodes']) == ('v3.0', 20, total, 2)
+    assert info['robot_type'] == 'Panda'
     assert info['features']['action']['dtype'] == 'float64'
     assert info['features']['observation.images.front']['shape'] == [48, 64, 3]
     stats = json.loads((lerobot / 'meta/stats.json').read_text())

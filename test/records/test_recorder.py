@@ -20,6 +20,7 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 
 from manip_sim.models.archive import load_archive  # noqa: E402
 from manip_sim.records import EpisodeRecorder  # noqa: E402
+from manip_sim.records.recorded import Record  # noqa: E402
 
 _IMAGE = np.zeros((48, 64, 3), np.uint8)
 _IMAGE[:, :32, 0] = 255
@@ -181,3 +182,21 @@ def test_what_noise_and_latency_change_is_recorded_as_it_is_measured(tmp_path):
                                 messages(path, '/right/eef_pose'))]
     np.testing.assert_array_equal(recorded[1:], measured)
     assert not np.isclose(measured, exact).any()
+
+
+@pytest.mark.parametrize(('name', 'robot', 'more'), [
+    ('reach', 'UR5e', {'idn': 3}), ('hand_over', 'IIWA', {}),
+    ('reach', 'Panda', {'prefix': 'p_'})])
+def test_a_record_names_the_type_of_the_robot_without_its_number(tmp_path, name, robot, more):
+    task = create_task(name, robot, **more)
+    episode = Episode(task, Simulation(task.world))
+    path = tmp_path / 'one.mcap'
+    with EpisodeRecorder(path, episode) as recorder:
+        episode.reset(1)
+        recorder.begin(1)
+        action = task.expert(episode.simulation).act()
+        episode.step(action)
+        recorder.period(action)
+        recorder.end()
+    (recorded,) = Record(path).episodes()
+    assert recorded.about['robot'] == robot

@@ -163,7 +163,7 @@ def test_bad_actions_over_topics_change_nothing(pick_cube):
     assert over_topics.digest() == before
     with pytest.raises(ManipSimError, match='seed 2147483648: '):
         over_topics.reset(seed=2**31)
-    with pytest.raises(ManipSimError, match='does pick_cube with Panda0, not reach with Panda0'):
+    with pytest.raises(ManipSimError, match='does pick_cube with Panda, not reach with Panda'):
         NodeEnv('reach', domain_id=DOMAIN)
 
 

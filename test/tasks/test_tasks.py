@@ -8,6 +8,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -31,6 +32,28 @@ def episode_of(name, robot='Panda'):
         task = create_task(name, robot)
         _episodes[name, robot] = Episode(task, Simulation(task.world))
     return _episodes[name, robot]
+
+
+@pytest.mark.parametrize('robot', ['UR5e', 'Panda', 'Kinova3', 'Baxter'])
+def test_the_agentview_of_a_handover_shows_both_grippers_from_the_front(robot):
+    episode = episode_of('hand_over', robot)
+    episode.reset(3)
+    simulation = episode.simulation
+    model, data = simulation.model, simulation.data
+    camera = model.camera('agentview').id
+    eye, axes = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
+    grippers = [of.pose(data)[:3] for item in simulation.robots.values()
+                for of in dict.fromkeys(item.end_effectors.values())]
+    assert len(grippers) == 2
+    slope = np.tan(np.radians(model.cam_fovy[camera]) / 2.0)
+    for point in grippers:
+        x, y, depth = (point - eye) @ axes * [1.0, 1.0, -1.0]
+        assert depth > 0.5 and max(abs(x), abs(y)) < 0.9 * slope * depth
+        # Nothing is in between: what is hit first is not far before the point between fingers.
+        hit = mujoco.mj_ray(model, data, eye, (point - eye) / np.linalg.norm(point - eye), None,
+                            1, -1, np.zeros(1, dtype=np.int32))
+        assert hit < 0.0 or hit > np.linalg.norm(point - eye) - 0.15
+    assert axes[2, 1] > 0.7  # Upright.
 
 
 @pytest.mark.parametrize('robot', ARMS)

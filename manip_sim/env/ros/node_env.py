@@ -130,7 +130,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
                 self._reset, self._save, self._set, self._step, self._pause))
             and all(publisher.get_subscription_count() for publisher, *_ in self._commands),
             f'there is no node {self._name} with a task')
-        asked = (self._like.task.name, self._like.task.robot.name)
+        asked = (self._like.task.name, self._like.task.robot.type_name)
         found = (self._task['task'], self._task['robot'])
         if asked != found:
             self.close()

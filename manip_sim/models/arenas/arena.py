@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Union
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
@@ -168,6 +169,22 @@ class Arena(MujocoXMLModel):
         """Raise the cameras by as much as the furniture is higher than in the file."""
         for camera in self._spec.cameras:
             camera.pos[2] += higher_m
+
+    def aim_camera(self, name: str, position: ArrayLike, look_at: ArrayLike) -> None:
+        """
+        Move one of the cameras of the arena, and let it look at a point, upright.
+
+        :param name: of the camera
+        :param position: in ``world`` [m], shape (3,)
+        :param look_at: in ``world`` [m], shape (3,); not straight above or below
+        """
+        camera = self._spec.camera(name)
+        back = np.subtract(position, look_at)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        camera.pos = position
+        camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
+        camera.alt.xyaxes = [*right, *np.cross(back, right)]
+        self.refresh()
 
     def empty_spec(self) -> mujoco.MjSpec:
         """Return a new spec with the options and visual settings of the arena and nothing else."""

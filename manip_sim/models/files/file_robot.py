@@ -87,9 +87,9 @@ class FileRobot(RobotModel, registered=False):
             np.concatenate([place.pos, place.quat]) for place in (in_file, root)))
 
     @property
-    def name(self) -> str:
-        """Name of the file and idn, such as ``iiwa140``."""
-        return f'{stem_of(self.file)}{self.idn}'
+    def type_name(self) -> str:
+        """Name of the file, such as ``iiwa14``."""
+        return stem_of(self.file)
 
     @property
     def described(self) -> dict[str, Any]:
