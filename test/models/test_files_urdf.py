@@ -347,3 +347,127 @@ def test_a_mesh_without_volume_may_show_something_but_not_weigh(tmp_path):
     file = write(tmp_path / 'arm.urdf', URDF.replace(
         '<link name="upper">', f'<link name="upper">{visual}'))
     assert load_robot(file).compile().nmesh == 1
+
+
+def arm_with(kind, limit, origin='', axis='0 0 1'):
+    """Return the URDF of an arm whose second joint has some limit."""
+    return (f'<robot name="arm"><link name="base_link">{SOLID}</link><link name="upper">{SOLID}'
+            f'</link><link name="lower">{SOLID}</link>'
+            + joint('shoulder', 'base_link', 'upper',
+                    more='<limit lower="-1" upper="2" effort="40" velocity="1.5"/>')
+            + f'<joint name="elbow" type="{kind}"><parent link="upper"/><child link="lower"/>'
+              f'{origin}<axis xyz="{axis}"/>{limit}</joint></robot>')
+
+
+@pytest.mark.parametrize('kind', ['revolute', 'prismatic'])
+@pytest.mark.parametrize(('ends', 'expected'), [
+    ('lower="-1" upper="2"', (-1, 2)), ('lower="-1.5"', (-1.5, 0)), ('upper="0.5"', (0, 0.5)),
+    ('lower="-2" upper="-1"', (-2, -1)), ('lower="0" upper="1"', (0, 1)), ('', None)])
+def test_a_missing_limit_of_urdf_is_zero_and_without_both_there_is_no_range(
+        tmp_path, kind, ends, expected):
+    text = arm_with(kind, f'<limit {ends} effort="10" velocity="1"/>')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    elbow = robot.compile().joint('robot0_elbow')
+    assert bool(elbow.limited[0]) == (expected is not None)
+    if expected is not None:
+        assert tuple(elbow.range) == expected
+    said = "not limited, as they have neither lower nor upper: 'elbow'"
+    assert (said in robot.inferred) == (expected is None)
+
+
+@pytest.mark.parametrize(('kind', 'limit'), [
+    ('continuous', '<limit lower="-1" upper="1" effort="10" velocity="1"/>'),
+    ('continuous', '<limit lower="1" upper="-1" effort="10" velocity="1"/>'),
+    ('continuous', ''), ('revolute', ''), ('prismatic', '')])
+def test_a_continuous_joint_and_one_without_limit_element_have_no_range(tmp_path, kind, limit):
+    robot = load_robot(write(tmp_path / 'arm.urdf', arm_with(kind, limit)))
+    assert not robot.compile().joint('robot0_elbow').limited[0]
+
+
+@pytest.mark.parametrize(('kind', 'position'), [
+    ('revolute', 0.0), ('revolute', 0.7), ('prismatic', 0.0), ('prismatic', -0.3)])
+def test_a_joint_with_equal_limits_is_fixed_there(tmp_path, kind, position):
+    origin, axis = '<origin xyz="0.1 0.2 0.3" rpy="0.4 -1.2 2.0"/>', '1 2 -2'
+    limit = f'<limit lower="{position}" upper="{position}" effort="10" velocity="1"/>'
+    robot = load_robot(write(tmp_path / 'arm.urdf', arm_with(kind, limit, origin, axis)))
+    assert robot.joints == ['robot0_shoulder']
+    assert "fixed, as lower and upper of their <limit> are equal: 'elbow'" in robot.inferred
+    fixed = robot.compile().body('robot0_lower')
+    wide = '<limit lower="-2" upper="2" effort="10" velocity="1"/>'
+    moving = load_robot(write(tmp_path / 'arm.urdf', arm_with(kind, wide, origin, axis))).compile()
+    data = mujoco.MjData(moving)
+    data.joint('robot0_elbow').qpos[0] = position
+    mujoco.mj_kinematics(moving, data)
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, fixed.quat)
+    upper, lower = data.body('robot0_upper'), data.body('robot0_lower')
+    turn = upper.xmat.reshape(3, 3).T
+    np.testing.assert_allclose(rotation.reshape(3, 3), turn @ lower.xmat.reshape(3, 3), atol=1e-9)
+    np.testing.assert_allclose(fixed.pos, turn @ (lower.xpos - upper.xpos), atol=1e-9)
+
+
+@pytest.mark.parametrize(('limit', 'message'), [
+    ('lower="1" upper="-2"', 'lower 1 of its <limit> is above upper -2; one that is missing is 0'),
+    ('lower="0.5"', 'lower 0.5 of its <limit> is above upper 0; one that is missing is 0'),
+    ('lower="nan" upper="1"', "lower of its <limit> must be a finite number, got 'nan'"),
+    ('lower="" upper="1"', "lower of its <limit> must be a finite number, got ''"),
+    ('lower="-1" upper="1,5"', "upper of its <limit> must be a finite number, got '1,5'"),
+    ('lower="-1" upper="1" effort="much"',
+     "effort of its <limit> must be a finite number, got 'much'")])
+def test_limits_that_cannot_be_are_rejected_with_joint_and_file(tmp_path, limit, message):
+    file = write(tmp_path / 'arm.urdf', arm_with('revolute', f'<limit {limit}/>'))
+    with pytest.raises(ModelError) as error:
+        load_robot(file)
+    assert str(error.value) == f"{file}: joint 'elbow': {message}"
+
+
+def hand_with(mimic, kind='prismatic', more=''):
+    limit = '<limit lower="-0.1" upper="0.1" effort="10" velocity="0.2"/>'
+    return (f'<robot name="hand"><link name="palm">{SOLID}</link><link name="left">{SOLID}</link>'
+            f'<link name="right">{SOLID}</link><link name="other">{SOLID}</link>'
+            + joint('left_finger', 'palm', 'left', 'prismatic', limit + more)
+            + joint('right_finger', 'palm', 'right', kind, limit + mimic)
+            + joint('mount', 'palm', 'other', 'KIND', limit) + '</robot>')
+
+
+MOVES = 'not one of revolute, prismatic, continuous'
+
+
+@pytest.mark.parametrize(('leader', 'message'), [
+    *((f'mount:{kind}', f"its <mimic> names joint 'mount', which is {kind}, {MOVES}")
+      for kind in ('fixed', 'floating', 'planar')),
+    ('right_finger', "its <mimic> is a circle, so nothing can drive it: 'right_finger' follows "
+                     "'right_finger'"),
+    ('left_fingr', "did you mean 'left_finger'"), ('', 'available: left_finger')])
+@pytest.mark.parametrize('load', [load_gripper, load_robot])
+def test_a_mimic_of_no_joint_that_moves_is_rejected_in_one_line(tmp_path, leader, message, load):
+    name, _, kind = leader.partition(':')
+    file = write(tmp_path / 'hand.urdf', hand_with(f'<mimic joint="{name}"/>').replace(
+        'KIND', kind or 'fixed'))
+    with pytest.raises(ModelError) as error:
+        load(file)
+    for part in (str(file), "joint 'right_finger'", message):
+        assert part in str(error.value)
+    assert '\n' not in str(error.value)
+
+
+@pytest.mark.parametrize('kind', ['fixed', 'floating', 'planar'])
+def test_a_mimic_on_a_joint_that_cannot_follow_is_rejected_in_one_line(tmp_path, kind):
+    file = write(tmp_path / 'hand.urdf', hand_with('<mimic joint="left_finger"/>', kind).replace(
+        'KIND', 'fixed'))
+    with pytest.raises(ModelError) as error:
+        load_gripper(file)
+    assert str(error.value) == (f"{file}: joint 'right_finger': its <mimic> is on a joint which "
+                                f'is {kind}, {MOVES}')
+
+
+def test_mimics_in_a_circle_are_rejected_with_their_names(tmp_path):
+    file = write(tmp_path / 'hand.urdf', hand_with(
+        '<mimic joint="mount"/>', more='<mimic joint="right_finger"/>').replace(
+        'KIND', 'prismatic').replace('</joint></robot>',
+                                     '<mimic joint="left_finger"/></joint></robot>'))
+    with pytest.raises(ModelError) as error:
+        load_gripper(file)
+    assert str(error.value) == (
+        f"{file}: joint 'left_finger': its <mimic> is a circle, so nothing can drive it: "
+        "'left_finger' follows 'right_finger' follows 'mount' follows 'left_finger'")

@@ -23,6 +23,7 @@ from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
+from manip_sim.models.files.urdf_joints import support_couplings
 from manip_sim.models.loading import compile_alone, load_spec, name_unnamed_elements
 from manip_sim.models.missing_meshes import Lost, LostShape, MissingMeshError, warnings_of
 from manip_sim.models.regular_files import Files
@@ -167,6 +168,8 @@ def read_model(file: Path, description: Description, keyframes: Sequence[str] = 
         spec = hold_robot(file, files).load_tried()
     notes += _gravity_of_file(spec)
     name_unnamed_elements(spec)
+    for joint in spec.joints:  # MuJoCo would leave the rotor out of dof_invweight0 of some slides.
+        joint.parent.simple = 0
     _infer_inertias_once(spec)
     model = compile_alone(spec, str(file))
     if urdf:
@@ -189,6 +192,8 @@ def read_model(file: Path, description: Description, keyframes: Sequence[str] = 
         spec.delete(old)
     if servos and not model.nu and places:
         notes += add_servos(spec, BodyTree(model))
+        if urdf:
+            support_couplings(spec)
         model = compile_alone(spec, str(file))
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0

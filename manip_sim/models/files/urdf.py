@@ -1,12 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read URDF with MuJoCo's reader, and add what that leaves out: meshes, limits, mimics."""
+"""Read URDF with MuJoCo's reader, and add what that leaves out: meshes, masses, limits, mimics."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-import math
 from pathlib import Path
 import re
 from typing import Any
@@ -16,6 +15,7 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.files.link_masses import make_physical
+from manip_sim.models.files.urdf_joints import check_joints, complete_joints
 from manip_sim.models.files.urdf_meshes import find_meshes
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.loading import spec_from_string
@@ -83,8 +83,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     spec = (spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
             if files is None else _hold(robot, file, files).load_tried())
     _let_visual_meshes_be_flat(spec)
-    for joint in robot.iter('joint'):
-        _complete_joint(spec, joint, file)
+    complete_joints(spec, robot)
     notes += _give_mass(spec, robot)
     notes += _take_gravity(spec, robot)
     return spec, notes
@@ -115,6 +114,7 @@ def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files
         for tag in _SINGLE.get(element.tag, ()):
             for repeated in element.findall(tag)[1:]:
                 element.remove(repeated)
+    notes += check_joints(robot, file)
     compiler = _compiler(robot)
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
                              ('strippath', 'false'), ('balanceinertia', 'true')):
@@ -187,35 +187,6 @@ def _is_zero(number: str) -> bool:
         return float(number) == 0.0
     except ValueError:
         return False
-
-
-def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element, file: Path) -> None:
-    name = joint.get('name', '')
-    element = spec.joint(name)
-    if element is None:
-        return
-    limit, mimic = joint.find('limit'), joint.find('mimic')
-
-    def number(of: ElementTree.Element, attribute: str, default: float) -> float:
-        given = of.get(attribute, default)
-        try:
-            value = float(given)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise ModelError(f'{file}: joint {quoted(name)}: {attribute} of its <{of.tag}> must '
-                             f'be a finite number, got {quoted(given)}')
-        return value
-    velocity = number(limit, 'velocity', 0.0) if limit is not None else 0.0
-    if velocity > 0.0:
-        element.userdata = [velocity]
-    if mimic is not None and spec.joint(mimic.get('joint', '')) is not None:
-        line = [number(mimic, 'offset', 0.0), number(mimic, 'multiplier', 1.0)]
-        # Newer releases of MuJoCo read mimics themselves.
-        if not any(tie.name1 == name for tie in spec.equalities):
-            tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=name,
-                                    name2=mimic.get('joint'), objtype=mujoco.mjtObj.mjOBJ_JOINT)
-            tie.data[:5] = [*line, 0.0, 0.0, 0.0]
 
 
 def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:

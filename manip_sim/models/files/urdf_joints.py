@@ -1,0 +1,201 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Limits and mimics of the joints of a URDF: rejected if impossible, and kept by the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from manip_sim.algebra import product
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.quaternion import matrix_of, matrix_of_vector, quat_wxyz_from_rpy, rpy_of
+from manip_sim.quoting import quoted, quoted_names
+
+_WITH_RANGE = ('revolute', 'prismatic')
+_MOVES = (*_WITH_RANGE, 'continuous')
+#: Time constant [s] and damping ratio of couplings and of the ranges of coupled joints. MuJoCo
+#: takes two timesteps where that is longer (refsafe), which is as stiff as is stable.
+_SOLREF = (1e-3, 1.0)
+#: Impedance, the greatest that MuJoCo takes, at any distance.
+_SOLIMP = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
+#: Least inertia of a coupled joint, seen from its leader, over effort per range of that [s^2].
+#: With the above and a timestep of 5 ms, an effort f displaces a coupling of inertias a and b by
+#: 1e-8 s^2 f (1/a + 1/b), so by 0.25 % of the range.
+_INERTIA_PER_STIFFNESS = 8e-6
+
+
+def check_joints(robot: ElementTree.Element, file: Path) -> list[str]:
+    """
+    Reject impossible limits and mimics, and complete what MuJoCo's reader reads differently.
+
+    As URDF defines, a missing ``lower`` or ``upper`` is 0. A joint whose limits are equal is
+    fixed there. One that has neither is not limited.
+
+    :param robot: changed in place
+    :returns: what was done, in sentences
+    :raises ModelError: naming file and joint
+    """
+    joints = {joint.get('name', ''): joint for joint in robot.findall('joint')}
+    locked, unlimited = [], []
+    for name, joint in joints.items():
+        limit, kind = joint.find('limit'), joint.get('type')
+        for attribute in ('effort', 'velocity') if limit is not None else ():
+            _number(limit, attribute, 0.0, name, file)
+        if kind not in _WITH_RANGE:
+            continue
+        if limit is None or not {'lower', 'upper'} & set(limit.keys()):
+            unlimited.append(name)
+            continue
+        lower, upper = (_number(limit, end, 0.0, name, file) for end in ('lower', 'upper'))
+        if lower > upper:
+            raise ModelError(f'{file}: joint {quoted(name)}: lower {lower:g} of its <limit> is '
+                             f'above upper {upper:g}; one that is missing is 0')
+        limit.attrib.update(lower=repr(lower), upper=repr(upper))
+        if lower == upper:
+            _fix(joint, lower)
+            locked.append(name)
+    for name, joint in joints.items():
+        for mimic in joint.findall('mimic'):
+            _check_mimic(name, mimic, joints, file)
+    return [*([f'fixed, as lower and upper of their <limit> are equal: {quoted_names(locked)}']
+              if locked else []),
+            *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
+              if unlimited else []),
+            *(said for joint in robot.findall('joint') for said in _range_notes(joint, joints))]
+
+
+def _number(element: ElementTree.Element | None, attribute: str, default: float, joint: str,
+            file: Path) -> float:
+    given = default if element is None else element.get(attribute, default)
+    try:
+        value = float(given)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        tag = '' if element is None else element.tag
+        raise ModelError(f'{file}: joint {quoted(joint)}: {attribute} of its <{tag}> must be a '
+                         f'finite number, got {quoted(given)}')
+    return value
+
+
+def _fix(joint: ElementTree.Element, position: float) -> None:
+    """Make a joint a fixed one at a position [rad or m]."""
+    def vector(tag: str, attribute: str, default: str) -> Any:
+        element = joint.find(tag)
+        text = default if element is None else element.get(attribute, default)
+        return np.array([float(number) for number in text.split()])
+    if position:
+        xyz, axis = vector('origin', 'xyz', '0 0 0'), vector('axis', 'xyz', '1 0 0')
+        rotation = matrix_of(quat_wxyz_from_rpy(vector('origin', 'rpy', '0 0 0')))
+        offset = position * axis / np.linalg.norm(axis)
+        if joint.get('type') == 'prismatic':
+            xyz = xyz + product(rotation, offset)
+        else:
+            rotation = product(rotation, matrix_of_vector(offset))
+        origin = joint.find('origin')
+        origin = ElementTree.SubElement(joint, 'origin') if origin is None else origin
+        origin.attrib.update(xyz=' '.join(map(repr, xyz.tolist())),
+                             rpy=' '.join(map(repr, rpy_of(rotation).tolist())))
+    joint.set('type', 'fixed')
+
+
+def _check_mimic(name: str, mimic: ElementTree.Element,
+                 joints: Mapping[str, ElementTree.Element], file: Path) -> None:
+    where = f'{file}: joint {quoted(name)}: its <mimic>'
+    leader = mimic.get('joint', '')
+    for attribute in ('multiplier', 'offset'):
+        _number(mimic, attribute, 0.0, name, file)
+    if leader not in joints:
+        raise UnknownNameError(f'joint in the <mimic> of joint {quoted(name)} of {file}', leader,
+                               joints)
+    for one, what in ((name, 'is on a joint'), (leader, f'names joint {quoted(leader)},')):
+        kind = joints[one].get('type')
+        if kind not in _MOVES:
+            raise ModelError(f'{where} {what} which is {kind}, not one of {", ".join(_MOVES)}')
+    chain = [name]
+    while leader not in chain:
+        chain.append(leader)
+        further = joints[leader].find('mimic')
+        if further is None:
+            return
+        leader = further.get('joint', '')
+    if leader == name:  # Else it leads to a circle, whose own joints are reported.
+        raise ModelError(f'{where} is a circle, so nothing can drive it: '
+                         f'{" follows ".join(map(quoted, [*chain, leader]))}')
+
+
+def _range_notes(joint: ElementTree.Element, joints: Mapping[str, ElementTree.Element]
+                 ) -> list[str]:
+    """Return that a joint ends before its leader does, in a sentence."""
+    mimic = joint.find('mimic')
+    if mimic is None:
+        return []
+    name, leader = joint.get('name', ''), mimic.get('joint', '')
+    ranges = [_range(joints[of]) for of in (name, leader)]
+    ratio, offset = float(mimic.get('multiplier', 1.0)), float(mimic.get('offset', 0.0))
+    if None in ranges or not ratio:
+        return []
+    own, of_leader = (np.array(ends) for ends in ranges)
+    ends = np.sort((own - offset) / ratio)
+    if ends[0] > of_leader[1] or of_leader[0] > ends[1]:
+        return [f'joint {quoted(name)} is outside its range wherever joint {quoted(leader)} is, '
+                'which it follows']
+    ends = np.clip(ends, *of_leader)
+    if np.abs(ends - of_leader).max() < 0.01 * np.ptp(of_leader):
+        return []
+    return [f'joint {quoted(leader)} reaches only {ends[0]:.4g} to {ends[1]:.4g} of its range '
+            f'{of_leader[0]:.4g} to {of_leader[1]:.4g}: there joint {quoted(name)}, which follows '
+            'it, is at the ends of its own']
+
+
+def _range(joint: ElementTree.Element) -> list[float] | None:
+    limit = joint.find('limit')
+    if joint.get('type') not in _WITH_RANGE or limit is None or limit.get('lower') is None:
+        return None
+    return [float(limit.get(end, 0.0)) for end in ('lower', 'upper')]
+
+
+def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element) -> None:
+    """Add velocity limits, as the first number of ``user``, and make couplings stiff."""
+    for joint in robot.findall('joint'):
+        element, limit = spec.joint(joint.get('name', '')), joint.find('limit')
+        velocity = 0.0 if limit is None else float(limit.get('velocity', 0.0))
+        if element is not None and velocity > 0.0:
+            element.userdata = [velocity]
+    for tie in spec.equalities:  # MuJoCo makes them of mimics.
+        tie.solref, tie.solimp = _SOLREF, _SOLIMP
+        for joint in (spec.joint(tie.name1), spec.joint(tie.name2)):
+            joint.solref_limit, joint.solimp_limit = _SOLREF, _SOLIMP
+
+
+def support_couplings(spec: mujoco.MjSpec) -> None:
+    """
+    Give coupled joints of a URDF the rotor inertia below which its servos would part them.
+
+    What holds a constraint grows with the inertia of its joints. The rotors are small beside that
+    of the leader.
+    """
+    ties = {tie.name1: (tie.name2, float(tie.data[1])) for tie in spec.equalities}
+    for follower in ties:
+        leader, ratio = follower, 1.0
+        while leader in ties:
+            leader, factor = ties[leader]
+            ratio *= factor
+        servo = spec.actuator(leader)
+        if servo is None or not ratio:
+            continue
+        spans = [abs(float(np.ptp(spec.joint(name).range)) / scale) or 1.0
+                 for name, scale in ((leader, 1.0), (follower, ratio))]
+        effort = float(np.abs(servo.forcerange).max()) or float(servo.gainprm[0]) * spans[0]
+        least = _INERTIA_PER_STIFFNESS * effort / min(spans)
+        for name, scale in ((leader, 1.0), (follower, ratio)):
+            joint = spec.joint(name)
+            joint.armature = max(joint.armature, least / scale**2)
