@@ -13,7 +13,7 @@ import pytest
 from files_rig import write
 
 from manip_sim.errors import ModelError
-from manip_sim.models import compose, load_robot
+from manip_sim.models import compose, load_base, load_gripper, load_robot
 from manip_sim.models.missing_meshes import LostShape
 from manip_sim.simulation import Simulation
 
@@ -80,6 +80,35 @@ def test_the_pairs_of_the_srdf_beside_a_urdf_do_not_collide(tmp_path):
     assert said(robot, 'left out: collisions of 1 pair of links, as its SRDF says')
     assert not said(robot, 'overlap')
     assert robot.compile().nexclude == 1
+
+
+@pytest.mark.parametrize('load', [load_robot, load_gripper, load_base])
+def test_hands_and_bases_exclude_the_links_that_a_robot_of_the_same_file_does(tmp_path, load):
+    text = urdf({'palm': SOLID + BALL, 'a1': SOLID, 'a2': SOLID + BALL, 'b1': SOLID, 'b2': SOLID,
+                 'b3': SOLID + BALL.replace('0 0 0', '0 0.2 0')},
+                [joint('a1', 'palm', 'a1'), joint('a2', 'a1', 'a2'), joint('b1', 'palm', 'b1'),
+                 joint('b2', 'b1', 'b2'), joint('b3', 'b2', 'b3')])
+    part = load(write(tmp_path / 'part.urdf', text))
+    pairs = [{*sentence.split("'")[1:4:2]} for sentence in said(part, 'overlap at the start')]
+    excluded = [{item.bodyname1, item.bodyname2} for item in part.spec.excludes]
+    assert excluded == pairs != []
+    write(tmp_path / 'part.srdf', '<robot name="r"><disable_collisions link1="a1" link2="b3"/>'
+                                  '</robot>')
+    part = load(tmp_path / 'part.urdf')
+    assert said(part, 'left out: collisions of 1 pair of links, as its SRDF says')
+    again = [{item.bodyname1, item.bodyname2} for item in part.spec.excludes]
+    assert again == [{'a1', 'b3'}, *pairs]
+
+
+def test_a_hand_whose_links_overlap_holds_its_pose_on_an_arm(tmp_path):
+    file = write(tmp_path / 'hand.urdf', OVERLAPPING.replace('name="j', 'name="finger_j'))
+    world = compose('UR5e', gripper=str(file))
+    assert world.compile(visual=False).nexclude == load_robot(file).compile().nexclude == 1
+    simulation = Simulation(world)
+    start = simulation.robot.state().position
+    simulation.advance(500)
+    assert np.abs(simulation.robot.state().velocity).max() < 1e-3
+    np.testing.assert_allclose(simulation.robot.state().position, start, atol=2e-3)
 
 
 @pytest.mark.parametrize('srdf', ['<robot', '<!DOCTYPE r [<!ENTITY a "b">]><robot/>', '\x00'])

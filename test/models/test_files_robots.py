@@ -435,7 +435,7 @@ def test_what_stands_beside_the_robot_and_has_shapes_or_joints_stays(tmp_path):
         <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body>
       <body name="marker" pos="3 0 0"/><body name="base" """
     file = write(tmp_path / 'arm.xml', ARM.replace('<body name="base"', beside))
-    spec = read_model(file, Description()).spec
+    spec = read_model(file, Description(), file).spec
     assert {'table', 'door', 'base'} <= {body.name for body in spec.bodies}
     assert spec.body('marker') is None
 

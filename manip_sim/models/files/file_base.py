@@ -85,7 +85,7 @@ class FileMobileBase(FileBase, MobileBaseModel, registered=False):
 def base_of_file(file: Path, description: BaseDescription, where: str, idn: int | str = 0
                  ) -> FileBase:
     """Create a base from a file and its description."""
-    model_file = read_model(file, description, servos=False)
+    model_file = read_model(file, description, where, servos=False)
     model = compile_alone(model_file.spec, str(file))
     tree = BodyTree(model)
     if model.njnt == 0:

@@ -21,7 +21,7 @@ from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.found_hands import FoundHand
 from manip_sim.models.files.found_places import quat_wxyz_of
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
-from manip_sim.models.files.model_file import read_model, start_pose
+from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import GripperDescription
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.loading import compile_alone
@@ -135,12 +135,12 @@ class FileGripper(HandFromFile, registered=False):
 
     def _read(self) -> Any:
         declared = self._description
-        model_file = read_model(self.file, declared, _KEYFRAMES)
+        model_file = read_model(self.file, declared, self._where, _KEYFRAMES)
         self.inferred = model_file.inferred
         if model_file.mocap is not None:
             self.inferred += model_file.mocap.left_out()
         self._keyframes = model_file.keyframes
-        self._start = start_pose(model_file, declared.start, self._where)
+        self._start = model_file.start
         spec = model_file.spec
         if declared.mount is not None:
             place_root(spec, declared.mount.position, quat_wxyz_of(declared.mount.orientation))

@@ -20,6 +20,7 @@ from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
 from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
+from manip_sim.models.files.overlaps import exclude_overlaps
 from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
@@ -134,7 +135,6 @@ class ModelFile:
     :ivar inferred: what was inferred or left out, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     :ivar mocap: its mocap bodies, which the spec has no more, or None
-    :ivar is_urdf: whether the file is URDF, not MJCF
     """
 
     file: Path
@@ -144,19 +144,21 @@ class ModelFile:
     inferred: list[str] = field(default_factory=list)
     keyframes: dict[str, dict[str, float]] = field(default_factory=dict)
     mocap: MocapBodies | None = None
-    is_urdf: bool = False
 
 
-def read_model(file: Path, description: Description, keyframes: Sequence[str] = ('home',),
-               servos: bool = True, files: Files | None = None) -> ModelFile:
+def read_model(file: Path, description: Description, where: object,
+               keyframes: Sequence[str] = ('home',), servos: bool = True,
+               files: Files | None = None) -> ModelFile:
     """
-    Read a robot, hand or base.
+    Read a robot, hand or base, and exclude collisions of links that overlap at its start.
 
+    :param where: the file that the description was read from, for messages
     :param keyframes: the first of these that exists is the start, else the only keyframe of the
         file, else what :func:`choose_pose` returns, unless the description names a keyframe
     :param servos: give joints position servos if the file has no actuators
-    :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
-    :raises UnknownNameError: if it lacks the keyframe of the description
+    :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies,
+        or a position of the description is outside its range
+    :raises UnknownNameError: if it lacks the keyframe or a joint of the description
     """
     urdf, expects_meshes = is_urdf(file, files), description.meshes is None
     notes: list[str] = []
@@ -176,8 +178,8 @@ def read_model(file: Path, description: Description, keyframes: Sequence[str] = 
         lighter = lighten(spec, model)
         model = compile_alone(spec, str(file)) if lighter else model
         notes += [*lighter, *masses_from_shapes(spec, model)]
-    start = getattr(description, 'start', None)
-    wanted = start if isinstance(start, str) else None
+    declared = getattr(description, 'start', None)
+    wanted = declared if isinstance(declared, str) else None
     key = _choose_key(model, keyframes, wanted, file)
     if key is None:
         qpos, why = choose_pose(model)
@@ -203,7 +205,10 @@ def read_model(file: Path, description: Description, keyframes: Sequence[str] = 
         places = {name: place for name, place in places.items() if spec.joint(name) is not None}
         named = {key: {name: place for name, place in there.items() if name in places}
                  for key, there in named.items()}
-    return ModelFile(file, spec, BodyTree(model), places, [*notes, *changes], named, mocap, urdf)
+    tree = BodyTree(model)
+    start = _start_pose(model, places, declared, where)
+    notes += [*changes, *exclude_overlaps(spec, model, start, file, urdf, files)]
+    return ModelFile(file, spec, tree, start, notes, named, mocap)
 
 
 def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:
@@ -325,8 +330,9 @@ def _gives_mass(spec: mujoco.MjSpec, geom: Any) -> bool:
     return not body.explicitinertial or int(spec.compiler.inertiafromgeom) == int(ruled)
 
 
-def start_pose(model_file: ModelFile, declared: Union[str, Mapping[str, float], None],
-               where: object) -> dict[str, float]:
+def _start_pose(model: mujoco.MjModel, in_file: Mapping[str, float],
+                declared: Union[str, Mapping[str, float], None], where: object
+                ) -> dict[str, float]:
     """
     Return the start positions of scalar joints, by name [rad or m].
 
@@ -334,10 +340,9 @@ def start_pose(model_file: ModelFile, declared: Union[str, Mapping[str, float], 
     :raises UnknownNameError: if there is no such joint
     :raises ModelError: if a position is outside the joint's range
     """
-    start = dict(model_file.start)
+    start = dict(in_file)
     if declared is None or isinstance(declared, str):
         return start
-    model = model_file.tree.model
     for name, position in declared.items():
         if name not in start:
             raise UnknownNameError(f"joint in 'start' of {where}", name, start)

@@ -19,8 +19,7 @@ from manip_sim.models.files.found_arms import classify_joints, find_arms, FoundA
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below, lone_hand
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.mocap_bodies import MocapBodies
-from manip_sim.models.files.model_file import ModelFile, read_model, start_pose
-from manip_sim.models.files.overlaps import exclude_overlaps
+from manip_sim.models.files.model_file import ModelFile, read_model
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
@@ -69,12 +68,11 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     :raises ModelError: if the file or what the description says of it cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """
-    model_file = read_model(file, description, files=files)
+    model_file = read_model(file, description, where, files=files)
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
-    start = start_pose(model_file, description.start, where)
+    start = model_file.start
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
         raise ModelError(f'{file} is not a robot: it has no hinge or slide joint')
-    notes += exclude_overlaps(spec, tree.model, start, file, model_file.is_urdf, files)
     mocap = model_file.mocap
     if mocap is not None:
         notes += mocap.notes() if description.mocap else mocap.left_out()
