@@ -47,6 +47,7 @@ MAY_IMPORT = {
                     PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
     'cli': ({'cli', 'control', 'experiments', 'interface', 'models', 'moveit', 'physics',
              'records', 'sensing', 'simulation', 'rendering', 'tasks'}, PURE | {'PIL', 'tqdm'}),
+    'cli/ros_commands.py': (set(), None),
     'gallery.py': ({'cli', 'models', 'rendering', 'simulation', 'tasks'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.
@@ -58,7 +59,7 @@ MAY_IMPORT = {
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
 WITH_RCLPY = ('ros', 'env/ros', 'examples', 'testing', 'viewer/ros', 'records/node_recorder.py',
-              'experiments/ros_policy.py', f'{INTERNALS}.py')
+              'experiments/ros_policy.py', 'cli/ros_commands.py', f'{INTERNALS}.py')
 TOP_LEVEL = {'algebra', 'arrays', 'cdr_patching', 'clamping', 'entry_points', 'errors',
              'quaternion', 'quoting', 'resources', 'ros_environment', 'startup', 'validation'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}

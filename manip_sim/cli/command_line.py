@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 from manip_sim.cli.offered_verbs import GROUP, OfferedVerb
 from manip_sim.cli.option_types import (
     assignment, count, image_size, number, numbers, positive, whole)
+from manip_sim.cli.ros_options import add_verbs, COMMANDS
 from manip_sim.entry_points import offers
 from manip_sim.errors import ModelError
 from manip_sim.resources import package_version
@@ -60,14 +61,15 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         prog='manip_sim', allow_abbrev=False,
         description='List robots, grippers, bases and arenas; describe, check, render and export '
                     'compositions of them; run policies on tasks; record nodes, and repeat and '
-                    'convert records. Works without ROS.',
+                    'convert records; topics, parameters and services of nodes. Works without '
+                    'ROS, but for record, topic, param and service.',
         epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
                "The node is another program, 'sim_node'.")
     parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_run,
-                _add_merge, _add_record, _add_replay, _add_convert):
+                _add_merge, _add_record, _add_replay, _add_convert, _add_ros):
         add(commands)
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
@@ -360,6 +362,15 @@ def _add_merge(commands: Any) -> None:
     parser.add_argument('folders', nargs='+', type=Path, metavar='DIR', help='folders of a run')
     parser.add_argument('--out', required=True, type=Path, metavar='DIR',
                         help='folder for the merged run')
+
+
+def _add_ros(commands: Any) -> None:
+    for name, (summary, verbs) in COMMANDS.items():
+        parser = _command(
+            commands, name, 'ros_options', summary,
+            f'Type manip_sim {name} VERB --help for its options. It needs ROS, but not ros2.',
+            f'verbs: {", ".join(verbs)}')
+        add_verbs(parser, name)
 
 
 def add_composition(parser: argparse.ArgumentParser) -> None:

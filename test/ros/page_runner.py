@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import redirect_stdout
+from contextlib import ExitStack, nullcontext, redirect_stdout
 import importlib
 from pathlib import Path
 import re
@@ -18,12 +17,12 @@ from typing import Any
 from harness import Client, Served
 from pages import Block, commands, ROOT
 import pytest
-from rcl_interfaces.srv import SetParameters
 import rclpy
-from rclpy.parameter import Parameter
 import yaml
 
+from manip_sim.cli import ros_commands
 from manip_sim.cli.main import main as manip_sim
+from manip_sim.cli.ros_options import COMMANDS
 from manip_sim.interface.topics import ACTIONS
 
 SETUP = (ROOT / 'setup.py').read_text()
@@ -46,6 +45,8 @@ TOOLS = {'rviz2': 'rviz2', 'ros2 bag': 'rosbag2', 'ros2 security': 'sros2', 'sud
          'docker': 'docker', 'sudo apt': 'apt', 'colcon': 'colcon', 'rosdep': 'rosdep',
          'git': 'git', 'pre-commit': 'pre-commit', '.ci/run': 'bash', 'unshare': 'unshare',
          'nsenter': 'nsenter', 'srun': 'slurm', 'kubectl': 'kubectl'}
+#: Commands with the words of ros2.
+GRAPH = [['manip_sim', command] for command in COMMANDS]
 #: Of a shell; nothing that could fail here.
 SHELL = {'source', 'mkdir', 'cd', 'for', 'do', 'done'}
 
@@ -78,21 +79,6 @@ def interface(name: str) -> Any:
     return getattr(importlib.import_module(f'{package}.{kind}'), cls)
 
 
-def filled(message: Any, values: Mapping[str, Any]) -> Any:
-    """Fill a message as ``ros2 topic pub`` does."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            filled(getattr(message, name), value)
-        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            kind = re.fullmatch(r'sequence<(.+)>', message.get_fields_and_field_types()[name])
-            assert kind is not None
-            setattr(message, name, [
-                filled(interface(kind[1].replace('/', '/msg/'))(), one) for one in value])
-        else:
-            setattr(message, name, value)
-    return message
-
-
 class PageRunner:
     """
     Executes the blocks of a page one after the other, as a reader does.
@@ -107,6 +93,8 @@ class PageRunner:
         self._client, self._folder, self._patch = client, folder, patch
         self._names: dict[str, Any] = {'__name__': '__main__'}
         self.served: Served | None = None
+        self._graph: Any = None
+        self._open = ExitStack()
         for name in ('assets', 'config'):
             (folder / name).symlink_to(ROOT / name)
         # Of a workspace.
@@ -146,7 +134,7 @@ class PageRunner:
         first, rest = Path(words[0]).name, words[1:]
         if words[:3] == ['ros2', 'run', 'manip_sim']:
             first, rest = words[3], words[4:]
-        if first == 'ros2':
+        if first == 'ros2' or words[:2] in GRAPH:
             return self._ros2(' '.join(words[1:3]), words[3:])
         if first == 'export':
             for name, value in (word.split('=', 1) for word in rest):
@@ -179,33 +167,46 @@ class PageRunner:
         return None
 
     def _serve(self, arguments: list[str]) -> None:
-        self.close()
+        self._end_node()
         self.served = Served({}, arguments)
         self._client.spin_until(lambda: 'manip_sim' in self._client.node.get_node_names())
 
     def _ros2(self, verb: str, rest: list[str]) -> None:
-        arguments = [word for word in rest if word not in ('--once', '--feedback')]
-        if arguments[0] in ('--rate', '-r'):
-            del arguments[:2]
+        """Execute a command of ``ros2`` by that of ``manip_sim`` with the same words, once."""
         if verb == 'action send_goal':
-            name, kind, goal = arguments
+            name, kind, goal = [word for word in rest if word != '--feedback']
             assert any(name.endswith(re.sub('<.*>/', '/', action.name))
                        and kind.replace('/action/', '/') == action.type for action in ACTIONS)
             assert yaml.safe_load(goal)
             return
         if self.served is None:
             self._serve([])
-        handler: Callable[..., None] = {
-            'topic echo': self._echo, 'topic hz': self._echo, 'topic pub': self._publish,
-            'param set': self._set, 'service call': self._call}[verb]
-        handler(*arguments)
+        if self._graph is None:
+            # One node for all: DDS takes seconds to find a second one of this process.
+            self._graph = self._open.enter_context(ros_commands._graph())
+            self._patch.setattr(ros_commands, '_graph', lambda: nullcontext(self._graph))
+        if verb == 'service call':
+            row = f'| `~/{rest[0].split("/")[-1]}` | {rest[1].replace("/srv/", "/")} |'
+            assert row in (ROOT / 'docs' / 'reference' / 'services.md').read_text()
+            try:
+                interface(rest[1])
+            except ImportError:
+                return
+        before = self.taken()
+        if verb in ('topic echo', 'topic hz'):
+            if self._is_image(rest[-1]):
+                return
+            verb, rest = 'topic echo', ['--once', *(word for word in rest if word != '--once')]
+        elif verb == 'topic pub' and '--once' not in rest:
+            rest = ['--once', *rest]
+        assert manip_sim([*verb.split(), *rest]) == 0, (verb, rest)
+        if verb == 'topic pub':
+            self._client.spin_until(lambda: self.taken() > before)
 
-    def _echo(self, name: str) -> None:
+    def _is_image(self, name: str) -> bool:
         self._client.spin_until(lambda: self._client.node.count_publishers(name) > 0)
         (kind,) = dict(self._client.node.get_topic_names_and_types())[name]
-        if not kind.endswith('Image'):
-            messages = self._client.listen(interface(kind), name)
-            self._client.spin_until(lambda: bool(messages))
+        return bool(kind.endswith('Image'))
 
     def taken(self) -> int:
         """Return how many commands the node has taken; AssertionError if one was rejected."""
@@ -215,28 +216,6 @@ class PageRunner:
                       for entry in commands.statistics.values()]
         assert not sum(entry.rejected for entry in statistics), self._client.log()
         return sum(entry.accepted for entry in statistics)
-
-    def _publish(self, name: str, kind: str, values: str) -> None:
-        before = self.taken()
-        self._client.publish(name, filled(interface(kind)(), yaml.safe_load(values)))
-        self._client.spin_until(lambda: self.taken() > before)
-
-    def _set(self, node: str, name: str, value: str) -> None:
-        parameter = Parameter(name, value=yaml.safe_load(value)).to_parameter_msg()
-        (result,) = self._client.call(SetParameters, f'{node}/set_parameters',
-                                      SetParameters.Request(parameters=[parameter])).results
-        assert result.successful, result.reason
-
-    def _call(self, name: str, kind: str, values: str = '{}') -> None:
-        row = f'| `~/{name.split("/")[-1]}` | {kind.replace("/srv/", "/")} |'
-        assert row in (ROOT / 'docs' / 'reference' / 'services.md').read_text()
-        request = yaml.safe_load(values)
-        try:
-            service = interface(kind)
-        except ImportError:
-            return
-        answer = self._client.call(service, name, filled(service.Request(), request))
-        assert getattr(answer, 'success', True), answer
 
     def _run_client(self, code: Any, endless: bool) -> None:
         """Run a client until it ends; one without an end until the node has taken a command."""
@@ -267,7 +246,11 @@ class PageRunner:
         assert not thread.is_alive()
 
     def close(self) -> None:
-        """End the node."""
+        """End the node and what the commands used."""
+        self._open.close()
+        self._end_node()
+
+    def _end_node(self) -> None:
         if self.served is not None:
             self.served.close()
             self.served = None

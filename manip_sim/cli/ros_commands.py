@@ -1,0 +1,548 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Topics, parameters and services on the command line, where there is no command ``ros2``.
+
+Words and output are those of ``ros2 topic``, ``ros2 param`` and ``ros2 service``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+import importlib
+import itertools
+import math
+import operator
+import os
+import re
+import signal
+import statistics
+import sys
+import time
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.parameter import get_parameter_value, Parameter, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+import yaml
+
+from manip_sim.errors import ManipSimError, MessageError, UnknownNameError
+from manip_sim.quoting import one_line, quoted
+from manip_sim.rclpy_internals import RCLError
+
+#: How long until a name that nobody has is unknown, how long the graph must not change until it is
+#: listed, and how long an answer may take [s].
+_UNKNOWN_S, _SETTLED_S, _ANSWER_S = 3.0, 1.0, 10.0
+#: How long to wait for messages at once; signals are looked at in between [s].
+_LOOK_S = 0.05
+#: How much of an array or a text is printed.
+_PRINTED = 128
+#: How a value of a type is introduced, by the number of rcl_interfaces/msg/ParameterType.
+_LABELS = ('Parameter not set.', 'Boolean value is:', 'Integer value is:', 'Double value is:',
+           'String value is:', 'Byte values are:', 'Boolean values are:', 'Integer values are:',
+           'Double values are:', 'String values are:')
+_TYPES = tuple(label.partition(' value')[0].lower() + (' array' if 'are' in label else '')
+               for label in _LABELS)
+
+
+class _Ended(Exception):
+    """A signal has ended the command."""
+
+
+def run_verb(options: argparse.Namespace) -> int:
+    """
+    Run a verb until it is done, or a signal or a closed standard output ends it.
+
+    :returns: the exit code
+    :raises ManipSimError: if it cannot be done
+    """
+    verbs: Mapping[str, Callable[[_Graph, argparse.Namespace], int | None]] = {
+        'topic list': _list_names, 'topic info': _info, 'topic echo': _echo, 'topic hz': _hz,
+        'topic pub': _publish, 'param list': _list_parameters, 'param describe': _describe,
+        'param get': _get, 'param set': _set, 'param dump': _dump, 'service list': _list_names,
+        'service call': _call}
+    try:
+        with _graph() as graph:
+            return verbs[f'{options.command} {options.action}'](graph, options) or 0
+    except _Ended:
+        return 0
+    except BrokenPipeError:
+        # Python flushes once more when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except NameValidationException as error:
+        raise ManipSimError(one_line(str(error).replace('\n', ' '))) from error
+    except RCLError as error:
+        raise ManipSimError(f'ROS: {one_line(str(error).partition(", at ")[0])}') from error
+
+
+@contextmanager
+def _graph() -> Iterator[_Graph]:
+    set_logger_level('rcl', LoggingSeverity.FATAL)
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+    graph = _Graph(context)
+    before = {number: signal.signal(number, lambda *_: setattr(graph, 'ended', True))
+              for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield graph
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        graph.executor.shutdown()
+        graph.node.destroy_node()
+        context.try_shutdown()
+
+
+class _Graph:
+    """The nodes, topics and services that a node of this process finds."""
+
+    def __init__(self, context: rclpy.Context) -> None:
+        self.ended = False
+        self.node = rclpy.create_node(
+            f'manip_sim_{os.getpid()}', context=context, enable_rosout=False,
+            start_parameter_services=False)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+
+    def spin_until(self, condition: Callable[[], Any], limit_s: float = math.inf) -> bool:
+        """Handle messages until a condition holds; return False if it does not in time [s]."""
+        end_s = time.monotonic() + limit_s
+        while not condition():
+            if self.ended:
+                raise _Ended
+            if time.monotonic() > end_s:
+                return False
+            self.executor.spin_once(timeout_sec=min(_LOOK_S, limit_s))
+        return True
+
+    def settle(self) -> None:
+        """Wait until no node, topic or service has been found for a while."""
+        begin_s, changed_s, before = time.monotonic(), time.monotonic(), None
+
+        def settled() -> bool:
+            nonlocal changed_s, before
+            present = self.nodes(), self.topics(), self.services()
+            if present != before:
+                changed_s, before = time.monotonic(), present
+            # A node may be found before its services.
+            return time.monotonic() - changed_s > _SETTLED_S and (
+                bool(present[2]) or time.monotonic() - begin_s > _UNKNOWN_S)
+        self.spin_until(settled, _ANSWER_S)
+
+    def nodes(self) -> list[str]:
+        return sorted({f'{space.rstrip("/")}/{name}' for name, space in
+                       self.node.get_node_names_and_namespaces() if not name.startswith('_')
+                       and name != self.node.get_name()})
+
+    def topics(self) -> dict[str, list[str]]:
+        return dict(self.node.get_topic_names_and_types())
+
+    def published(self) -> dict[str, list[str]]:
+        return {name: types for name, types in self.topics().items()
+                if self.node.get_publishers_info_by_topic(name)}
+
+    def subscribed(self) -> dict[str, list[str]]:
+        return {name: types for name, types in self.topics().items()
+                if self.node.count_subscribers(name)}
+
+    def services(self) -> dict[str, list[str]]:
+        return dict(self.node.get_service_names_and_types())
+
+    def find(self, kind: str, name: str, present: Callable[[], Iterable[str]]) -> str:
+        """
+        Wait until a name is there, and return it in full.
+
+        :raises UnknownNameError: if it is not after some seconds, with the nearest names
+        """
+        full: str = self.node.resolve_topic_name(name)
+        if not self.spin_until(lambda: full in present(), _UNKNOWN_S):
+            raise UnknownNameError(kind, name, present())
+        return full
+
+    def answer(self, future: Any, name: str) -> Any:
+        """Return the answer of a service; ManipSimError if there is none."""
+        if not self.spin_until(future.done, _ANSWER_S):
+            raise ManipSimError(f'no answer of {quoted(name)} within {_ANSWER_S:g} s')
+        return future.result()
+
+
+# ---------------------------------------------------------------------- topics and services
+
+def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
+    graph.settle()
+    if not graph.nodes():
+        print('manip_sim: no node in ROS domain '
+              f'{os.environ.get("ROS_DOMAIN_ID", "0")} (ROS_DOMAIN_ID, '
+              'ROS_AUTOMATIC_DISCOVERY_RANGE)', file=sys.stderr)
+    present = graph.topics() if options.command == 'topic' else graph.services()
+    own = f'/{graph.node.get_name()}/'
+    names = [name for name in sorted(present) if '/_' not in name and not name.startswith(own)]
+    lines = [f'{name} [{", ".join(present[name])}]' if options.show_types else name
+             for name in names]
+    for line in [str(len(names))] if options.count else lines:
+        _say(line)
+
+
+def _info(graph: _Graph, options: argparse.Namespace) -> None:
+    name = graph.find('topic', options.name, graph.topics)
+    graph.settle()
+    end = '\n\n' if options.verbose else '\n'
+    _say(f'Type: {", ".join(graph.topics()[name])}', end)
+    for label, infos in (('Publisher', graph.node.get_publishers_info_by_topic(name)),
+                         ('Subscription', graph.node.get_subscriptions_info_by_topic(name))):
+        _say(f'{label} count: {len(infos)}', end)
+        for info in infos if options.verbose else ():
+            _say(str(info), end)
+
+
+def _echo(graph: _Graph, options: argparse.Namespace) -> None:
+    messages = _subscribed(graph, options)
+    limit = sys.maxsize if options.full_length else _PRINTED
+    while True:
+        if not graph.spin_until(lambda: messages, options.timeout or math.inf):
+            raise ManipSimError(f'no message on {options.name} for {options.timeout:g} s')
+        message = messages.popleft()
+        if options.field is not None:
+            try:
+                message = operator.attrgetter(options.field)(message)
+            except AttributeError as error:
+                raise UnknownNameError(f'field of {options.name}', options.field,
+                                       message.get_fields_and_field_types()) from error
+        text = yaml.dump(_plain(message, limit, not options.no_arr), sort_keys=False,
+                         allow_unicode=True, width=sys.maxsize)
+        _say(text.removesuffix('...\n'), '---\n')
+        if options.once:
+            return
+
+
+def _subscribed(graph: _Graph, options: argparse.Namespace, raw: bool = False) -> deque[Any]:
+    """Subscribe to a topic as its publishers allow; return where its messages come."""
+    given = getattr(options, 'type', None)
+    if given:
+        kind, topic = _interface(given, 'msg'), graph.node.resolve_topic_name(options.name)
+    else:
+        topic = graph.find('published topic', options.name, graph.published)
+        types = graph.topics()[topic]
+        if len(types) > 1:
+            raise ManipSimError(f'{topic} has several types, choose one: {", ".join(types)}')
+        kind = _interface(types[0], 'msg')
+    profiles = [info.qos_profile for info in graph.node.get_publishers_info_by_topic(topic)]
+    messages: deque[Any] = deque()
+    graph.node.create_subscription(kind, topic, lambda message: messages.append(message), _qos(
+        all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles),
+        bool(profiles) and all(
+            p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)), raw=raw)
+    return messages
+
+
+def _qos(reliable: bool, durable: bool) -> QoSProfile:
+    return QoSProfile(
+        depth=100, reliability=ReliabilityPolicy.RELIABLE if reliable else
+        ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.TRANSIENT_LOCAL if durable
+        else DurabilityPolicy.VOLATILE)
+
+
+def _hz(graph: _Graph, options: argparse.Namespace) -> None:
+    messages = _subscribed(graph, options, raw=True)
+    arrivals: deque[float] = deque(maxlen=options.window + 1)
+    said_s = time.monotonic()
+    while True:
+        graph.spin_until(lambda: messages)
+        arrivals.append(time.monotonic())
+        messages.clear()
+        if arrivals[-1] - said_s < 1.0 or len(arrivals) < 2:
+            continue
+        said_s = arrivals[-1]
+        between = [later - earlier for earlier, later in itertools.pairwise(arrivals)]
+        _say(f'average rate: {1.0 / statistics.fmean(between):.3f}\n\tmin: {min(between):.3f}s '
+             f'max: {max(between):.3f}s std dev: {statistics.pstdev(between):.5f}s '
+             f'window: {len(between)}')
+
+
+def _publish(graph: _Graph, options: argparse.Namespace) -> None:
+    kind = _interface(options.type, 'msg')
+    message = kind()
+    now = graph.node.get_clock().now().to_msg()
+    _fill(message, _mapping(options.values), now)
+    times = 1 if options.once else options.times
+    try:
+        topic = graph.find('subscribed topic', options.name, graph.subscribed)
+    except UnknownNameError as error:
+        if times:
+            raise
+        # As with ros2, what subscribes may come later.
+        print(f'manip_sim: {error}', file=sys.stderr)
+        topic = graph.node.resolve_topic_name(options.name)
+    type_name, types = _type_name(kind), graph.topics().get(topic, [])
+    if types and type_name not in types:
+        raise ManipSimError(f'{topic} has the type {", ".join(types)}, not {type_name}')
+    infos = graph.node.get_subscriptions_info_by_topic(topic)
+    publisher = graph.node.create_publisher(kind, topic, _qos(True, any(
+        info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in infos)))
+    if times and not graph.spin_until(publisher.get_subscription_count, _ANSWER_S):
+        raise ManipSimError(f'no subscription to {topic} that takes what is published reliably')
+    _say('publisher: beginning loop')
+    begin_s = time.monotonic()
+    for number in itertools.count(1):
+        _say(f'publishing #{number}: {message!r}\n')
+        publisher.publish(message)
+        if number == times:
+            break
+        next_s = begin_s + number / options.rate
+        graph.spin_until(lambda end_s=next_s: time.monotonic() >= end_s)  # type: ignore[misc]
+    publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=_UNKNOWN_S))
+
+
+def _call(graph: _Graph, options: argparse.Namespace) -> int:
+    kind = _interface(options.type, 'srv')
+    request = kind.Request()
+    _fill(request, _mapping(options.values), graph.node.get_clock().now().to_msg())
+    name = graph.find('service', options.name, graph.services)
+    types, type_name = graph.services()[name], _type_name(kind)
+    if type_name not in types:
+        raise ManipSimError(f'{name} has the type {", ".join(types)}, not {type_name}')
+    client = graph.node.create_client(kind, name)
+    if not graph.spin_until(client.service_is_ready, _ANSWER_S):
+        raise ManipSimError(f'{name} is there, but does not connect')
+    _say(f'requester: making request: {request!r}\n')
+    response = graph.answer(client.call_async(request), name)
+    _say(f'response:\n{response!r}\n')
+    return int(getattr(response, 'success', True) is False)
+
+
+# ---------------------------------------------------------------------- parameters
+
+def _parameters(graph: _Graph, node: str) -> AsyncParameterClient:
+    name = graph.find('node', node, graph.nodes)
+    client = AsyncParameterClient(graph.node, name)
+    if not graph.spin_until(client.services_are_ready, _ANSWER_S):
+        raise ManipSimError(f'{name} has no parameter services')
+    return client
+
+
+def _names(graph: _Graph, client: AsyncParameterClient, node: str) -> list[str]:
+    return sorted(graph.answer(client.list_parameters(), node).result.names)
+
+
+def _check_known(graph: _Graph, client: AsyncParameterClient, node: str, name: str) -> None:
+    names = _names(graph, client, node)
+    if name not in names:
+        raise UnknownNameError(f'parameter of {node}', name, names)
+
+
+def _list_parameters(graph: _Graph, options: argparse.Namespace) -> None:
+    try:
+        matches = re.compile(options.filter or '').match
+    except re.error as error:
+        raise ManipSimError(f'--filter {quoted(options.filter)}: {error}') from error
+    if not options.node:
+        graph.settle()
+    for node in [options.node] if options.node else graph.nodes():
+        names = [name for name in _names(graph, _parameters(graph, node), node) if matches(name)]
+        if names and not options.node:
+            _say(f'{node}:')
+        for name in names:
+            _say(f'  {name}')
+
+
+def _describe(graph: _Graph, options: argparse.Namespace) -> None:
+    client = _parameters(graph, options.node)
+    for name in options.names:
+        _check_known(graph, client, options.node, name)
+    found = graph.answer(client.describe_parameters(options.names), options.node).descriptors
+    for descriptor in found:
+        _say(f'Parameter name: {descriptor.name}\n  Type: {_TYPES[descriptor.type]}')
+        if descriptor.description:
+            _say(f'  Description: {descriptor.description}')
+        limits = [(f'{end} value', getattr(limit, f'{bound}_value')) for limit in (
+            *descriptor.integer_range, *descriptor.floating_point_range)
+            for end, bound in (('Min', 'from'), ('Max', 'to'))]
+        limits += [('Step', limit.step) for limit in (
+            *descriptor.integer_range, *descriptor.floating_point_range) if limit.step]
+        constraints = [f'Read only: {"true" if descriptor.read_only else "false"}'] if (
+            descriptor.read_only) else []
+        constraints += [f'{label}: {value}' for label, value in limits]
+        if descriptor.additional_constraints:
+            constraints.append(f'Additional constraints: {descriptor.additional_constraints}')
+        _say('\n    '.join(['  Constraints:', *constraints]))
+
+
+def _get(graph: _Graph, options: argparse.Namespace) -> None:
+    client = _parameters(graph, options.node)
+    values = graph.answer(client.get_parameters([options.name]), options.node).values
+    if not values or not values[0].type:
+        _check_known(graph, client, options.node, options.name)
+    value = _value(values[0]) if values else None
+    label = _LABELS[values[0].type if values else 0]
+    _say(str(value) if options.hide_type else label if value is None else f'{label} {value}')
+
+
+def _set(graph: _Graph, options: argparse.Namespace) -> int:
+    client = _parameters(graph, options.node)
+    try:
+        value = get_parameter_value(options.value)
+    except (AssertionError, OverflowError, SystemError, yaml.YAMLError) as error:
+        raise ManipSimError(f'cannot use the value {quoted(options.value)}: '
+                            f'{one_line(str(error), 200)}') from error
+    parameter = Parameter.from_parameter_msg(rclpy.parameter.ParameterMsg(
+        name=options.name, value=value))
+    (result,) = graph.answer(client.set_parameters([parameter]), options.node).results
+    reason = f': {result.reason}' if result.reason else ''
+    if result.successful:
+        _say(f'Set parameter successful{reason}')
+        return 0
+    if options.name not in _names(graph, client, options.node) and not reason:
+        _check_known(graph, client, options.node, options.name)
+    print(f'Setting parameter failed{one_line(reason, 2000)}', file=sys.stderr)
+    return 1
+
+
+def _dump(graph: _Graph, options: argparse.Namespace) -> None:
+    client = _parameters(graph, options.node)
+    names = _names(graph, client, options.node)
+    values = graph.answer(client.get_parameters(names), options.node).values
+    tree: dict[str, Any] = {}
+    for name, value in zip(names, values, strict=True):
+        branch, left = tree, name
+        # A parameter may have the name of a folder too, as arena and arena.friction.
+        while '.' in left and isinstance(branch.get(left.partition('.')[0], {}), dict):
+            folder, _, left = left.partition('.')
+            branch = branch.setdefault(folder, {})
+        branch[left] = _value(value)
+    _say(yaml.dump({graph.node.resolve_topic_name(options.node): {'ros__parameters': tree}},
+                   default_flow_style=False))
+
+
+def _value(value: Any) -> Any:
+    return _plain(parameter_value_to_python(value), sys.maxsize)
+
+
+# ---------------------------------------------------------------------- messages
+
+def _type_name(kind: Any) -> str:
+    return '/'.join([*kind.__module__.split('.')[:2], kind.__name__])
+
+
+def _interface(name: str, module: str) -> Any:
+    """Return the class of a type such as ``std_msgs/msg/String`` or ``std_msgs/String``."""
+    package, _, rest = name.partition('/')
+    words = rest.split('/')
+    label = {'msg': 'message', 'srv': 'service'}[module]
+    if not words[-1] or words[:-1] not in ([], [module]) or not re.fullmatch(r'\w+', package):
+        raise ManipSimError(f'{quoted(name)} is not the type of a {label}, which is like '
+                            f'PACKAGE/{module}/NAME')
+    try:
+        found = importlib.import_module(f'{package}.{module}')
+    except ImportError as error:
+        raise ManipSimError(f'{label} type {quoted(name)}: there is no installed package '
+                            f'{quoted(package)} with such types') from error
+    kind = getattr(found, words[-1], None)
+    if not isinstance(kind, type):
+        raise UnknownNameError(f'{label} type', name, [
+            f'{package}/{module}/{other}' for other, value in vars(found).items()
+            if isinstance(value, type)])
+    return kind
+
+
+def _mapping(text: str) -> Mapping[str, Any]:
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise MessageError(f'not YAML: {quoted(text)}: {one_line(str(error), 200)}') from error
+    if not isinstance(values or {}, dict):
+        raise MessageError(f'must be fields such as {{data: 1.0}}, got {quoted(text)}')
+    return values or {}
+
+
+def _fill(message: Any, values: Mapping[str, Any], now: Any) -> None:
+    """
+    Set fields of a message; ``auto`` is a header of now, ``now`` a stamp.
+
+    :raises ManipSimError: naming the field
+    """
+    types = message.get_fields_and_field_types()
+    for name, value in values.items():
+        if name not in types:
+            raise UnknownNameError(f'field of {_type_name(type(message))}', name, types)
+        try:
+            setattr(message, name, _converted(getattr(message, name), types[name], value, now))
+        except (AssertionError, OverflowError, TypeError, ValueError) as error:
+            if isinstance(error, ManipSimError):
+                raise
+            raise MessageError(f'field {name} of {_type_name(type(message))} is {types[name]}, '
+                               f'got {quoted(value)}') from error
+
+
+def _converted(present: Any, type_name: str, value: Any, now: Any) -> Any:
+    """Return a value of YAML as the field of a message that has a value at present."""
+    if hasattr(present, 'get_fields_and_field_types'):
+        if value == 'auto' and type_name == 'std_msgs/Header':
+            value = {'stamp': 'now'}
+        if value == 'now' and type_name == 'builtin_interfaces/Time':
+            return now
+        if not isinstance(value, Mapping):
+            raise TypeError
+        _fill(present, value, now)
+        return present
+    array = re.match(r'sequence<([^,>]+)(?:, (\d+))?|([^\[]+)\[(\d+)', type_name)
+    if array is None:
+        return _scalar(type_name, value)
+    if isinstance(value, str) or not (int(array[4] or 0) <= len(value) <= int(
+            array[2] or array[4] or len(value))):
+        raise TypeError
+    element = array[1] or array[3]
+    if '/' not in element:
+        return [_scalar(element, one) for one in value]
+    kind = _interface(element, 'msg')
+    return [_converted(kind(), element, one, now) for one in value]
+
+
+def _scalar(type_name: str, value: Any) -> Any:
+    """Return a value of YAML as a type without fields: a bool, a whole number, float or text."""
+    if type_name in ('float', 'double'):
+        return float(value)
+    if type_name.endswith('string') or 'string<' in type_name:
+        return str(value)
+    if type_name == 'boolean':
+        if not isinstance(value, bool):
+            raise TypeError
+        return value
+    if type_name == 'octet':
+        return bytes([value])
+    unsigned, bits = type_name.startswith('u'), int(type_name.removeprefix('u')[3:])
+    if not (0 if unsigned else -2**(bits - 1)) <= operator.index(value) < 2**(
+            bits if unsigned else bits - 1):
+        raise ValueError
+    return value
+
+
+def _plain(value: Any, limit: int, arrays: bool = True) -> Any:
+    """Return a message or a field of it as YAML has it, long ones shortened."""
+    if hasattr(value, 'get_fields_and_field_types'):
+        return {name: _plain(getattr(value, name), limit, arrays)
+                for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return value[0]
+    if isinstance(value, str):
+        return value if len(value) <= limit else f'{value[:limit]}...'
+    if hasattr(value, '__len__'):
+        if not arrays:
+            return f'<array of {len(value)}>'
+        shown = [_plain(one, limit) for one in value[:limit]]
+        return shown + ['...'] if len(value) > limit else shown
+    return value.item() if hasattr(value, 'item') else value
+
+
+def _say(text: str, end: str = '\n') -> None:
+    encoding = sys.stdout.encoding or 'utf-8'
+    print(text.encode(encoding, 'backslashreplace').decode(encoding), end=end, flush=True)
