@@ -17,4 +17,6 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         episodes, periods, notes = convert(records_in(options.files), options.to, options.out,
                                            progress.show, options.only_success)
     summary = f'{counted(episodes, "episode")}, {counted(periods, "control period")}'
+    if notes:
+        summary += f'; {len(notes)} incomplete'
     return '\n'.join([*notes, f'{options.out} ({summary})']), 0

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import inspect
 import os
 import sys
 from types import MappingProxyType
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.errors import DivergenceError, UnknownNameError
-from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
+from manip_sim.models.composing import compose, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation
@@ -70,6 +71,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
+        check_keywords(composition, TaskEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
                           image_size, composition, noise)
         self.episode = setting.create_episode()
@@ -159,6 +161,22 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if self._window is not None:
             self._window.close()
         self._film = self._window = None
+
+
+def check_keywords(composition: Mapping[str, Any], environment: type) -> None:
+    """
+    Check keywords of an environment that are not its own.
+
+    :param composition: the keywords; with ``arena`` they may be parameters of it
+    :param environment: its class, with keywords of its own
+    :raises UnknownNameError: if ``compose`` does not take one, naming the nearest ones
+    """
+    names = [parameter.name for function in (environment, compose)
+             for parameter in inspect.signature(function).parameters.values()
+             if parameter.kind is not parameter.VAR_KEYWORD]
+    for key in composition:
+        if key not in names and 'arena' not in composition:
+            raise UnknownNameError('keyword', key, dict.fromkeys(names))
 
 
 def check_options(options: Mapping[str, Any] | None) -> None:

@@ -14,7 +14,8 @@ from gymnasium.vector.utils import batch_space
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from manip_sim.env.task_env import action_space, check_options, observation_space, SEEDS
+from manip_sim.env.task_env import (
+    action_space, check_keywords, check_options, observation_space, SEEDS)
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.tasks import Episode, Setting, Task
@@ -69,6 +70,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
+        check_keywords(composition, TaskVectorEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
                           image_size, composition, noise)
         made = setting.create_task()

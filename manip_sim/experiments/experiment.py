@@ -24,7 +24,6 @@ from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
 from manip_sim.tasks import Episode, Latency, read_description, Setting
 from manip_sim.tasks.expert import Expert, Policy
-from manip_sim.tasks.observation import IMAGE
 
 
 @dataclass(frozen=True)
@@ -102,11 +101,11 @@ class Worker:
         episode, recorder = self._episode, self._recorder(seed)
         total, error = 0.0, ''
         episode.reset(seed)
-        recorded = recorder is not None and episode.observer.pictures is not None
+        recorded = recorder is not None
         observed = recorded or not isinstance(self._policy, Expert)
         observation = episode.observation if observed else None
         if recorder is not None:
-            recorder.begin(seed, _images(observation))
+            recorder.begin(seed, observation=observation)
         try:
             self._reset_policy(seed)
             while not episode.over:
@@ -117,7 +116,7 @@ class Worker:
                 if recorded or observed and not episode.over:
                     observation = episode.observation
                 if recorder is not None:
-                    recorder.period(action, reward, images=_images(observation))
+                    recorder.period(action, reward, observation=observation)
         except ManipSimError as failure:
             error = one_line(str(failure), 300)
         row = Row(seed, not error and episode.success, total, episode.periods, episode.digest,
@@ -155,11 +154,6 @@ class Worker:
         return EpisodeRecorder(
             self._experiment.records / f'{seed}.mcap', self._episode,
             self._experiment.description(), overwrite=True)
-
-
-def _images(observation: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {key.removeprefix(IMAGE): value for key, value in (observation or {}).items()
-            if key.startswith(IMAGE)}
 
 
 def _plain(value: Any) -> Any:

@@ -63,7 +63,8 @@ def convert(paths: Iterable[Path], name: str, target: Path,
                 raise RecordError(f'{target} is there by now, and is not overwritten')
             unfinished.rename(target)
     except RecordError as error:
-        raise RecordError(f'{where}{error}') from error
+        left_out = f'; {len(notes)} incomplete' if notes and not done else ''
+        raise RecordError(f'{where}{error}{left_out}') from error
     except OSError as error:
         raise RecordError(f'{target}: {error.strerror or error}') from error
     except ImportError as error:

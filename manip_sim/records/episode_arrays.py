@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import json
 import re
 from typing import Any
@@ -21,6 +21,8 @@ from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import ACTION, GOAL, REWARD, SUCCESS
 from manip_sim.records.untrusted_records import finite, image
 
+#: Of the topics of exact values, after the name of the robot if there are several.
+_TRUTH = 'truth'
 _IMAGE = re.compile(r'/(?P<camera>.+)/color/image_raw/compressed')
 
 
@@ -37,6 +39,26 @@ class Columns:
     names: list[str]
 
 
+@dataclass
+class Quantities:
+    """
+    What is known of robots and objects at the start and after each control period.
+
+    :ivar positions: joint positions by robot [rad or m]
+    :ivar velocities: joint velocities by robot [rad/s or m/s]
+    :ivar end_effectors: poses of ``grip_site`` by robot and arm: position [m] and quaternion
+        x, y, z, w
+    :ivar objects: poses of free bodies by name
+    :ivar goal: what the task has as its goal, or None
+    """
+
+    positions: dict[str, Columns] = field(default_factory=dict)
+    velocities: dict[str, Columns] = field(default_factory=dict)
+    end_effectors: dict[str, Columns] = field(default_factory=dict)
+    objects: dict[str, Columns] = field(default_factory=dict)
+    goal: Columns | None = None
+
+
 class Frames:
     """
     The control periods of an episode.
@@ -47,12 +69,8 @@ class Frames:
     :ivar actions: shape (periods, n)
     :ivar rewards: after each period, shape (periods,)
     :ivar done: whether the task is done after each period, shape (periods,)
-    :ivar positions: joint positions by robot [rad or m]
-    :ivar velocities: joint velocities by robot [rad/s or m/s]
-    :ivar end_effectors: poses of ``grip_site`` by robot and arm: position [m] and quaternion
-        x, y, z, w
-    :ivar objects: poses of free bodies by name
-    :ivar goal: what the task has as its goal, or None
+    :ivar observed: as a policy observes it, with noise and latency
+    :ivar truth: exactly, at the present instant; None where that is what is observed
     """
 
     def __init__(self, recorded: RecordedEpisode) -> None:
@@ -69,32 +87,35 @@ class Frames:
         self.done = np.array([m.data for m in recorded.decoded(SUCCESS, 'std_msgs/Bool')], bool)
         for values, what in ((self.rewards, 'rewards'), (self.done, 'results')):
             self._check(len(values), what, self._count)
-        self.positions: dict[str, Columns] = {}
-        self.velocities: dict[str, Columns] = {}
-        self.end_effectors: dict[str, Columns] = {}
-        self.objects: dict[str, Columns] = {}
+        self.observed, truth = Quantities(), Quantities()
         for topic in recorded.types:
-            self._read(topic)
+            scope = topic.strip('/').split('/')
+            if _TRUTH in scope[:2]:
+                scope.remove(_TRUTH)
+                self._read(truth, topic, scope)
+            else:
+                self._read(self.observed, topic, scope)
+        self.truth = truth if truth.positions else None
         goal = finite(recorded.arrays(GOAL), GOAL)
-        self.goal = Columns(goal, [f'goal{index}' for index in range(goal.shape[1])]
-                            ) if goal.size else None
+        if goal.size:
+            self.observed.goal = Columns(goal, [f'goal{n}' for n in range(goal.shape[1])])
 
-    def _read(self, topic: str) -> None:
-        *scope, last = topic.strip('/').split('/')
+    def _read(self, into: Quantities, topic: str, names: list[str]) -> None:
+        *scope, last = names
         if last == 'joint_states' and len(scope) < 2:
             robot = scope[0] if scope else next(iter(self.robots), '')
             messages = self.recorded.decoded(topic, 'sensor_msgs/JointState')
             self._check(len(messages), topic)
             names = list(messages[0].name)
-            for found, field in ((self.positions, 'position'), (self.velocities, 'velocity')):
+            for found, member in ((into.positions, 'position'), (into.velocities, 'velocity')):
                 self._add(found, robot, topic, Columns(
-                    _rows([getattr(m, field) for m in messages], topic, len(names)), names))
+                    _rows([getattr(m, member) for m in messages], topic, len(names)), names))
         elif last == 'eef_pose' and scope:
             name = '/'.join(scope if len(scope) > 1 else [next(iter(self.robots), ''), *scope])
-            self._add(self.end_effectors, name, topic, self._poses(topic, name))
+            self._add(into.end_effectors, name, topic, self._poses(topic, name))
         elif last == 'pose' and scope[:1] == ['objects']:
             name = '/'.join(scope[1:])
-            self._add(self.objects, name, topic, self._poses(topic, name))
+            self._add(into.objects, name, topic, self._poses(topic, name))
 
     def _add(self, found: dict[str, Columns], name: str, topic: str, quantity: Columns) -> None:
         if not name:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.errors import RecordError
-from manip_sim.records.episode_arrays import Frames
+from manip_sim.records.episode_arrays import Frames, Quantities
 from manip_sim.records.untrusted_records import model_xml
 
 #: robomimic's number for environments of gymnasium.
@@ -27,8 +27,9 @@ def write_hdf5(episodes: Iterable[Frames], path: Path) -> int:
 
     Observations are named as in robosuite: ``robot0_joint_pos`` (of arms and bodies [rad or m]),
     ``robot0_gripper_qpos``, ``robot0_eef_pos`` [m], ``robot0_eef_quat`` (x, y, z, w), ``object``
-    (poses one after the other), ``goal`` and ``CAMERA_image``. ``states`` are qpos, qvel and mocap
-    poses. All numbers are float64.
+    (poses one after the other), ``goal`` and ``CAMERA_image``. Where noise or latency change them,
+    ``truth`` has the exact values beside ``obs``. ``states`` are qpos, qvel and mocap poses. All
+    numbers are float64.
 
     :param episodes: in order
     :param path: of the file, which must not be there
@@ -41,13 +42,8 @@ def write_hdf5(episodes: Iterable[Frames], path: Path) -> int:
         data = file.create_group('data')
         for number, frames in enumerate(episodes):
             demo = data.create_group(f'demo_{number}')
-            about = frames.recorded.about
             if number == 0:
-                data.attrs['env_args'] = json.dumps({
-                    'env_name': f'manip_sim/{_camel(about["task"])}-v0', 'type': _GYM,
-                    'env_version': about['manip_sim'],
-                    'env_kwargs': {
-                        **frames.recorded.json('arguments'), 'action': about['action']}})
+                data.attrs['env_args'] = json.dumps(_environment(frames))
             count = len(frames.actions)
             demo.attrs.update(num_samples=count, seed=frames.recorded.seed,
                               success=frames.recorded.success, model_file=model_xml(
@@ -58,8 +54,11 @@ def write_hdf5(episodes: Iterable[Frames], path: Path) -> int:
                                   f'{count} control periods')
             demo['actions'], demo['states'] = frames.actions, states[:-1]
             demo['rewards'], demo['dones'] = frames.rewards, frames.done.astype(np.int64)
-            for key, values in _observations(frames).items():
+            for key, values in _observations(frames.observed, frames.fingers).items():
                 demo[f'obs/{key}'], demo[f'next_obs/{key}'] = values[:-1], values[1:]
+            if frames.truth is not None:
+                for key, values in _observations(frames.truth, frames.fingers).items():
+                    demo[f'truth/{key}'] = values[:-1]
             for camera in frames.cameras:
                 shape = next(frames.images(camera)).shape
                 images = demo.create_dataset(
@@ -77,9 +76,21 @@ def write_hdf5(episodes: Iterable[Frames], path: Path) -> int:
     return total
 
 
-def _observations(frames: Frames) -> dict[str, NDArray[Any]]:
+def _environment(frames: Frames) -> dict[str, Any]:
+    """Return what robomimic makes the environment from, which gives observations like these."""
+    about, recorded = frames.recorded.about, frames.recorded
+    keywords = {**recorded.json('arguments'), 'action': about['action'],
+                'control_hz': float(f'{1.0 / recorded.period_s:.12g}'),
+                'latency': recorded.json('latency'), 'noise': recorded.json('noise')}
+    if frames.cameras:
+        height, width, _ = next(frames.images(next(iter(frames.cameras)))).shape
+        keywords.update(cameras=list(frames.cameras), image_size=[width, height])
+    return {'env_name': f'manip_sim/{_camel(about["task"])}-v0', 'type': _GYM,
+            'env_version': about['manip_sim'], 'env_kwargs': keywords}
+
+
+def _observations(frames: Quantities, fingers: set[str]) -> dict[str, NDArray[Any]]:
     found: dict[str, NDArray[Any]] = {}
-    fingers = frames.fingers
     for kind, source in (('pos', frames.positions), ('vel', frames.velocities)):
         for number, quantity in enumerate(source.values()):
             is_finger = np.array([name in fingers for name in quantity.names], dtype=bool)

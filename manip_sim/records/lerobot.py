@@ -33,8 +33,9 @@ def write_lerobot(episodes: Iterable[Frames], folder: Path) -> int:
     Write a data set of which LeRobot's own class reads every number and image.
 
     ``observation.state`` holds positions of joints and poses of end effectors;
-    ``observation.environment_state`` poses of objects and the goal; numbers but rewards are
-    float64. Videos are H.264, and each episode begins with a key frame.
+    ``observation.environment_state`` poses of objects and the goal; ``truth.`` in place of
+    ``observation.`` holds exact values, where noise or latency change what is observed. Numbers
+    but rewards are float64. Videos are H.264, and each episode begins with a key frame.
 
     :param episodes: in order, of one task world with the same cameras
     :param folder: is created
@@ -200,12 +201,16 @@ def _place(pattern: str, number: int, **names: str) -> str:
 def _columns(frames: Frames) -> dict[str, Columns]:
     """Return what is observed and done, a row per control period."""
     count = len(frames.actions)
-    found = {'action': Columns(frames.actions, _action_names(frames)),
-             'observation.state': _joined(
-                 [*frames.positions.values(), *frames.end_effectors.values()])}
-    surroundings = [*frames.objects.values(), *([] if frames.goal is None else [frames.goal])]
-    if surroundings:
-        found['observation.environment_state'] = _joined(surroundings)
+    found = {'action': Columns(frames.actions, _action_names(frames))}
+    for place, quantities in (('observation.', frames.observed), ('truth.', frames.truth)):
+        if quantities is None:
+            continue
+        found[f'{place}state'] = _joined(
+            [*quantities.positions.values(), *quantities.end_effectors.values()])
+        surroundings = [*quantities.objects.values(),
+                        *([] if quantities.goal is None else [quantities.goal])]
+        if surroundings:
+            found[f'{place}environment_state'] = _joined(surroundings)
     done = np.zeros((count, 1), bool)
     done[-1] = True
     found['next.reward'] = Columns(frames.rewards.astype(np.float32)[:, None], ['reward'])

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Record the episodes of a task: its state at each control period, actions, images, digests."""
+"""Record the episodes of a task: what is observed at each control period, actions, digests."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
 from manip_sim.resources import package_version
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.tasks import Episode
+from manip_sim.tasks.observation import IMAGE, Observation
 
 #: Of the metadata below; a reader rejects others.
 FORMAT = '1'
@@ -50,6 +51,9 @@ class EpisodeRecorder:
 
     Call :meth:`begin` after ``Episode.reset``, :meth:`period` after each ``Episode.step``, and
     :meth:`end`. Times are those of the simulation. Used as a context, it closes its file.
+
+    Joints, poses, external wrenches and the goal are recorded as a policy observes them. Where
+    noise or latency make that differ, the exact values of the instant are below ``truth/``.
 
     :param path: of the file
     :param episode: what is recorded
@@ -87,12 +91,14 @@ class EpisodeRecorder:
         self._file.attach(MODEL, 'application/zip', task.world.to_archive())
         self._topics = _Topics(self._file, episode)
 
-    def begin(self, seed: int, images: Mapping[str, NDArray[np.uint8]] | None = None) -> None:
+    def begin(self, seed: int, images: Mapping[str, NDArray[np.uint8]] | None = None,
+              observation: Observation | None = None) -> None:
         """
         Begin an episode, at its start.
 
         :param seed: that it was reset with
-        :param images: by camera, shape (h, w, 3)
+        :param images: by camera, shape (h, w, 3); None for those of the observation
+        :param observation: of the start; None to read it
         :raises RecordError: if the file cannot be written
         """
         self._number += 1
@@ -101,31 +107,31 @@ class EpisodeRecorder:
             **self._about, 'number': str(self._number), 'seed': str(seed),
             'steps': str(self._episode.simulation.step_count),
             'drawn': json.dumps(self._episode.simulation.randomized.drawn)})
-        self._topics.write_numbers()
-        self._topics.write_images(images or {})
+        self._topics.write(observation, images)
         self._digest()
 
     def period(self, action: ArrayLike | None = None, reward: float | None = None,
                success: bool | None = None,
-               images: Mapping[str, NDArray[np.uint8]] | None = None) -> None:
+               images: Mapping[str, NDArray[np.uint8]] | None = None,
+               observation: Observation | None = None) -> None:
         """
         Record a control period, after it.
 
         :param action: that was applied; None if commands came in another way
         :param reward: of the present instant; None to compute it
         :param success: whether the task is done; None to compute it
-        :param images: by camera, shape (h, w, 3)
+        :param images: by camera, shape (h, w, 3); None for those of the observation
+        :param observation: after the period; None to read it
         :raises RecordError: if the file cannot be written
         """
         if action is not None:
             self._topics.write_action(np.asarray(action, dtype=np.float64))
-        self._topics.write_numbers()
+        self._topics.write(observation, images)
         reward = self._episode.reward if reward is None else reward
         self._return += reward
         self._topics.write_value(REWARD, float(reward))
         self._topics.write_value(
             SUCCESS, bool(self._episode.success if success is None else success))
-        self._topics.write_images(images or {})
         if self._episode.periods % self._every == 0:
             self._digest()
 
@@ -165,10 +171,12 @@ class EpisodeRecorder:
             self.close()
 
 
-#: What reads numbers of the present instant.
-_Read = Callable[[], FloatArray]
+#: What reads numbers of an observation, or of the present instant.
+_Read = Callable[[Observation], FloatArray]
 #: What makes the content of a message of a stamp and numbers.
 _Make = Callable[[dict[str, int], FloatArray], Any]
+#: A topic, its type, its messages and what reads their numbers.
+_Numbers = tuple[str, str, PatchedBytes, _Read]
 
 
 class _Topics:
@@ -176,38 +184,56 @@ class _Topics:
 
     def __init__(self, file: RecordFile, episode: Episode) -> None:
         self._file = file
+        self._episode = episode
         self._simulation = simulation = episode.simulation
         self._channels: dict[str, int] = {}
-        self._numbers: list[tuple[int, PatchedBytes, _Read]] = []
+        self._always: list[_Numbers] = []
+        self._truths: list[_Numbers] = []
         self._action: tuple[int, PatchedBytes] | None = None
-        self._add('/clock', 'rosgraph_msgs/Clock', lambda stamp, _: {'clock': stamp},
-                  lambda: np.empty(0))
-        self._add(STATE, 'std_msgs/Float64MultiArray', _array('qpos, qvel, mocap'),
-                  lambda: physics_state(simulation))
-        if len(episode.task.goal(simulation)):
-            self._add(GOAL, 'std_msgs/Float64MultiArray', _array('goal'),
-                      lambda: np.asarray(episode.task.goal(simulation), dtype=np.float64))
-        several = len(simulation.robots) > 1
+        self._seen = episode.observer.read()
+        self._add(self._always, '/clock', 'rosgraph_msgs/Clock',
+                  lambda stamp, _: {'clock': stamp}, lambda _: np.empty(0))
+        self._add(self._always, STATE, 'std_msgs/Float64MultiArray', _array('qpos, qvel, mocap'),
+                  lambda _: physics_state(simulation))
+        if 'goal' in self._seen:
+            self._add(self._always, GOAL, 'std_msgs/Float64MultiArray', _array('goal'),
+                      lambda seen: np.asarray(seen['goal'], dtype=np.float64))
+        several, joint, arm = len(simulation.robots) > 1, 0, 0
         for name, robot in simulation.robots.items():
-            self._add_robot(robot, Scope(name if several else ''))
-        for name in simulation.entities.free_names:
-            self._add(f'/objects/{name}/pose', 'geometry_msgs/PoseStamped', _pose,
-                      _object_pose(simulation, name))
+            self._add_robot(robot, Scope(name if several else ''), joint, arm)
+            joint, arm = joint + len(robot.joint_names), arm + len(robot.end_effectors)
+        for index, name in enumerate(simulation.entities.free_names):
+            self._add_both(Scope(''), f'objects/{name}/pose', 'geometry_msgs/PoseStamped', _pose,
+                           partial(_row, 'object_pose', index), _object_pose(simulation, name))
 
-    def _add_robot(self, robot: SimulatedRobot, scope: Scope) -> None:
-        self._add(f'/{scope.topic("joint_states")}', 'sensor_msgs/JointState',
-                  _joint_state(robot.joint_names), robot.measured)
-        for arm, reader in robot.end_effectors.items():
-            for topic in ('wrench', 'external_wrench'):
-                self._add(f'/{scope.topic(f"{arm}/{topic}")}', 'geometry_msgs/WrenchStamped',
-                          _wrench(reader.ft_frame),
-                          partial(robot.sensing.measured, f'{arm}/{topic}'))
-            self._add(f'/{scope.topic(f"{arm}/eef_pose")}', 'geometry_msgs/PoseStamped', _pose,
-                      partial(robot.sensing.measured, f'{arm}/pose'))
+    def _add_robot(self, robot: SimulatedRobot, scope: Scope, joint: int, arm: int) -> None:
+        """Add the topics of a robot whose joints and arms begin at some rows of observations."""
+        joints, exact = slice(joint, joint + len(robot.joint_names)), robot.sensing.exact
+        self._add_both(scope, 'joint_states', 'sensor_msgs/JointState',
+                       _joint_state(robot.joint_names),
+                       lambda seen: np.concatenate([seen[f'joint_{kind}'][joints] for kind in (
+                           'position', 'velocity', 'effort')]), lambda: exact('joints'))
+        for row, (name, reader) in enumerate(robot.end_effectors.items(), arm):
+            make, kind = _wrench(reader.ft_frame), 'geometry_msgs/WrenchStamped'
+            # No part of observations.
+            self._add_both(scope, f'{name}/wrench', kind, make,
+                           _present(partial(robot.sensing.measured, f'{name}/wrench')),
+                           partial(exact, f'{name}/wrench'))
+            self._add_both(scope, f'{name}/external_wrench', kind, make,
+                           partial(_row, 'external_wrench', row),
+                           partial(exact, f'{name}/external_wrench'))
+            self._add_both(scope, f'{name}/eef_pose', 'geometry_msgs/PoseStamped', _pose,
+                           partial(_row, 'eef_pose', row), partial(exact, f'{name}/pose'))
 
-    def _add(self, topic: str, kind: str, make: _Make, read: _Read) -> None:
-        self._numbers.append((self._channel(topic, kind),
-                              self._patched(kind, make, len(read())), read))
+    def _add_both(self, scope: Scope, topic: str, kind: str, make: _Make, read: _Read,
+                  exact: Callable[[], FloatArray]) -> None:
+        """Add what is observed, and beside it what is true."""
+        self._add(self._always, f'/{scope.topic(topic)}', kind, make, read)
+        self._add(self._truths, f'/{scope.topic(f"truth/{topic}")}', kind, make, _present(exact))
+
+    def _add(self, numbers: list[_Numbers], topic: str, kind: str, make: _Make, read: _Read
+             ) -> None:
+        numbers.append((topic, kind, self._patched(kind, make, len(read(self._seen))), read))
 
     def _patched(self, kind: str, make: _Make, count: int) -> PatchedBytes:
         encode = encoder(kind)
@@ -218,11 +244,16 @@ class _Topics:
             self._channels[topic] = self._file.channel(topic, full_name(kind), definition(kind))
         return self._channels[topic]
 
-    def write_numbers(self) -> None:
-        """Write all states of the present instant."""
-        time_ns = self._simulation.time_ns
-        for channel, patched, read in self._numbers:
-            self._file.write(channel, time_ns, patched.at(time_ns, read()))
+    def write(self, observation: Observation | None,
+              images: Mapping[str, NDArray[np.uint8]] | None) -> None:
+        """Write what is observed at the present instant, and where it differs what is true."""
+        time_ns, seen = self._simulation.time_ns, observation or self._episode.observation
+        truths = [] if self._episode.observes_exactly else self._truths
+        for topic, kind, patched, read in (*self._always, *truths):
+            self._file.write(self._channel(topic, kind), time_ns,
+                             patched.at(time_ns, read(seen)))
+        self._write_images({key.removeprefix(IMAGE): value for key, value in seen.items()
+                            if key.startswith(IMAGE)} if images is None else images)
 
     def write_action(self, action: FloatArray) -> None:
         """Write an action, shape (n,)."""
@@ -241,7 +272,7 @@ class _Topics:
         self._file.write(self._channel(topic, kind), self._simulation.time_ns,
                          encoder(kind)({'data': value}))
 
-    def write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
+    def _write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         """Write images by camera as JPEG; the topics are those of cameras of the node."""
         kind, time_ns = 'sensor_msgs/CompressedImage', self._simulation.time_ns
         for camera, rgb in images.items():
@@ -311,5 +342,15 @@ def _pose(stamp: dict[str, int], numbers: FloatArray) -> Any:
         'position': _vector(numbers[:3].tolist()), 'orientation': _vector(numbers[3:].tolist())}}
 
 
-def _object_pose(simulation: Simulation, name: str) -> _Read:
+def _present(read: Callable[[], FloatArray]) -> _Read:
+    """Return what reads the present instant, whatever is observed."""
+    return lambda _: read()
+
+
+def _row(key: str, index: int, seen: Observation) -> FloatArray:
+    row: FloatArray = seen[key][index]
+    return row
+
+
+def _object_pose(simulation: Simulation, name: str) -> Callable[[], FloatArray]:
     return lambda: simulation.entities.pose(simulation.data, name)

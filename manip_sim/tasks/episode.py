@@ -174,6 +174,12 @@ class Episode:
         seen = self._states.newest(self.periods * self._steps)
         return {key: value.copy() for key, value in seen.items()}
 
+    @property
+    def observes_exactly(self) -> bool:
+        """Whether observations are exact and of the present instant: no noise and no latency."""
+        return not self._states_late and not any(
+            robot.sensing.settings.as_dict() for robot in self.simulation.robots.values())
+
     def run(self, policy: Policy, seed: int) -> bool:
         """
         Run the episode of a seed, and return whether it succeeds.

@@ -3,6 +3,8 @@
 
 """Environments of gymnasium: they pass its own checkers, and are what an episode is."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -241,3 +243,12 @@ def test_a_bad_action_of_one_world_changes_none():
     vector.close()
     with pytest.raises(ManipSimError, match='num_envs must be a whole number from 1, got 0'):
         manip_sim.env.TaskVectorEnv('reach', 0)
+
+
+@pytest.mark.parametrize(
+    'make', [gymnasium.make, functools.partial(gymnasium.make_vec, num_envs=2)])
+def test_an_unknown_keyword_is_told_with_the_nearest_ones(make):
+    with pytest.raises(UnknownNameError, match="unknown keyword 'contol_hz'.*'control_hz'"):
+        make('manip_sim/Reach-v0', contol_hz=10)
+    with pytest.raises(UnknownNameError, match="unknown keyword 'timstep_s'.*'timestep_s'"):
+        make('manip_sim/Reach-v0', timstep_s=0.001)

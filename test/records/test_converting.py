@@ -23,6 +23,8 @@ import pyarrow.parquet as parquet  # noqa: E402
 from manip_sim.records.episode_arrays import Frames  # noqa: E402
 from manip_sim.records.lerobot import write_lerobot  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
+from manip_sim.records.recorder import EpisodeRecorder  # noqa: E402
+from manip_sim.tasks import Setting  # noqa: E402
 
 
 @pytest.fixture(scope='module')
@@ -43,10 +45,10 @@ def test_an_action_has_the_row_of_the_state_that_it_was_for(episodes, recording)
     frames = episodes[0]
     count = len(frames.actions)
     states = frames.recorded.states
-    (joints,) = frames.positions.values()
+    (joints,) = frames.observed.positions.values()
     assert joints.values.shape[0] == states.shape[0] == count + 1
     np.testing.assert_array_equal(joints.values[:, :7], states[:, :7])
-    (poses,) = frames.end_effectors.values()
+    (poses,) = frames.observed.end_effectors.values()
     np.testing.assert_allclose(np.linalg.norm(poses.values[:, 3:], axis=1), 1.0)
     assert frames.done[-1] and not frames.done[:-1].any()
 
@@ -61,7 +63,8 @@ def test_the_parquet_files_hold_every_number(lerobot, episodes):
     assert table['frame_index'].to_pylist() == [*range(lengths[0]), *range(lengths[1])]
     assert table['index'].to_pylist() == list(range(sum(lengths)))
     states = np.array(table['observation.state'].to_pylist())
-    (joints,), (poses,) = episodes[0].positions.values(), episodes[0].end_effectors.values()
+    seen = episodes[0].observed
+    (joints,), (poses,) = seen.positions.values(), seen.end_effectors.values()
     np.testing.assert_array_equal(
         states[:lengths[0]], np.hstack([joints.values, poses.values])[:-1])
     done = table['next.done'].to_pylist()
@@ -125,7 +128,8 @@ def test_hdf5_has_the_structure_of_robomimic(recording, episodes, tmp_path, caps
             np.testing.assert_array_equal(demo['rewards'], frames.rewards)
             np.testing.assert_array_equal(demo['dones'], frames.done)
             np.testing.assert_array_equal(demo['states'], frames.recorded.states[:-1])
-            (joints,), (poses,) = frames.positions.values(), frames.end_effectors.values()
+            seen = frames.observed
+            (joints,), (poses,) = seen.positions.values(), seen.end_effectors.values()
             for group, rows in (('obs', slice(None, -1)), ('next_obs', slice(1, None))):
                 np.testing.assert_array_equal(
                     demo[f'{group}/robot0_joint_pos'], joints.values[rows, :7])
@@ -193,3 +197,86 @@ def test_a_missing_image_is_an_error(episodes, tmp_path):
         **recorded.messages, topic: recorded.messages[topic][1:]})
     with pytest.raises(RecordError, match=f'{len(episodes[0].actions)} messages of {topic} for'):
         write_lerobot([Frames(other)], tmp_path / 'a')
+
+
+CASES = {'exact': ({}, {}), 'late': ({}, {'state': 0.2}),
+         'noisy': ({'noise.joint_position': 0.01, 'noise.wrench_force': 1.0}, {}),
+         'both': ({'noise.joint_position': 0.01}, {'state': 0.13})}
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_each_row_has_what_the_policy_was_given_and_what_is_true(renderer, case, tmp_path):
+    noise, latency = CASES[case]
+    setting = Setting('pick_cube', 'UR5e', 'default', 'osc_pose', 20.0, latency, ('agentview',),
+                      (64, 48), {}, noise)
+    episode, given, true = setting.create_episode(), [], []
+    path, robot = tmp_path / 'run.mcap', episode.simulation.robot
+    rng = np.random.default_rng(0)
+    with EpisodeRecorder(path, episode) as recorder:
+        episode.reset(5)
+        recorder.begin(5)
+        for _ in range(9):
+            given.append(episode.observation)
+            true.append(np.concatenate([robot.sensing.exact('joints'), robot.sensing.exact(
+                'right/pose'), episode.simulation.entities.pose(episode.simulation.data, 'cube')]))
+            action = rng.uniform(-1.0, 1.0, 7)
+            episode.step(action)
+            recorder.period(action)
+        recorder.end()
+    assert main(['convert', str(path), '--to', 'hdf5', str(tmp_path / 'a.hdf5')]) == 0
+    assert main(['convert', str(path), '--to', 'lerobot', str(tmp_path / 'set')]) == 0
+    seen = {key: np.stack([observation[key] for observation in given]) for key in given[0]}
+    joints = len(robot.joint_names)
+    with h5py.File(tmp_path / 'a.hdf5') as file:
+        demo = file['data/demo_0']
+
+        def together(group, *names):
+            return np.concatenate([demo[f'{group}/{name}'] for name in names], axis=1)
+        names = (('robot0_joint_pos', 'robot0_gripper_qpos'),
+                 ('robot0_joint_vel', 'robot0_gripper_qvel'),
+                 ('robot0_eef_pos', 'robot0_eef_quat'), ('object',))
+        keys = ('joint_position', 'joint_velocity', 'eef_pose', 'object_pose')
+        for some, key in zip(names, keys):
+            np.testing.assert_array_equal(together('obs', *some), seen[key].reshape(9, -1))
+        # JPEG changes colours a little; another period shows the arm elsewhere.
+        assert np.abs(demo['obs/agentview_image'][:].astype(int) - seen['image/agentview']).mean(
+            ) < 3.0
+        assert ('truth' in demo) == (case != 'exact')
+        if 'truth' in demo:
+            exact = np.concatenate([together('truth', *some) for some in names], axis=1)
+            np.testing.assert_array_equal(exact, np.delete(
+                true, np.s_[2 * joints:3 * joints], axis=1))
+        env = json.loads(file['data'].attrs['env_args'])['env_kwargs']
+        assert env['control_hz'] == 20.0 and env['latency']['state'] == latency.get('state', 0.0)
+        assert env['noise'] == noise and env['cameras'] == ['agentview']
+        made = Setting(env.pop('task', 'pick_cube'), env.pop('robot', 'UR5e'), **{
+            key: env[key] for key in ('action', 'control_hz', 'latency', 'noise')}, cameras=tuple(
+                env['cameras']), image_size=tuple(env['image_size'])).create_episode()
+        made.reset(5)
+        np.testing.assert_array_equal(made.observation['image/agentview'],
+                                      given[0]['image/agentview'])
+    table = parquet.read_table(tmp_path / 'set/data/chunk-000/file-000.parquet')
+    state = np.array(table['observation.state'].to_pylist())
+    np.testing.assert_array_equal(state, np.concatenate(
+        [seen['joint_position'], seen['eef_pose'][:, 0]], axis=1))
+    np.testing.assert_array_equal(np.array(table['observation.environment_state'].to_pylist()),
+                                  seen['object_pose'][:, 0])
+    if case != 'exact':
+        np.testing.assert_array_equal(
+            np.array(table['truth.state'].to_pylist()),
+            np.delete(true, np.s_[joints:3 * joints], axis=1)[:, :-7])
+
+
+def test_a_record_that_was_cut_off_says_how_many_episodes_are_incomplete(
+        recording, tmp_path, capsys):
+    with open(recording, 'rb') as file:
+        content = file.read()
+    cut, alone = tmp_path / 'cut.mcap', tmp_path / 'alone.mcap'
+    cut.write_bytes(content[:content.rindex(b'manip_sim/result', 0, len(content) - 3000) - 30])
+    assert main(['convert', str(cut), '--to', 'hdf5', str(tmp_path / 'a.hdf5')]) == 0
+    assert 'episode 1 is not complete' in (out := capsys.readouterr().out)
+    assert out.endswith('; 1 incomplete)\n') and '(1 episode, ' in out
+    episodes = content.index(b'manip_sim/result')
+    alone.write_bytes(content[:episodes - 30])
+    assert main(['convert', str(alone), '--to', 'hdf5', str(tmp_path / 'b.hdf5')]) == 1
+    assert 'there are no episodes; 1 incomplete' in capsys.readouterr().err

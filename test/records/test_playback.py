@@ -70,7 +70,7 @@ def end_effector_of(player):
 
 
 def test_the_scene_shows_the_period_of_the_slider(player, frames):
-    (poses,) = frames[0].end_effectors.values()
+    (poses,) = frames[0].observed.end_effectors.values()
     for period in (0, 5, 2, len(frames[0].actions)):
         slider_of(player).value = period
         player.update(0.0)
@@ -87,7 +87,7 @@ def test_failure_leads_to_the_end_of_the_next_episode_that_failed(player, frames
     player.update(0.0)
     assert player._choice.value.endswith('#1, seed 11: FAILED')
     assert slider_of(player).value == slider_of(player).max == len(frames[1].actions)
-    (poses,) = frames[1].end_effectors.values()
+    (poses,) = frames[1].observed.end_effectors.values()
     np.testing.assert_allclose(end_effector_of(player), poses.values[-1, :3], atol=1e-6)
     player._jump('Failure')  # There is no other one.
     assert player._choice.value.endswith('#1, seed 11: FAILED')
@@ -100,7 +100,7 @@ def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, fr
     slider_of(player).value = 4
     player.update(0.0)
     times, *columns, now = player._plot.data
-    (joints,) = frames[0].positions.values()
+    (joints,) = frames[0].observed.positions.values()
     at = np.searchsorted(times, np.arange(len(joints.values)) * 0.05 - 1e-9)
     np.testing.assert_allclose(np.array(columns)[:, at].T, joints.values, atol=1e-6)
     assert (times[0], times[-1]) == pytest.approx((0.0, 0.05 * (len(joints.values) - 1)), abs=1e-3)
