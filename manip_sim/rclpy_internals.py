@@ -9,15 +9,40 @@ from collections.abc import Iterable, Sequence
 import ctypes
 import functools
 import os
+import re
 from typing import Any
 
+import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError, WaitSet
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
+from manip_sim.errors import ManipSimError
+from manip_sim.quoting import one_line
+
 __all__ = ['endpoint_counts', 'forget_parameters', 'InUse', 'parameter_overrides',
-           'publish_bytes', 'RCLError', 'UnknownROSArgsError', 'WaitSet']
+           'publish_bytes', 'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet']
+
+#: What rclpy says if it cannot write its log.
+_LOG = re.compile(r'log directory|log file|Failed opening file .*\.log')
+
+
+def start_rclpy(**options: Any) -> None:
+    """
+    Initialize rclpy.
+
+    :param options: as ``rclpy.init`` takes them
+    :raises ManipSimError: if the log cannot be written; any other error is that of rclpy
+    """
+    try:
+        rclpy.init(**options)
+    except RuntimeError as error:  # That of the log is no RCLError in some releases.
+        reason = str(error).partition(', at ')[0]
+        if not _LOG.search(reason):
+            raise
+        raise ManipSimError(f'{one_line(reason)}; set ROS_LOG_DIR to a folder that can be '
+                            'written') from error
 
 
 class InUse:

@@ -22,6 +22,7 @@ from std_msgs.msg import String
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ManipSimError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
+from manip_sim.rclpy_internals import start_rclpy
 from manip_sim.ros.messages import filled, LATCHED, nanoseconds_of, stamp_of, WORLD
 from manip_sim.tasks import Episode
 from manip_sim.tasks.observation import IMAGE, Observation
@@ -58,7 +59,7 @@ class RosPolicy:
     def _connect(self) -> None:
         """Make topics; only what acts has them, as the process that starts others does not."""
         context = rclpy.Context()
-        rclpy.init(context=context)
+        start_rclpy(context=context)
         self._node = node = rclpy.create_node(
             'manip_sim_run', namespace=self._namespace, context=context)
         self._executor = SingleThreadedExecutor(context=context)

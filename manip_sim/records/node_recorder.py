@@ -29,7 +29,7 @@ import yaml
 
 from manip_sim.errors import describe_choices, RecordError
 from manip_sim.quoting import counted, quoted
-from manip_sim.rclpy_internals import RCLError
+from manip_sim.rclpy_internals import RCLError, start_rclpy
 from manip_sim.records.definitions import joined
 from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import MODEL, NODE
@@ -64,7 +64,7 @@ def record_node(path: Path, name: str, topics: Sequence[str], duration_s: float 
     ended = EndSignals()
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        start_rclpy(args=[], signal_handler_options=SignalHandlerOptions.NO)
         node: Node = rclpy.create_node(f'manip_sim_record_{os.getpid()}', enable_rosout=False,
                                        start_parameter_services=False)
     except RCLError as error:

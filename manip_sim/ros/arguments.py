@@ -10,14 +10,13 @@ from pathlib import Path
 import re
 import sys
 
-import rclpy
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 import yaml
 
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line, quoted
-from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
+from manip_sim.rclpy_internals import RCLError, start_rclpy, UnknownROSArgsError
 
 #: Options of ROS with a value.
 _WITH_VALUE = ('-e', '--enclave', '--log-level', '--log-config-file', '--log-file-name')
@@ -35,9 +34,10 @@ def start_ros(arguments: Sequence[str] | None) -> None:
     # Errors are reported once, by our error and not by rcl too.
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
-        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+        start_rclpy(args=words, signal_handler_options=SignalHandlerOptions.NO)
     except (UnknownROSArgsError, RCLError) as error:
-        raise ManipSimError(_explained(words, without_source(error))) from error
+        reason = next(_mistakes(words), without_source(error))
+        raise ManipSimError(f'bad ROS arguments: {reason}') from error
     set_logger_level('rcl', LoggingSeverity.UNSET)
 
 
@@ -45,12 +45,6 @@ def without_source(error: Exception) -> str:
     """Return the first line of an error of rcl, without the places in its source code."""
     lines = str(error).splitlines()
     return re.sub(r', at [^ ,]+:\d+', '', lines[0]) if lines else type(error).__name__
-
-
-def _explained(arguments: Sequence[str], reason: str) -> str:
-    if 'log directory' in reason or 'log file' in reason:
-        return f'{reason}; set ROS_LOG_DIR to a folder that can be written'
-    return f'bad ROS arguments: {next(_mistakes(arguments), reason)}'
 
 
 def _mistakes(arguments: Sequence[str]) -> Iterator[str]:

@@ -101,13 +101,11 @@ class ActionGoal(ABC):
         if self.outcome is not None:
             return
         self._look(simulation)
-        if simulation.diverged is not None:
-            self.abort(simulation.diverged)
-        elif handle.status is Status.WAITING:
-            return
-        elif handle.status in (Status.ABORTED, Status.REPLACED):
+        if handle.status in (Status.ABORTED, Status.REPLACED):
             self.abort(handle.reason or _NEWER)
-        else:
+        elif simulation.diverged is not None:
+            self.abort(simulation.diverged)
+        elif handle.status is not Status.WAITING:
             rival = self._ledger.rival(self.command)
             if rival is None:
                 self._judge(simulation)

@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError, UnknownNameError
+from manip_sim.rclpy_internals import start_rclpy
 from manip_sim.testing.controllers import Controllers
 from manip_sim.testing.evidence import save_evidence
 from manip_sim.testing.recorded_topics import (
@@ -74,7 +75,7 @@ class SimulationUnderTest:
         self._lockstep = given['stepping'] == 'lockstep'
         self.domain = domain
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=domain, args=[])
+        start_rclpy(context=self._context, domain_id=domain, args=[])
         try:
             # A context of its own would be another participant of DDS in this process: while one
             # works, Fast DDS does not reliably survive the end of the other.

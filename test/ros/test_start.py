@@ -3,8 +3,11 @@
 
 """Starts that cannot succeed: one line that says why, and exit code 1."""
 
+import os
 from pathlib import Path
 import signal
+import subprocess
+import sys
 
 import pytest
 from starts import starts
@@ -83,6 +86,18 @@ def test_a_home_that_cannot_be_written_is_named(process, monkeypatch):
     assert '/proc/nobody' in errors
     assert 'set ROS_LOG_DIR' in errors
     assert 'arguments' not in errors
+
+
+@pytest.mark.parametrize('folder', ['/proc/self', '/dev/null/log'])
+@pytest.mark.parametrize('program', [
+    ['manip_sim'], ['manip_sim.viewer', '--port', '0'], ['manip_sim.cli', 'record', 'new.mcap'],
+    ['manip_sim.examples', 'pick_cube']], ids=lambda words: words[0].rpartition('.')[2])
+def test_a_log_folder_that_cannot_be_written_is_one_line(program, folder, tmp_path):
+    done = subprocess.run(
+        [sys.executable, '-m', *program], cwd=tmp_path, capture_output=True, text=True,
+        timeout=300.0, check=False, env={**os.environ, 'ROS_LOG_DIR': folder})
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (1, '', 1), done.stderr
+    assert folder in done.stderr and 'set ROS_LOG_DIR to a folder' in done.stderr
 
 
 def first_joint_and_warnings(process, client, *arguments):

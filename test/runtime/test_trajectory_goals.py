@@ -372,6 +372,20 @@ def test_what_interferes_ends_the_goal_and_is_told(panda, prepare, interfere, re
     assert goal.outcome.reason.startswith(reason)
 
 
+def test_goal_that_was_replaced_before_the_physics_diverged_says_so(panda):
+    goal = panda.start()
+    panda.run(0.1)
+    panda.operator.go({J1: 0.0})
+    panda.run(0.02)
+    explode(panda)
+    with contextlib.suppress(DivergenceError):
+        panda.run(0.02)
+    assert panda.simulation.diverged is not None
+    goal.check(panda.simulation)
+    assert ended(goal) == INVALID
+    assert goal.outcome.reason == 'a newer command has taken over'
+
+
 def test_goal_whose_command_still_waits_ends_when_the_physics_diverges(panda):
     goal = TrajectoryGoal(panda.simulation.robot, 'arm', panda.request([J1]),
                           panda.simulation.time_ns)

@@ -6,6 +6,7 @@
 import asyncio
 import contextlib
 import http.client
+import itertools
 import logging
 import socket
 
@@ -20,6 +21,7 @@ import viser  # noqa: E402
 import websockets  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
+from manip_sim.viewer.page import access  # noqa: E402
 from manip_sim.viewer.page.access import Access, guarding, is_of_page, TOKEN_VARIABLE  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server, page_address  # noqa: E402
 
@@ -138,6 +140,76 @@ def test_what_the_page_does_not_send_is_ignored(server):
                 await asyncio.sleep(0.01)
     asyncio.run(send())
     assert (slider.value, slider._impl.removed, seen) == (0.7, False, [])
+
+
+CAMERA = {'wxyz': [1.0, 0.0, 0.0, 0.0], 'position': [1.0, 1.0, 1.0], 'fov': 1.0, 'near': 0.1,
+          'far': 100.0, 'image_height': 400, 'image_width': 800, 'look_at': [0.0, 0.0, 0.0],
+          'up_direction': [0.0, 0.0, 1.0]}
+POSE = {'name': '/t', 'owner': '', 'wxyz': [1.0, 0.0, 0.0, 0.0], 'position': [0.0, 0.0, 0.0]}
+
+
+def hostile_frames(inputs):
+    """Yield messages of the page with nested, unknown, missing and wrong content."""
+    for depth in (3, 100, 950, 1000, 5000, 60_000):
+        nested = b'\x91' * depth + b'\xc0'
+        yield b'\x82\xa4type\xb0GuiUpdateMessage\xa1x' + nested
+        yield b'\x81\xa4type' + nested
+        yield b'\x82\xa4type\xb0GuiUpdateMessage\xa7updates\x81\xa5value' + nested
+    values = [None, True, -1, 0, 'x', '', [], ['a'] * 4, [0.0], {}, {'a': 1}]
+    for kind in sorted(access._TAKEN):
+        for more in ({}, {'x': 1}, {'name': None}, {'uuid': 1, 'updates': {'value': 1}}):
+            yield {'type': kind, **more}
+    for whole, kind in ((CAMERA, 'ViewerCameraMessage'), (POSE, 'TransformControlsUpdateMessage')):
+        for key, value in itertools.product(whole, values):
+            yield {'type': kind, **whole, key: value}
+        yield {'type': kind, **whole, 'unknown': 1}
+    for uuid, value in itertools.product([*inputs, 'nobody'], values):
+        yield {'type': 'GuiUpdateMessage', 'uuid': uuid, 'updates': {'value': value}}
+
+
+def test_whatever_a_client_with_the_token_sends_is_a_line_at_most(server, caplog, capfd):
+    gui = server.gui
+    slider = gui.add_slider('a', 0.0, 1.0, 0.1, 0.5)
+    choice, box = gui.add_dropdown('b', ('x', 'y'), initial_value='y'), gui.add_checkbox('c', True)
+    group, text = gui.add_button_group('d', ('p', 'q')), gui.add_text('e', 'z')
+    server.scene.add_transform_controls('/t')
+    handles = (slider, choice, box, group, text)
+    for handle in handles[:3]:
+        handle.on_update(lambda event: None)
+    frames = [*hostile_frames([handle._impl.uuid for handle in handles])]
+
+    async def send():
+        async with websockets.connect(
+                f'ws://{own(server)}/{TOKEN}', origin=f'http://{own(server)}', proxy=None,
+                subprotocols=[f'viser-v{viser.__version__}'], max_size=None) as opened:
+            await opened.send(msgspec.msgpack.encode({'type': 'ViewerCameraMessage', **CAMERA}))
+            for frame in frames:
+                await opened.send(
+                    frame if isinstance(frame, bytes) else msgspec.msgpack.encode(frame))
+            await opened.send(msgspec.msgpack.encode({
+                'type': 'GuiUpdateMessage', 'uuid': slider._impl.uuid,
+                'updates': {'value': 0.7}}))
+            end = asyncio.get_running_loop().time() + 60.0
+            while slider.value != 0.7 and asyncio.get_running_loop().time() < end:
+                await asyncio.sleep(0.01)
+    asyncio.run(send())
+    assert slider.value == 0.7  # The connection is still there.
+    assert choice.value == 'x' and isinstance(box.value, bool) and group.value in ('p', 'q')
+    assert not [record for record in caplog.records if record.exc_info]
+    assert len([record for record in caplog.records if record.name == access.__name__]) == 1
+    assert 'Traceback' not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize('logger', ['websockets.server', 'asyncio'])
+def test_what_else_fails_for_a_browser_is_logged_in_a_line(server, caplog, logger):
+    try:
+        raise ValueError('two\nlines')
+    except ValueError:
+        logging.getLogger(logger).exception('connection handler failed')
+    (record,) = caplog.records
+    assert record.exc_info is None
+    assert record.getMessage() == (
+        r'sim_view: what a browser sent failed: ValueError: two\nlines')
 
 
 @given(st.binary(max_size=60) | st.recursive(

@@ -30,6 +30,7 @@ from manip_sim.clamping import finite_command_numbers
 from manip_sim.env.task_env import (
     action_space, check_options, observation_space, SEEDS, TaskEnv)
 from manip_sim.errors import CommandError, ManipSimError
+from manip_sim.rclpy_internals import start_rclpy
 from manip_sim.tasks.latency import number_of_parts
 from manip_sim.tasks.observation import IMAGE, Observation
 
@@ -81,7 +82,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._actions: deque[FloatArray] = deque()
         self._states: deque[Observation] = deque(maxlen=state_periods + 1)
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=domain_id)
+        start_rclpy(context=self._context, domain_id=domain_id)
         self._node = rclpy.create_node('task_env', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 import hmac
 from http import HTTPStatus
 import ipaddress
@@ -31,7 +31,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from manip_sim.errors import ManipSimError
-from manip_sim.quoting import quoted
+from manip_sim.quoting import one_line, quoted
 
 #: Environment variable with a token that stays the same.
 TOKEN_VARIABLE = 'SIM_VIEW_TOKEN'
@@ -40,6 +40,9 @@ _TOKEN_BYTES = 16
 #: Size of a message of a browser at most [bytes].
 _MAX_BYTES = 2**16
 _MAX_TEXT = 200
+#: Levels of a message at most; a list in a camera is the second one.
+_MAX_DEPTH = 4
+_LOGGER = logging.getLogger(__name__)
 #: The header Host: a name or an address, and a port.
 _HOST = re.compile(r'(?P<name>[a-z0-9._-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?')
 #: Messages of browsers: inputs, cameras, and targets and bodies that are dragged.
@@ -121,32 +124,47 @@ def _first(path: str) -> str:
 
 
 def _is_of_interest(record: logging.LogRecord) -> bool:
-    """Return whether to log: whoever sends what is no request must not fill the log."""
-    return record.getMessage() != 'opening handshake failed'
+    """
+    Return whether to log: whoever sends what is no request must not fill the log.
+
+    What else fails while a browser is served becomes a line.
+    """
+    if record.getMessage() == 'opening handshake failed':
+        return False
+    if record.exc_info and record.exc_info[1] is not None:
+        error, record.exc_info = record.exc_info[1], None
+        record.msg, record.args = 'sim_view: what a browser sent failed: %s: %s', (
+            type(error).__name__, one_line(str(error)))
+    return True
 
 
 @contextlib.contextmanager
-def guarding(access: Access) -> Iterator[None]:
+def guarding(access: Access) -> Iterator[type[CheckedConnection]]:
     """
     Let servers of websockets that are started within this block check what comes.
 
+    :returns: the class of their connections
     :raises ManipSimError: at the end, if none was started; it would be open to everybody
     """
     serve: Callable[..., Any] = websockets.asyncio.server.serve
     guarded = False
 
+    class Connection(CheckedConnection):
+        """A connection of this server."""
+
     def serve_guarded(handler: Any, *arguments: Any, process_request: Any, **options: Any) -> Any:
         nonlocal guarded
         guarded = True
-        options.update(create_connection=CheckedConnection, max_size=_MAX_BYTES)
+        options.update(create_connection=Connection, max_size=_MAX_BYTES)
         # A filter that is there already is not added again.
-        logging.getLogger('websockets.server').addFilter(_is_of_interest)
+        for name in ('websockets.server', 'asyncio'):
+            logging.getLogger(name).addFilter(_is_of_interest)
         return serve(handler, *arguments, process_request=_check(access, process_request),
                      **options)
 
     vars(websockets.asyncio.server)['serve'] = serve_guarded
     try:
-        yield
+        yield Connection
     finally:
         vars(websockets.asyncio.server)['serve'] = serve
     if not guarded:
@@ -175,14 +193,52 @@ def _check(access: Access, answer: Any) -> Any:
 
 
 class CheckedConnection(ServerConnection):
-    """A connection to a browser; messages that the page does not send are ignored."""
+    """
+    A connection to a browser; messages that the page does not send are ignored, and logged once.
+
+    :cvar gui: the inputs of the page, set when the server has started
+    """
+
+    gui: Any = None
+    _told = False
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that the page may have sent."""
         while True:
             data = await super().recv(decode)
-            if isinstance(data, bytes) and is_of_page(data):
-                return data
+            if isinstance(data, bytes) and is_of_page(data) and _is_complete(data):
+                if _is_possible(self.gui, data):
+                    return data
+            elif not self._told:
+                self._told = True
+                _LOGGER.warning('sim_view: messages of %s that the page does not send are ignored',
+                                self.remote_address[0])
+
+
+def _is_complete(data: bytes) -> bool:
+    """Return whether a message has the fields that viser reads, of their types, and no others."""
+    from viser import _messages
+    message = msgspec.msgpack.decode(data)
+    kind = getattr(_messages, message.pop('type'))
+    try:
+        msgspec.convert(message, kind)
+    except msgspec.ValidationError:
+        return False
+    return set(message) <= {field.name for field in fields(kind)}
+
+
+def _is_possible(gui: Any, data: bytes) -> bool:
+    """Return whether an input may have the value that a message gives it, if it gives any."""
+    message = msgspec.msgpack.decode(data)
+    handle = getattr(gui, '_gui_input_handle_from_uuid', {}).get(message.get('uuid'))
+    if handle is None or 'updates' not in message:
+        return True
+    value, present = message['updates']['value'], handle.value
+    if isinstance(present, bool) or isinstance(value, bool):
+        return type(value) is type(present)
+    if isinstance(present, (int, float)):
+        return isinstance(value, (int, float))
+    return isinstance(value, str) and value in getattr(handle, 'options', (value,))
 
 
 def is_of_page(data: bytes) -> bool:
@@ -196,7 +252,8 @@ def is_of_page(data: bytes) -> bool:
         message = msgspec.msgpack.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, TypeError, RecursionError):
         return False
-    if not isinstance(message, dict) or str(message.get('type')) not in _TAKEN:
+    kind = message.get('type') if isinstance(message, dict) else None
+    if not isinstance(kind, str) or kind not in _TAKEN:
         return False
     if 'updates' in message and (not isinstance(message['updates'], dict)
                                  or message['updates'].keys() != {'value'}):
@@ -204,15 +261,14 @@ def is_of_page(data: bytes) -> bool:
     if any(message.get(key, 1) < 1 for key in ('image_width', 'image_height')
            if isinstance(message.get(key, 1), int)):
         return False
-    return _is_plain(message)
+    return _is_plain(message, _MAX_DEPTH)
 
 
-def _is_plain(value: Any) -> bool:
-    """Return whether a value has finite numbers and short texts only."""
-    if isinstance(value, dict):
-        return all(map(_is_plain, value)) and all(map(_is_plain, value.values()))
-    if isinstance(value, list):
-        return all(map(_is_plain, value))
+def _is_plain(value: Any, depth: int) -> bool:
+    """Return whether a value has finite numbers and short texts only, and few levels."""
+    if isinstance(value, (dict, list)):
+        items = value if isinstance(value, list) else [*value, *value.values()]
+        return depth > 0 and all(_is_plain(item, depth - 1) for item in items)
     if isinstance(value, (int, float)):
         return math.isfinite(value) and abs(value) < 1e12
     return value is None or isinstance(value, str) and len(value) <= _MAX_TEXT

@@ -36,8 +36,9 @@ def open_server(host: str, port: int, access: Access) -> Any:
     import viser
     _set_events_from_any_thread()
     # It prints its address in a frame.
-    with contextlib.redirect_stdout(io.StringIO()), guarding(access):
+    with contextlib.redirect_stdout(io.StringIO()), guarding(access) as connections:
         server = viser.ViserServer(host=host, port=port, verbose=False)
+        connections.gui = server.gui
     if port and server.get_port() != port:
         close_server(server)
         raise ManipSimError(f'cannot listen on {host}:{port}: another process has just taken it')
