@@ -150,3 +150,27 @@ def whole_nanoseconds(timestep_s: float) -> float:
         raise ModelError('a timestep must be a whole number of nanoseconds, got '
                          f'{timestep_s!r} s; the nearest is {round(nanoseconds) / 1e9:.9f}')
     return timestep_s
+
+
+def steps_of(period_s: float, timestep_s: float) -> int | None:
+    """Return of how many timesteps a period is, or None if that is no whole number within 1e-6."""
+    steps = period_s / timestep_s
+    whole = max(1, round(steps))
+    return whole if abs(steps - whole) <= 1e-6 * whole else None
+
+
+def fitting_timestep(period_s: float, timestep_s: float) -> float | None:
+    """
+    Return the longest timestep of whole nanoseconds of which a period is a whole number.
+
+    :param timestep_s: the longest that is allowed [s]
+    :returns: [s]; None if nanoseconds are too coarse
+    """
+    fitted_s = round(period_s / math.ceil(period_s / timestep_s - 1e-6) * 1e9) / 1e9
+    return fitted_s if fitted_s and steps_of(period_s, fitted_s) else None
+
+
+def nearest_rates(rate_hz: float, timestep_s: float) -> list[float]:
+    """Return the rates next to another one whose periods are whole numbers of timesteps [Hz]."""
+    steps = int(1.0 / (rate_hz * timestep_s))
+    return [1.0 / (n * timestep_s) for n in (steps + 1, steps) if n > 0]

@@ -30,7 +30,7 @@ from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
 from manip_sim.startup import processors
-from manip_sim.tasks import create_task, Latency, Setting
+from manip_sim.tasks import Latency, Setting
 
 #: Files of noise in the package, ``config/noise_NAME.yaml``.
 _PROFILES = ('franka', 'ideal', 'ur')
@@ -91,8 +91,9 @@ def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, flo
     late = dict.fromkeys(('command', 'state', 'command_jitter', 'state_jitter'), 0.0)
     late |= {key: found.pop(f'latency.{key}') for key in late if f'latency.{key}' in found}
     if any(late.values()):
-        world = create_task(options.task, options.robot, options.gripper).world
-        late = Latency.of(late).rounded_up(world.timestep_s).as_mapping()
+        task = Setting(options.task, options.robot, options.gripper,
+                       control_hz=options.control_hz).create_task()
+        late = Latency.of(late).rounded_up(task.world.timestep_s).as_mapping()
     return found, late
 
 

@@ -23,6 +23,7 @@ from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.physics.parts import Part
 from manip_sim.sensing.settings import QUANTITIES
+from manip_sim.validation import fitting_timestep, nearest_rates, steps_of
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
 _BASE_TIMEOUT_S = 0.5
@@ -33,6 +34,7 @@ _REFLEXES = (
     ('force', 'the external force on the tool exceeds this value', 'N', 1e5),
     ('torque', 'the external torque on the tool exceeds this value', 'N m', 1e5))
 STEPPING = ('realtime', 'free', 'lockstep')
+SHORTEST_STEP_S = 1e-4
 
 
 #: Is to be used before the names of models are known.
@@ -77,7 +79,8 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('randomization', '', 'YAML file with distributions of masses, friction, '
                       'sizes, poses, lights, camera poses, noise and latency, drawn from seed at '
                       'each reset; empty: none.'),
-        ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
+        ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=SHORTEST_STEP_S,
+                      maximum=0.01),
         ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
                       'per second of simulation time; a period is a whole number of timesteps.',
                       'Hz', minimum=1.0, maximum=10000.0),
@@ -350,15 +353,14 @@ def steps_per_period(publish_rate: float, timestep: float) -> int:
     :param timestep: [s]
     :raises ParameterError: if it is not a whole number, naming the nearest rates for which it is
     """
-    steps = 1.0 / (publish_rate * timestep)
-    whole = max(1, round(steps))
-    if abs(steps - whole) > 1e-6 * whole:
-        lower, higher = int(steps) + 1, int(steps)
-        rates = [1.0 / (n * timestep) for n in (lower, higher) if n > 0]
+    whole = steps_of(1.0 / publish_rate, timestep)
+    if whole is None:
+        fitted = fitting_timestep(1.0 / publish_rate, timestep)
         raise ParameterError(
             f"parameter 'publish_rate': a period of {publish_rate:g} Hz is not a whole number of "
             f'timesteps of {timestep:g} s; the nearest rates that are: '
-            + ', '.join(f'{rate:.10g}' for rate in rates))
+            + ', '.join(f'{rate:.10g}' for rate in nearest_rates(publish_rate, timestep))
+            + (f'; or set timestep:={fitted:.9g}' if fitted and fitted >= SHORTEST_STEP_S else ''))
     return whole
 
 

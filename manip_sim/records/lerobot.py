@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from fractions import Fraction
 import json
 from pathlib import Path
 from typing import Any
@@ -72,14 +71,16 @@ class _Writer:
         features = {**{key: _feature(quantity) for key, quantity in columns.items()}, **{
             key: _image_feature(next(frames.images(camera)).shape)
             for key, camera in cameras.items()}}
-        fps = Fraction(1) / Fraction(str(frames.recorded.period_s))
-        if fps.denominator != 1:
+        rate_hz = 1.0 / frames.recorded.period_s
+        fps = round(rate_hz)
+        # A period of whole nanoseconds cannot be 1/30 s.
+        if abs(rate_hz - fps) > 1e-6 * rate_hz:
             raise RecordError('LeRobot needs a whole number of control periods in a second, not '
-                              f'{float(fps):g}')
+                              f'{rate_hz:g}')
         if not self._rows:
-            self._features, self._fps = features, int(fps)
+            self._features, self._fps = features, fps
             self._robot = frames.recorded.about['robot']
-        elif (features, int(fps)) != (self._features, self._fps):
+        elif (features, fps) != (self._features, self._fps):
             raise RecordError(f'episode {frames.recorded.number} has other joints, objects or '
                               'cameras than those before, or another control period')
         number, count = len(self._rows), len(frames.actions)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+import math
 from types import MappingProxyType
 
 import numpy as np
@@ -20,10 +21,11 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.drawn_randomization import Drawn
 from manip_sim.tasks.episode_actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
-from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY, whole_steps
+from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation, Observer
 from manip_sim.tasks.pictures import Pictures
 from manip_sim.tasks.task import Task
+from manip_sim.validation import fitting_timestep, nearest_rates, steps_of
 
 
 class Episode:
@@ -54,13 +56,13 @@ class Episode:
                  noise: Mapping[str, float] = MappingProxyType({})) -> None:
         self.task = task
         self.simulation = simulation
-        self.period_s = period_s
         self.kind = action
         self.latency = late = Latency.of(latency)
         timestep_s = simulation.timestep_s
-        self._steps = whole_steps(period_s, timestep_s, 'a control period')
-        if self._steps < 1:
-            raise ModelError(f'a control period must be above 0 s, got {period_s:g} s')
+        self._steps = _steps(period_s, timestep_s)
+        exact_s = self._steps * timestep_s
+        # Timesteps of whole nanoseconds cannot make up 1/30 s.
+        self.period_s = exact_s if abs(exact_s - period_s) > 1e-12 else period_s
         name = task.robot.name_in_world
         self._command_delay = late.delay('command', name, timestep_s)
         self._state_delay = late.delay('state', name, timestep_s)
@@ -239,3 +241,19 @@ def start(task: Task, simulation: Simulation, seed: int, drawn: Drawn | None = N
     if before.size:
         randomized.place_again(simulation.data, before, drawn is not None)
     simulation.forward()
+
+
+def _steps(period_s: float, timestep_s: float) -> int:
+    """Return the number of timesteps of a control period; ModelError if it is not whole."""
+    if not 0.0 < period_s < math.inf:
+        raise ModelError('a control period must be a whole number of timesteps above 0 s, got '
+                         f'{period_s:g} s')
+    steps = steps_of(period_s, timestep_s)
+    if steps is None:
+        rates = ', '.join(f'{rate:.10g}' for rate in nearest_rates(1.0 / period_s, timestep_s))
+        fitted_s = fitting_timestep(period_s, timestep_s)
+        raise ModelError(
+            f'a control period must be a whole number of timesteps of {timestep_s:g} s, got '
+            f'{period_s:g} s; the nearest rates are {rates} Hz'
+            + (f'; or use timestep_s={fitted_s:.9g}' if fitted_s else ''))
+    return steps

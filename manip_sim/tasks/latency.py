@@ -109,6 +109,8 @@ def number_of_parts(duration_s: float, part_s: float, what: str, parts: str) -> 
     """
     count = duration_s / part_s
     if not math.isfinite(count) or abs(count - round(count)) > ROUNDING:
-        raise ModelError(f'{what} must be a whole number of {parts} of {part_s:g} s, got '
-                         f'{duration_s:g} s')
+        near = ' or '.join(f'{n * part_s:.9g}' for n in (
+            math.floor(count), math.floor(count) + 1)) if math.isfinite(count) else ''
+        raise ModelError(f'{what} must be a whole number of {parts} of {part_s:.9g} s, got '
+                         f'{duration_s:g} s' + (f'; the nearest are {near} s' if near else ''))
     return round(count)

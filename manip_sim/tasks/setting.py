@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+import functools
+import logging
 import math
+import multiprocessing
 from typing import Any, Union
 
 from manip_sim.errors import ModelError
@@ -19,6 +22,7 @@ from manip_sim.tasks.episode import Episode
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.pictures import CameraLike, descriptions, Pictures, views_of
 from manip_sim.tasks.task import create_task, Task
+from manip_sim.validation import fitting_timestep, steps_of
 
 
 @dataclass(frozen=True)
@@ -69,14 +73,25 @@ class Setting:
         """
         Return the task.
 
+        If no timestep is given, it has the longest up to its own that fits ``control_hz``; a
+        warning is logged then, once for each process that is no worker of another one.
+
         :raises UnknownNameError: if there is no such task or part
         :raises ModelError: if the robot cannot do it, naming those that can
         """
         if isinstance(self.task, Task):
             return self.task
         cameras = [*self.composition.get('cameras', ()), *descriptions(self.cameras)]
+        composition = {**self.composition, 'cameras': cameras}
+        task = create_task(self.task, self.robot, self.gripper, **composition)
+        period_s, timestep_s = 1.0 / self.control_hz, task.world.timestep_s
+        if steps_of(period_s, timestep_s) or 'timestep_s' in composition or not (
+                fitted_s := fitting_timestep(period_s, timestep_s)):
+            return task
+        if multiprocessing.parent_process() is None:
+            _log_timestep(self.control_hz, timestep_s, fitted_s)
         return create_task(self.task, self.robot, self.gripper,
-                           **{**self.composition, 'cameras': cameras})
+                           **{**composition, 'timestep_s': fitted_s})
 
     def create_episode(self, task: Task | None = None, simulation: Simulation | None = None,
                        pictures: Pictures | None = None) -> Episode:
@@ -104,3 +119,11 @@ class Setting:
         """
         views = views_of(self.cameras, task.world, simulation, self.image_size)
         return Pictures(simulation, views) if views else None
+
+
+@functools.cache
+def _log_timestep(rate_hz: float, timestep_s: float, fitted_s: float) -> None:
+    logging.getLogger(__name__).warning(
+        'control rate of %g Hz: the timestep is %.9g s instead of %g s, so that a control period '
+        'is %d whole timesteps', rate_hz, fitted_s, timestep_s,
+        steps_of(1.0 / rate_hz, fitted_s))

@@ -20,10 +20,10 @@ import av  # noqa: E402
 import h5py  # noqa: E402
 import pyarrow.parquet as parquet  # noqa: E402
 
+from manip_sim.records import EpisodeRecorder  # noqa: E402
 from manip_sim.records.episode_arrays import Frames  # noqa: E402
 from manip_sim.records.lerobot import write_lerobot  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
-from manip_sim.records.recorder import EpisodeRecorder  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
 
 
@@ -87,6 +87,23 @@ def test_each_episode_begins_with_a_key_frame_and_shows_its_images(lerobot, epis
         assert row[f'{key}/to_timestamp'] - begin == pytest.approx(len(item.actions) / 20)
     for (_, _, image), other in zip(frames, wanted):
         assert np.abs(image.astype(int) - other).mean() < 8
+
+
+def test_a_data_set_has_the_rate_of_the_episodes(tmp_path):
+    # 30 Hz, as LeRobot's own data sets have, whose period is no whole number of nanoseconds.
+    episode, path = Setting('reach', control_hz=30.0).create_episode(), tmp_path / 'reach.mcap'
+    with EpisodeRecorder(path, episode) as recorder:
+        episode.reset(0)
+        recorder.begin(0)
+        for _ in range(4):
+            episode.step(np.zeros(7))
+            recorder.period(np.zeros(7))
+        recorder.end()
+    assert main(['replay', '--verify', str(path)]) == 0
+    assert main(['convert', str(path), '--to', 'lerobot', str(tmp_path / 'set')]) == 0
+    assert json.loads((tmp_path / 'set/meta/info.json').read_text())['fps'] == 30
+    table = parquet.read_table(tmp_path / 'set/data/chunk-000/file-000.parquet')
+    np.testing.assert_allclose(table['timestamp'].to_pylist(), np.arange(4) / 30.0, rtol=1e-6)
 
 
 def test_the_description_fits_the_files(lerobot, episodes):

@@ -15,7 +15,7 @@ import pytest
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.robots import create_robot
 from manip_sim.simulation import Simulation
-from manip_sim.tasks import create_task, Episode, Task, task_names
+from manip_sim.tasks import create_task, Episode, Setting, Task, task_names
 from manip_sim.tasks.grasping import bodies_of_gripper, held_only_by, pressure
 from manip_sim.tasks.placing import place
 from manip_sim.tasks.task import TASKS
@@ -297,6 +297,29 @@ def test_an_action_moves_the_end_effector_and_the_gripper():
     assert robot.measured('right/gripper')[0] > width
 
 
+@pytest.mark.parametrize('rate_hz, timestep_s', [
+    (20.0, 0.002), (30.0, 0.001960784), (15.0, 0.001960784), (60.0, 0.001851852),
+    (24.0, 0.001984127), (1000.0, 0.001), (29.97, 0.001962747)])
+def test_a_control_period_is_a_whole_number_of_timesteps_at_any_rate(rate_hz, timestep_s):
+    setting = Setting('reach', control_hz=rate_hz)
+    episode = setting.create_episode()
+    assert episode.simulation.timestep_s == timestep_s
+    assert 1.0 / episode.period_s == pytest.approx(rate_hz, rel=1e-6)
+    episode.reset(0)
+    episode.step(np.zeros(7))
+    assert episode.simulation.time_s == pytest.approx(1.0 / rate_hz, rel=1e-6)
+    with pytest.raises(ModelError, match='control_hz must be above 0'):
+        Setting('reach', control_hz=-rate_hz)
+
+
+def test_a_timestep_that_is_taken_for_a_rate_is_logged_once(caplog):
+    for _ in range(2):
+        Setting('reach', control_hz=28.0).create_task()
+    assert [record.getMessage() for record in caplog.records] == [
+        'control rate of 28 Hz: the timestep is 0.001984127 s instead of 0.002 s, so that a '
+        'control period is 18 whole timesteps']
+
+
 def test_what_cannot_be_used_is_said():
     episode = episode_of('reach')
     with pytest.raises(CommandError, match='an action'):
@@ -309,6 +332,11 @@ def test_what_cannot_be_used_is_said():
         Episode(episode.task, episode.simulation, 0.0033)
     with pytest.raises(ModelError, match='whole number of timesteps'):
         Episode(episode.task, episode.simulation, float('nan'))
+    with pytest.raises(ModelError, match=r'timesteps above 0 s, got 0 s'):
+        Episode(episode.task, episode.simulation, 0.0)
+    with pytest.raises(ModelError, match=r'got 0\.0011 s; the nearest are 0\.001 or 0\.002 s'):
+        Setting('reach', control_hz=100.0, latency=0.0011,
+                composition={'timestep_s': 0.001}).create_episode()
     with pytest.raises(UnknownNameError, match="task 'pick_cub': did you mean 'pick_cube'"):
         create_task('pick_cub')
     with pytest.raises(UnknownNameError, match='unknown robot'):
