@@ -1,19 +1,27 @@
 # ROS 2 Jazzy and everything that manip_sim can use: see docs/installation.md.
-FROM ros:jazzy
+FROM ros:jazzy@sha256:c3706ef0a0aa45413c07803cf433602f543b22e45b4855f6fca955c2d8ecc4e8
 
 ENV PIP_BREAK_SYSTEM_PACKAGES=1 \
+    PIP_CONSTRAINT=/ws/locked.txt \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 WORKDIR /ws
 COPY . src/manip_sim
-# rosdep installs what package.xml names. OpenGL is for cameras, viser and trimesh for the viewer;
-# ROS packages from apt were built with NumPy 1.
+# What pip installs has the versions of requirements/, but for NumPy: ROS packages from apt were
+# built with NumPy 1.
+RUN grep -oE '^[a-z0-9.-]+==[^\\]+' src/manip_sim/requirements/run.txt \
+    | grep -v '^numpy==' > locked.txt \
+    && echo 'numpy==1.26.4' >> locked.txt
+# rosdep installs what package.xml names. OpenGL is for cameras, viser and trimesh for the viewer.
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends libegl1 libgl1-mesa-dri python3-pip \
     && rosdep update --rosdistro jazzy \
     && rosdep install --from-paths src --ignore-src --default-yes \
     && python3 -m pip install --no-cache-dir 'numpy<2' trimesh 'viser>=1.1,<2' \
     && rm -rf /var/lib/apt/lists/*
-RUN . /opt/ros/jazzy/setup.sh && colcon build
+RUN . /opt/ros/jazzy/setup.sh && colcon build && useradd --create-home manip_sim
+# Nothing below needs more rights; logs and caches are in the user's home.
+USER manip_sim
+WORKDIR /home/manip_sim
 
 ENTRYPOINT ["/bin/bash", "-c", "source /ws/install/setup.bash && exec \"$@\"", "manip_sim"]
 CMD ["ros2", "run", "manip_sim", "sim_node"]

@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 
+from packaging.requirements import Requirement
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -16,7 +17,7 @@ LINES = [line for line in (ROOT / 'Dockerfile').read_text().splitlines()
          if not line.startswith('#')]
 INSTRUCTIONS = [tuple(line.split(' ', 1))
                 for line in '\n'.join(LINES).replace('\\\n', ' ').splitlines() if line]
-KEYWORDS = {'FROM', 'ENV', 'WORKDIR', 'COPY', 'RUN', 'ENTRYPOINT', 'CMD'}
+KEYWORDS = {'FROM', 'ENV', 'WORKDIR', 'COPY', 'RUN', 'USER', 'ENTRYPOINT', 'CMD'}
 
 
 def arguments(keyword):
@@ -35,7 +36,30 @@ def words_after(*begin):
 
 def test_its_instructions_are_known_and_it_begins_with_ros():
     assert {word for word, _ in INSTRUCTIONS} == KEYWORDS
-    assert INSTRUCTIONS[0] == ('FROM', 'ros:jazzy')
+    word, image = INSTRUCTIONS[0]
+    assert word == 'FROM' and re.fullmatch('ros:jazzy@sha256:[0-9a-f]{64}', image)
+
+
+def test_what_it_runs_has_the_rights_of_a_user_that_it_makes():
+    (user,) = arguments('USER')
+    assert user != 'root' and any(f'useradd --create-home {user}' in run
+                                  for run in arguments('RUN'))
+    words = [word for word, _ in INSTRUCTIONS]
+    assert words.index('USER') > max(i for i, word in enumerate(words) if word == 'RUN')
+
+
+def test_pip_installs_the_versions_of_the_requirements_but_for_numpy(tmp_path):
+    (tmp_path / 'src').mkdir()
+    (tmp_path / 'src' / 'manip_sim').symlink_to(ROOT)
+    (environment,) = arguments('ENV')
+    assert 'PIP_CONSTRAINT=/ws/locked.txt' in environment and arguments('WORKDIR')[0] == '/ws'
+    subprocess.run(['sh', '-ec', arguments('RUN')[0]], cwd=tmp_path, check=True)
+    found = [Requirement(line) for line in (tmp_path / 'locked.txt').read_text().splitlines()]
+    locked = [Requirement(line.partition(' \\')[0]) for line in (
+        ROOT / 'requirements' / 'run.txt').read_text().splitlines() if line[:1].isalpha()]
+    assert [str(one) for one in found] == [
+        *(str(one) for one in locked if one.name != 'numpy'), 'numpy==1.26.4']
+    assert {'mujoco', 'viser', 'trimesh'} <= {one.name for one in found}
 
 
 @pytest.mark.parametrize('run', arguments('RUN'), ids=lambda run: run.split()[0])
