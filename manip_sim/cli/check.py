@@ -29,24 +29,27 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 def run(options: argparse.Namespace) -> tuple[str, int]:
     if options.file is not None:
         name, defects = str(options.file), _defects_of_file(options.file)
-        note = ''
+        note, lowered = '', list[str]()
     else:
         world = compose_from(options).composition.world
         name = f'{world.name} in arena {world.arena.arena_name}'
-        defects = [*_defects_of(world), *(StartDefect(
+        found, lowered = _defects_of(world)
+        defects = [*found, *(StartDefect(
             'meshes', sentence, 'see there, or accept it by meshes: none in the YAML file of the '
             'model') for sentence in lost_shapes(world))]
         prefixes = [part.naming_prefix for robot in world.robots
                     for part in (robot, *robot.models)]
         note = f'Names in the files lack the prefixes {", ".join(prefixes)}.'
+    notes = [f'note: {sentence}' for sentence in lowered]
     if not defects:
-        return f'{name}: nothing is wrong with the start', 0
+        return '\n'.join([f'{name}: nothing is wrong with the start', *notes]), 0
     lines = [f'{name}: {counted(len(defects), "defect")}',
-             *(f'- {defect.text}\n  fix: {defect.remedy}' for defect in defects)]
+             *(f'- {defect.text}\n  fix: {defect.remedy}' for defect in defects), *notes]
     return '\n'.join([*lines, note] if note else lines), 1
 
 
-def _defects_of(world: World) -> list[StartDefect]:
+def _defects_of(world: World) -> tuple[list[StartDefect], list[str]]:
+    """Return the defects of a world, and which gains of its servos were lowered."""
     roots = [robot.root_body for robot in world.robots]
     try:
         simulation = Simulation(world)
@@ -56,8 +59,9 @@ def _defects_of(world: World) -> list[StartDefect]:
         data = start_without_control(model, world.init_qpos())
         return [StartDefect('control', f'this cannot be simulated: {error}',
                             'change the model as the message says'),
-                *find_start_defects(model, data, roots)]
-    return find_start_defects(simulation.model, simulation.data, roots)
+                *find_start_defects(model, data, roots)], []
+    return (find_start_defects(simulation.model, simulation.data, roots),
+            simulation.lowered_gains)
 
 
 def _defects_of_file(file: Path) -> list[StartDefect]:

@@ -85,6 +85,7 @@ class ControlledJoints:
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
+    :param gains_are_highest: whether gains of the model are upper bounds, see :class:`Servos`
     :ivar names: of the driven joints, in the order of their indices
     :ivar modes: the names of their control modes
     :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
@@ -95,7 +96,7 @@ class ControlledJoints:
     not_in_digest = ('holder',)
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
-                 atomic: Sequence[str]) -> None:
+                 atomic: Sequence[str], gains_are_highest: bool = False) -> None:
         driven = [(actuator, joint) for name in atomic for actuator, joint in
                   zip(parts[name].actuators, parts[name].driven_joints) if joint is not None]
         self.names = [joint for _, joint in driven]
@@ -105,7 +106,8 @@ class ControlledJoints:
         self._part_of = [name for name in atomic for _ in parts[name].driven_joints]
         self.twist_indices = self._find_twist_joints(parts)
         self._sideways = 'base' not in parts or parts['base'].sideways
-        self._servos = Servos(physics, [a for a, _ in driven], self.names)
+        self._servos = Servos(
+            physics, [a for a, _ in driven], self.names, gains_are_highest)
         self._generator = SetpointGenerator(
             self._servos.position_clamp(), self._servos.cruising_velocity,
             self._servos.acceleration_limit)
@@ -122,6 +124,11 @@ class ControlledJoints:
         if any(len(indices) != 1 for indices in found):
             return None
         return self._indices_of['base'][[indices[0] for indices in found]]
+
+    @property
+    def lowered(self) -> tuple[str, ...]:
+        """A sentence for each servo whose gains were lowered, as they were not stable."""
+        return self._servos.lowered
 
     def take_back(self) -> None:
         """Hold setpoints and commands here, whatever held them before."""

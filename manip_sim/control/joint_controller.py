@@ -42,14 +42,15 @@ class JointController(ControlledJoints):
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :param chains: of the arms that take Cartesian commands, by arm
+    :param gains_are_highest: whether gains of the model are upper bounds, see :class:`Servos`
     :ivar cartesian: controller of the end effectors
     :ivar plan: the controls of the intervals that follow in a period, where they are planned
     """
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
-                 atomic: Sequence[str], chains: Mapping[str, KinematicChain] | None = None
-                 ) -> None:
-        super().__init__(physics, parts, atomic)
+                 atomic: Sequence[str], chains: Mapping[str, KinematicChain] | None = None,
+                 gains_are_highest: bool = False) -> None:
+        super().__init__(physics, parts, atomic, gains_are_highest)
         self.cartesian = CartesianController(
             physics, chains or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))

@@ -21,6 +21,8 @@ from manip_sim.arrays import as_slice, BoolArray, FloatArray, IntArray
 from manip_sim.control.joint_accelerations import acceleration_limits
 from manip_sim.control.motion_profiles import Plan
 from manip_sim.control.servo_laws import activations, place_after
+from manip_sim.control.servo_stability import (
+    bounded_gains, changes, highest_gains, stable_gains)
 from manip_sim.errors import ModelError
 from manip_sim.physics.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
@@ -32,10 +34,6 @@ _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
 _UNLIMITED_EFFORT = 1e3
 #: Share of the torque beyond the weight that the joint's damping may use.
 _DAMPING_SHARE = 0.9
-#: Upper bound of damping x timestep / inertia: MuJoCo integrates a saturated servo explicitly.
-_EXPLICIT_DAMPING = 1.5
-#: Highest damping ratio that a servo keeps when its gains are lowered to that bound.
-_SOFT_RATIO = 3.0
 
 
 class Servos:
@@ -49,6 +47,9 @@ class Servos:
         and joint force limits of its model are changed
     :param actuators: their names
     :param joints: the joint that each of them drives
+    :param gains_are_highest: whether gains of the model are upper bounds, to be lowered to what
+        suits the timestep, and not those wanted, which are lowered only where they are not stable
+    :ivar lowered: a sentence for each servo whose wanted gains were lowered
     :ivar qpos: addresses of the joints in ``qpos``, shape (n,)
     :ivar dofs: addresses of the joints in ``qvel``, shape (n,)
     :ivar limited: whether each joint has a range, shape (n,)
@@ -67,11 +68,12 @@ class Servos:
     """
 
     #: Where results are written, and what follows from the rest.
-    not_in_digest = ('_effort_force', '_all_accelerations', '_places', '_all_compensated',
-                     '_geared', '_sources', 'reach', 'follows', 'any_gives_effort', 'turn')
+    not_in_digest = ('_effort_force', '_highest', 'lowered', '_all_accelerations', '_places',
+                     '_all_compensated', '_geared', '_sources', 'reach', 'follows',
+                     'any_gives_effort', 'turn')
 
-    def __init__(self, physics: Physics, actuators: Sequence[str],
-                 joints: Sequence[str]) -> None:
+    def __init__(self, physics: Physics, actuators: Sequence[str], joints: Sequence[str],
+                 gains_are_highest: bool = False) -> None:
         model, data = physics.model, physics.data
         check_single(actuators, joints)
         check_kinds(model, actuators)
@@ -82,10 +84,13 @@ class Servos:
         self._gear: FloatArray = model.actuator_gear[ids, 0].copy()
         stiffness, damping = stiffness_and_damping(model, ids, self.dofs)
         self._stiffness, self._damping = stiffness * self._gear**2, damping * self._gear**2
-        self._soften()
-        self._gains_of_model = self._stiffness.copy(), self._damping.copy()
         passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
         self.passive_damping: FloatArray = passive.copy()
+        self._highest = gains_are_highest
+        self.lowered: tuple[str, ...] = ()
+        self._stabilize(np.asarray(
+            np.isfinite(effort_range(model, joint_ids, ids)).all(axis=1)))
+        self._gains_of_model = self._stiffness.copy(), self._damping.copy()
         #: Effort per velocity that lets a joint move as fast as its setpoint.
         self._drag = self._damping + passive
         self._friction = DryFriction(model, self.dofs)
@@ -137,15 +142,25 @@ class Servos:
         self._drag = self._damping + self.passive_damping
         self._friction.look(model, self.dofs)
 
-    def _soften(self) -> None:
-        model = self._physics.model
-        share = model.opt.timestep * self._damping * model.dof_invweight0[self.dofs]
-        factor = np.minimum(1.0, _EXPLICIT_DAMPING / np.maximum(share, 1e-12))
-        self._damping = self._damping * factor
-        # A servo that was overdamped would become too soft if it kept its damping ratio.
-        enough = (self._damping / (2.0 * _SOFT_RATIO))**2 * model.dof_invweight0[self.dofs]
-        self._stiffness = np.maximum(self._stiffness * factor**2,
-                                     np.minimum(self._stiffness, enough))
+    def _stabilize(self, limited: BoolArray) -> None:
+        """Lower gains that are too high for the timestep."""
+        model, before = self._physics.model, (self._stiffness, self._damping)
+        inertia, step_s = self._inertia(np.arange(len(self._ids))), float(model.opt.timestep)
+        if self._highest:
+            self._stiffness, self._damping = highest_gains(*before, inertia, step_s)
+            return
+        self._stiffness, self._damping = stable_gains(
+            *before, inertia, self.passive_damping, limited, step_s)
+        old, new = np.array(before).T, np.array([self._stiffness, self._damping]).T
+        self.lowered = tuple(
+            changes(self._joints[index], tuple(old[index]), tuple(new[index]),
+                    bool(limited[index]), step_s)
+            for index in np.flatnonzero((old != new).any(axis=1)).tolist())
+
+    def _inertia(self, indices: IntArray) -> FloatArray:
+        """Return the inertia of joints while the others are free, their lowest."""
+        inverse = self._physics.model.dof_invweight0[self.dofs[indices]]
+        return np.asarray(1.0 / np.maximum(inverse, 1e-12))
 
     def _position_range(self, joint_ids: IntArray) -> FloatArray:
         limits: FloatArray = self._physics.model.jnt_range[joint_ids].copy()
@@ -216,12 +231,9 @@ class Servos:
             stiffness, damping = (of_model[indices] for of_model in self._gains_of_model)
         else:
             stiffness, damping = _checked(gains, len(indices))
-            step_s = self._physics.model.opt.timestep
-            share = step_s * self._physics.model.dof_invweight0[self.dofs[indices]]
-            most = _EXPLICIT_DAMPING / np.maximum(share, 1e-12)
-            # At the highest stiffness, the highest damping is critical.
-            stiffness = np.minimum(stiffness, most * _EXPLICIT_DAMPING / (4.0 * step_s))
-            damping = np.minimum(damping, most)
+            stiffness, damping = bounded_gains(
+                stiffness, damping, self._inertia(indices),
+                float(self._physics.model.opt.timestep))
         if (stiffness == self._stiffness[indices]).all() and (
                 damping == self._damping[indices]).all():
             return False

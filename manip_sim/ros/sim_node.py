@@ -322,7 +322,7 @@ class SimNode(Node):
         log = self.get_logger()
         value = self.declared.value
         log.info(introduction(self.robots, self.simulation, value, self.thread.paused))
-        for note in (*inferred(self._world), *self.notes):
+        for note in (*inferred(self._world), *self.simulation.lowered_gains, *self.notes):
             log.info(note)
         for sentence in lost_shapes(self._world):
             log.warning(sentence)

@@ -171,7 +171,7 @@ class SpawnedRobots:
         if node.actions is not None:
             node.actions.add(served.commands)
         node.descriptions.add(scope, robot)
-        for note in inferred(self._simulation.world, robot.robot_model):
+        for note in (*inferred(self._simulation.world, robot.robot_model), *robot.joints.lowered):
             node.get_logger().info(note)
         for sentence in lost_shapes(self._simulation.world, robot.robot_model):
             node.get_logger().warning(sentence)

@@ -71,7 +71,7 @@ class SimulatedRobot:
         self.joints = JointController(
             physics, {name: p for name, p in self.parts.items() if p.gripper is None},
             [part.name for part in atomic if part.gripper is None],
-            find_chains(model, robot, self.parts, self.end_effectors))
+            find_chains(model, robot, self.parts, self.end_effectors), robot.gains_are_highest)
         self.grippers = {part.name: GripperController(physics, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
         self.reflexes = Reflexes(self.parts, self.joints, self.end_effectors, efforts)

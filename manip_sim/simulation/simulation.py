@@ -227,6 +227,11 @@ class Simulation:
                              + (', '.join(self.robots) or 'none'))
         return next(iter(self.robots.values()))
 
+    @property
+    def lowered_gains(self) -> list[str]:
+        """A sentence for each servo of a robot whose gains were lowered to be stable."""
+        return [sentence for robot in self.robots.values() for sentence in robot.joints.lowered]
+
     def _settle(self) -> None:
         self._reset()
         self.episode_start.settle([gripper.part for robot in self.robots.values()

@@ -44,6 +44,17 @@ def test_a_robot_without_names_is_checked_too(here, mjcf):
     assert '10.0 mm inside' in text
 
 
+def test_lowered_gains_are_a_note_and_no_defect(here, mjcf):
+    file = mjcf(LINK.format(''), SERVO.replace('kv="20"', 'kv="2000"'))
+    code, text, errors = here('check', '--robot', file, '--base', 'none', '--position', '0', '0',
+                              '1')
+    assert (code, errors) == (0, '')
+    lines = text.splitlines()
+    assert lines[0].endswith('nothing is wrong with the start')
+    assert lines[1].startswith("note: servo of joint 'robot0_a': damping 2000 to ")
+    assert lines[1].endswith('not stable at its force limit with a timestep of 2 ms')
+
+
 def test_a_robot_that_stands_in_the_table_is_told_to_move(here):
     code, text, _ = here('check', '--arena', 'table', '--base', 'none', '--position', '0', '0',
                          '0.4')

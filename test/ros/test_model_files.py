@@ -52,6 +52,14 @@ def test_a_robot_of_a_file_is_served_and_driven(serve, client, tmp_path):
     assert node.simulation.robot.robot_model.eef_name['right'].endswith('flange')
 
 
+def test_the_log_tells_which_gains_of_a_file_were_lowered(serve, client, tmp_path):
+    log = client.log()
+    file = write_arm(tmp_path / 'arm')
+    file.write_text(file.read_text().replace('kp="200"', 'kp="200" kv="9000"'))
+    serve(robot=str(file))
+    client.spin_until(lambda: any("servo of joint 'robot0_swing': " in text for text in log))
+
+
 def test_the_archive_loads_where_the_files_are_not(serve, client, tmp_path):
     file = write_arm(tmp_path / 'arm')
     serve(robot=str(file), arena='table')

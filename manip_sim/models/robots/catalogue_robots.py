@@ -17,6 +17,7 @@ class CatalogueRobot(CatalogueModel, ManipulatorModel, registered=False):
     """A robot with arms from ``assets/robots``."""
 
     _kind = 'robots'
+    gains_are_highest = True
     _arms = FromYaml('arms', {})
     _base_name = FromYaml('base', None)
     _controllers = FromYaml('controllers', {})
