@@ -212,6 +212,7 @@ class _NodeRecorder:
     def run(self, ended: EndSignals, end_s: float | None, show: Callable[[int, str], object]
             ) -> None:
         """Record until a signal or an instant of the monotonic clock [s]."""
+        assert self._file is not None
         look_s = 0.0
         while not ended.wait(0.0):
             now_s = time.monotonic()
@@ -220,6 +221,7 @@ class _NodeRecorder:
             if now_s >= look_s:
                 look_s = now_s + _LOOK_S
                 self._look()
+                self._file.flush_when_due()
                 show(self.messages, f', {now_s - self._begin_s:.0f} s, {self._size()}'
                      + ('' if self._topics() else ', the node is gone'))
             try:

@@ -89,7 +89,17 @@ class RecordFile:
         self._writer.add_message(
             channel, time_ns, data, time_ns if published_ns is None else published_ns)
         self._pending += len(data)
-        if self._pending > _CHUNK_BYTES or time.monotonic() - self._written_s > _FLUSH_S:
+        if self._pending > _CHUNK_BYTES:
+            self.flush()
+        self.flush_when_due()
+
+    def flush_when_due(self) -> None:
+        """
+        Write the chunk that is begun if a second has passed; call it where no messages come.
+
+        :raises RecordError: if the file cannot be written
+        """
+        if self._pending and time.monotonic() - self._written_s > _FLUSH_S:
             self.flush()
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int = 0) -> None:

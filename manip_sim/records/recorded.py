@@ -334,6 +334,7 @@ class Record:
         try:
             for item in StreamReader(stream, emit_chunks=True, validate_crcs=True,
                                      record_size_limit=MAX_RECORD).records:
+                stream.reads = 0
                 if isinstance(item, DataEnd):
                     return
                 if isinstance(item, Chunk):

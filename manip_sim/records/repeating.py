@@ -141,6 +141,8 @@ def _reason(recorded: RecordedEpisode, episode: Episode) -> str:
         f", recorded on {recorded.about['machine']} with NumPy {recorded.about.get('numpy')}")
 
 
+#: Objects, or items of a list of parameters, that a record may ask for; an object takes 0.2 MB.
+_MOST_ITEMS = 1000
 #: Parameters with files that are not in the catalogue.
 _FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'task', 'randomization', 'model_path')
 
@@ -249,6 +251,7 @@ class _World:
             self._operations.restart = self._restart
             self._restart(None)
         self._handles = NumberedHandles()
+        _check_count(len(about['objects']))
         self._operations.make_objects(about['objects'])
         self._handles.add(restore_plain(self.simulation, state))
         self._entries: dict[str, Callable[..., None]] = {
@@ -291,6 +294,8 @@ class _World:
     def _operation(self, name: str, arguments: list[Any], failed: bool) -> None:
         if name not in self._operations.names:
             raise ModelError(f'there is no operation {quoted(name)}')
+        if name == 'spawn':
+            _check_count(len(self.simulation.plan.object_names) + 1)
         reason = None
         try:
             if name == 'spawn' and arguments[1] is None and not failed:
@@ -316,6 +321,12 @@ class _World:
             raise _Stop('the digest differs')
 
 
+def _check_count(count: int) -> None:
+    if count > _MOST_ITEMS:
+        raise RecordError(f'the record has {count} objects, and at most {_MOST_ITEMS} are '
+                          'repeated')
+
+
 def _composed(given: dict[str, Any]) -> Composition:
     """
     Compose the world of parameters from a record.
@@ -323,6 +334,9 @@ def _composed(given: dict[str, Any]) -> Composition:
     :raises RecordError: if they name files
     """
     for name, value in given.items():
+        if isinstance(value, list) and len(value) > _MOST_ITEMS:
+            raise RecordError(f'the parameter {quoted(name)} has {len(value)} items, and at most '
+                              f'{_MOST_ITEMS} are repeated')
         if name.rpartition('.')[2] in _FILES:
             for text in map(str, value if isinstance(value, list) else [value]):
                 described = parse_yaml(text, name) if text.lstrip().startswith('{') else {}

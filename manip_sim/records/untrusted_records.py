@@ -34,6 +34,8 @@ MAX_BYTES, MESSAGE_BYTES = 2**31, 128
 _MAX_PIXELS = 8192**2
 #: Length of a name, and least and longest control period [s].
 _MAX_NAME, _PERIODS_S = 255, (1e-6, 100.0)
+#: Reads from a file without any record of a known kind.
+_MOST_READS = 100_000
 _TOPIC = re.compile(r'(/[^/\\]+)+')
 _KEYS = ('number', 'seed', 'task', 'instruction', 'arguments', 'robot', 'robots', 'period_s',
          'action', 'action_names', 'latency', 'settings', 'steps', 'manip_sim', 'mujoco')
@@ -206,18 +208,23 @@ class BoundedFile:
 
     :param file: at its begin
     :param size: of the file [bytes]
+    :ivar reads: since the last record of a known kind; the caller sets it to 0
     """
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file, self._size = file, size
-        self.position = 0
+        self.position = self.reads = 0
 
     def read(self, length: int) -> bytes:
         """
         Return some bytes.
 
         :raises CutOff: if there are less
+        :raises RecordError: after many records of unknown kinds, such as in a file of zeros
         """
+        self.reads += 1
+        if self.reads > _MOST_READS:
+            raise RecordError(f'damaged before byte {self.position}: no record of a known kind')
         if length > self._size - self.position:
             raise CutOff
         data = self._file.read(length)

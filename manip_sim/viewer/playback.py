@@ -9,6 +9,7 @@ import argparse
 from collections import Counter
 from collections.abc import Iterable
 import os
+import sys
 import time
 from typing import Any
 
@@ -48,7 +49,7 @@ def show_records(options: argparse.Namespace) -> int:
     :raises ManipSimError: if a record cannot be read, or it cannot listen
     """
     ended = EndSignals()
-    entries = entries_in(options.record)
+    entries = entries_in(options.record, lambda why: print(f'sim_view: {why}', file=sys.stderr))
     access = Access.of(os.environ, options.allow_host)
     server: Any = open_server(options.listen, options.port, access)
     try:

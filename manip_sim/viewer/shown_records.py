@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -276,24 +276,38 @@ class Entry:
         raise RecordError(f'{self.path}: the record has changed')
 
 
-def entries_in(paths: Iterable[Path]) -> list[Entry]:
+def entries_in(paths: Iterable[Path], report: Callable[[str], object] = lambda _: None
+               ) -> list[Entry]:
     """
     Return what can be shown of records.
 
     :param paths: of files, and of folders with them
-    :raises RecordError: if one cannot be read, or nothing is in it
+    :param report: is called with why a file is left out, if others can be shown
+    :raises RecordError: if no file can be read, or nothing is in them
     """
-    entries = []
+    entries: list[Entry] = []
+    errors: list[RecordError] = []
     for path in records_in(paths):
-        for number, found in enumerate(Record(path).contents()):
-            if isinstance(found, RecordedEpisode):
-                entries.append(Entry(path, found.number, found.seed,
-                                     None if found.result is None else found.success))
-            else:
-                ShownWorld(found)  # What it lacks is said here, not on the page.
-                entries.append(Entry(path, number, node=found.node or '?'))
+        try:
+            entries += _entries_of(path)
+        except RecordError as error:
+            errors.append(error)
     if not entries:
-        raise RecordError('nothing that can be shown is recorded')
+        raise errors[0] if errors else RecordError('nothing that can be shown is recorded')
+    for unread in errors:
+        report(f'left out: {unread}')
+    return entries
+
+
+def _entries_of(path: Path) -> list[Entry]:
+    entries = []
+    for number, found in enumerate(Record(path).contents()):
+        if isinstance(found, RecordedEpisode):
+            entries.append(Entry(path, found.number, found.seed,
+                                 None if found.result is None else found.success))
+        else:
+            ShownWorld(found)  # What it lacks is said here, not on the page.
+            entries.append(Entry(path, number, node=found.node or '?'))
     return entries
 
 

@@ -6,6 +6,7 @@
 from dataclasses import replace
 from functools import cache
 import io
+import json
 import os
 import re
 import struct
@@ -27,8 +28,11 @@ from mcap.records import Message  # noqa: E402
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ModelError, RecordError  # noqa: E402
 from manip_sim.records import converting  # noqa: E402
+from manip_sim.records.definitions import definition  # noqa: E402
+from manip_sim.records.record_file import RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.tasks import create_task  # noqa: E402
+from manip_sim.viewer.shown_records import entries_in  # noqa: E402
 
 IMAGES, JOINTS, ACTION = '/front/color/image_raw/compressed', '/joint_states', '/episode/action'
 EEF_POSE = '/right/eef_pose'
@@ -219,3 +223,61 @@ def test_what_two_processes_have_begun_of_one_data_set_are_two_files(
     monkeypatch.setitem(converting.FORMATS, 'hdf5', write)
     converting.convert([recording], 'hdf5', tmp_path / 'set')
     assert len({*begun}) == 2 and [*tmp_path.iterdir()] == [tmp_path / 'set']
+
+
+def test_a_large_file_of_zeros_is_given_up_soon(tmp_path, capsys):
+    path = tmp_path / 'zeros.mcap'
+    with open(path, 'wb') as file:
+        file.write(b'\x89MCAP0\r\n')
+        file.truncate(10 << 30)
+    for verb in (['replay', '--verify'], ['convert', '--to', 'hdf5', str(tmp_path / 'a.hdf5')]):
+        assert main([verb[0], str(path), *verb[1:]]) == 1
+        error = capsys.readouterr().err
+        assert error.count('\n') == 1 and 'no record of a known kind' in error
+
+
+def journal(path, start, *entries):
+    """Write a record of a node that has nothing but a journal."""
+    file = RecordFile(path)
+    file.describe('manip_sim/node', {'node': '/manip_sim', 'manip_sim': '0', 'mujoco': '0',
+                                     'parameters': '{}', 'begin_ns': '0'})
+    channel = file.channel('/manip_sim/journal', 'std_msgs/msg/String', definition(
+        'std_msgs/String'))
+    text = json.dumps({'number': 0, 'entries': [['start', start, {}], *entries]})
+    file.write(channel, 0, encoded('std_msgs/String', data=text))
+    file.close()
+
+
+BALLS = [f'{{shape: sphere, name: b{n}, size: [0.1]}}' for n in range(20000)]
+
+
+@pytest.mark.parametrize('parameters, objects, text', [
+    ({'objects': BALLS}, [], "the parameter 'objects' has 20000 items, and at most 1000"),
+    ({'cameras': BALLS}, [], "the parameter 'cameras' has 20000 items, and at most 1000"),
+    ({}, [['b', 'x', None, None, None]] * 20000, 'the record has 20000 objects, and at most 1000'),
+])
+def test_a_journal_that_asks_for_very_many_objects_takes_no_memory(
+        parameters, objects, text, tmp_path, capsys):
+    path = tmp_path / 'bomb.mcap'
+    journal(path, {'parameters': {'robot': 'Panda', **parameters}, 'task_seed': None,
+                   'objects': objects})
+    tracemalloc.start()
+    try:
+        assert main(['replay', str(path), '--verify']) == 1
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    captured = capsys.readouterr()
+    assert text in captured.out + captured.err
+    assert most < 100e6
+
+
+def test_a_damaged_record_among_others_is_told_and_the_others_are_shown(recording, tmp_path):
+    damaged = tmp_path / 'damaged.mcap'
+    damaged.write_bytes(recording.read_bytes()[:100])
+    told = []
+    entries = entries_in([damaged, recording], told.append)
+    assert {entry.path for entry in entries} == {recording}
+    assert len(told) == 1 and str(damaged) in told[0]
+    with pytest.raises(RecordError, match=re.escape(str(damaged))):
+        entries_in([damaged], told.append)

@@ -24,6 +24,8 @@ for needed in ('mcap', 'mcap_ros2', 'rosbags'):
 
 from mcap.reader import NonSeekingReader  # noqa: E402
 
+from manip_sim.records.definitions import definition, encoder  # noqa: E402
+from manip_sim.records.record_file import RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.records.untrusted_records import _KEYS, check_about  # noqa: E402
 
@@ -231,3 +233,18 @@ def test_an_interrupted_command_ends_without_a_traceback(recording, tmp_path):
         assert 'Traceback' not in command.stderr.read()
     assert command.returncode != 2  # The command line is right.
     assert not (tmp_path / 'out.hdf5').exists() or command.returncode == 0
+
+
+def test_what_was_written_is_in_the_file_after_a_second_without_further_messages(
+        tmp_path, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr('time.monotonic', lambda: now[0])
+    file = RecordFile(tmp_path / 'latched.mcap')
+    channel = file.channel('/text', 'std_msgs/msg/String', definition('std_msgs/String'))
+    file.write(channel, 0, encoder('std_msgs/String')({'data': 'a'}))
+    now[0] = 0.9
+    file.flush_when_due()
+    assert readable_messages(file.path) == 0
+    now[0] = 1.1
+    file.flush_when_due()
+    assert readable_messages(file.path) == 1
