@@ -48,6 +48,12 @@ def test_the_glossary_is_in_order_and_names_each_word_once():
     assert words == sorted(set(words))
 
 
+def test_the_glossary_lists_the_arenas():
+    from manip_sim.models.arenas import arena_names
+    row, = re.findall(r'^\| arena \| (.*) \|$', (ROOT / 'docs' / 'glossary.md').read_text(), re.M)
+    assert re.findall('`(.+?)`', row) == list(arena_names())
+
+
 @pytest.fixture(scope='module')
 def code():
     """Return all sources, as :func:`in_lower_case` has them."""

@@ -200,7 +200,7 @@ class CheckedConnection(ServerConnection):
     """
 
     gui: Any = None
-    _told = False
+    _reported = False
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that the page may have sent."""
@@ -209,8 +209,8 @@ class CheckedConnection(ServerConnection):
             if isinstance(data, bytes) and is_of_page(data) and _is_complete(data):
                 if _is_possible(self.gui, data):
                     return data
-            elif not self._told:
-                self._told = True
+            elif not self._reported:
+                self._reported = True
                 _LOGGER.warning('sim_view: messages of %s that the page does not send are ignored',
                                 self.remote_address[0])
 
