@@ -5,6 +5,7 @@
 
 from pathlib import Path
 import struct
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -471,3 +472,33 @@ def test_mimics_in_a_circle_are_rejected_with_their_names(tmp_path):
     assert str(error.value) == (
         f"{file}: joint 'left_finger': its <mimic> is a circle, so nothing can drive it: "
         "'left_finger' follows 'right_finger' follows 'mount' follows 'left_finger'")
+
+
+BALL = '<visual><origin xyz="0 0 0.2"/><geometry><sphere radius="0.03"/></geometry></visual>'
+BOX = ('<collision><origin xyz="0 0 0.2"/><geometry><box size="0.2 0.2 0.2"/></geometry>'
+       '</collision>')
+
+
+def shapes_of(urdf, name):
+    """Return the kinds of the visual and of the collision shapes of a link."""
+    link = next(link for link in ElementTree.fromstring(urdf).findall('link')
+                if link.get('name').endswith(name))
+    return tuple([next(iter(shape.find('geometry'))).tag for shape in link.findall(kind)]
+                 for kind in ('visual', 'collision'))
+
+
+@pytest.mark.parametrize('how', ['robot', 'gripper', 'base'])
+def test_collision_shapes_of_links_with_visual_ones_are_not_drawn(tmp_path, how):
+    limit = '<limit lower="-1" upper="1" effort="9" velocity="1"/>'
+    file = str(write(tmp_path / 'shown.urdf', (
+        f'<robot name="shown"><link name="foot">{SOLID}</link>'
+        f'<link name="both">{SOLID}{BALL}{BOX}</link><link name="plain">{SOLID}{BOX}</link>'
+        f'<link name="seen">{SOLID}{BALL}</link>' + joint('a', 'foot', 'both', more=limit)
+        + joint('b', 'both', 'plain', more=limit) + joint('c', 'plain', 'seen', more=limit)
+        + '</robot>')))
+    world = (compose(file) if how == 'robot' else compose('UR5e', gripper=file)
+             if how == 'gripper' else compose('UR5e', base=file))
+    urdf = world.to_urdf()
+    assert shapes_of(urdf, '_both') == (['sphere'], ['box'])
+    assert shapes_of(urdf, '_plain') == (['box'], ['box'])
+    assert shapes_of(urdf, '_seen') == (['sphere'], [])

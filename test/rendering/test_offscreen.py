@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.models import compose
 from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.rendering.intrinsics import intrinsics_of
 from manip_sim.rendering.offscreen import OffscreenRenderer
@@ -85,6 +86,28 @@ def test_the_intrinsics_are_those_of_a_pinhole():
     assert (found.width, found.height) == (320, 240)
     np.testing.assert_allclose([found.fx, found.fy, found.cx, found.cy],
                                [120.0, 120.0, 159.5, 119.5], rtol=1e-6)
+
+
+def test_the_depth_of_a_urdf_link_is_that_of_its_visual_shape(tmp_path, gl):
+    file = tmp_path / 'shown.urdf'
+    file.write_text("""<robot name="shown"><link name="base"/><link name="arm">
+      <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+      </inertial><visual><origin xyz="0 0 0.2"/>
+      <geometry><sphere radius="0.03"/></geometry></visual>
+      <collision><origin xyz="0 0 0.2"/><geometry><box size="0.2 0.2 0.2"/></geometry>
+      </collision>
+      </link><joint name="turn" type="revolute"><parent link="base"/><child link="arm"/>
+      <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="20" velocity="2"/></joint></robot>""")
+    model = compose(str(file), position=[0, 0, 0], cameras=[
+        {'name': 'front', 'position': [1.0, 0.0, 0.2], 'look_at': [0.0, 0.0, 0.2]}]).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    renderer = OffscreenRenderer(model, 101, 101)
+    try:
+        depth = renderer.render(data, 'front', 101, 101).depth
+    finally:
+        renderer.close()
+    assert depth[50, 50] == pytest.approx(0.97, abs=0.002)
 
 
 @pytest.mark.parametrize('distance', [0.1, 1.0, 10.0, 60.0])

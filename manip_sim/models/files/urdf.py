@@ -28,6 +28,8 @@ from manip_sim.quoting import counted, one_line, quoted, quoted_names
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
 _LIGHT_KG, _LIGHT_INERTIA = 1e-3, 1e-6
 _HEAD = 4096
+#: Of shapes that are not drawn: cameras, the viewer and exported URDF show groups 0 to 2.
+_COLLISION_GROUP = 3
 #: Types of joints that move.
 _MOVES = re.compile(rb'type\s*=\s*["\'](?:revolute|continuous|prismatic)["\']')
 #: Elements of a URDF that MuJoCo reads.
@@ -72,7 +74,8 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     """
     Read a spec from a URDF file, or from a xacro file that makes one.
 
-    All links become bodies, also those on fixed joints. The velocity limit of a joint becomes the
+    All links become bodies, also those on fixed joints. Collision shapes of links that have
+    visual ones are in group 3, which is not drawn. The velocity limit of a joint becomes the
     first number of its ``user``, the effort limit its actuator force range; zero is no limit. A
     mimic joint is coupled by an equality constraint.
 
@@ -83,6 +86,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     spec = (spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
             if files is None else _hold(robot, file, files).load_tried())
     _let_visual_meshes_be_flat(spec)
+    _hide_collision_shapes(spec)
     complete_joints(spec, robot)
     notes += _give_mass(spec, robot)
     notes += _take_gravity(spec, robot)
@@ -129,6 +133,15 @@ def _let_visual_meshes_be_flat(spec: mujoco.MjSpec) -> None:
     for mesh in spec.meshes:
         if mesh.name not in colliding:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+
+
+def _hide_collision_shapes(spec: mujoco.MjSpec) -> None:
+    """Draw only the visual shapes of links that have any."""
+    for body in spec.bodies:
+        colliding = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
+        if len(colliding) < len(body.geoms):
+            for geom in colliding:
+                geom.group = _COLLISION_GROUP
 
 
 def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
