@@ -20,7 +20,7 @@ from manip_sim.rclpy_internals import endpoint_counts
 
 #: Programs of this package; what they publish may outlive a node by a moment.
 _OWN_PROGRAMS = ('sim_view', 'pick_cube', 'hand_over')
-#: How similar the name of a topic that nobody takes must be to one that the node takes.
+#: How similar the name of a topic with one end must be to one of the node that has the other.
 _SIMILAR = 0.8
 #: The packages of services that every node has, so that a call of one may be for any other node.
 _OF_EVERY_NODE = ('rcl_interfaces', 'type_description_interfaces')
@@ -123,11 +123,16 @@ class Neighbours:
                         node.get_publishers_info_by_topic(topic))]):
                     yield f'{_name(info)} cannot receive {topic}: {reason}'
         for topic in sorted(topics.keys() - taken.keys() - published.keys()):
-            near = _nearest(topic, topics[topic], taken)
-            if near is not None and not node.count_subscribers(topic):
-                for info in self._others_of(node.get_publishers_info_by_topic(topic)):
-                    yield (f'{_name(info)} publishes {quoted(topic)}, which nobody takes; this '
-                           f'node takes {near}')
+            senders = node.get_publishers_info_by_topic(topic)
+            readers = node.get_subscriptions_info_by_topic(topic)
+            if senders and readers:
+                continue
+            other, own, names = (('publishes', 'takes', taken) if senders else
+                                 ('subscribes to', 'publishes', published))
+            near = _nearest(topic, topics[topic], names)
+            for info in self._others_of([*senders, *readers] if near else ()):
+                yield (f'{_name(info)} {other} {quoted(topic)}, which nobody {own}; this node '
+                       f'{own} {near}')
 
     def _missed_services(self) -> Iterator[str]:
         """Yield a line for each service that others wait for, and that this node has otherwise."""

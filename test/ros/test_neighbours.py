@@ -10,7 +10,7 @@ import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Twist, TwistStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, WrenchStamped
 from harness import Client
 import pytest
 from rcl_interfaces.srv import GetParameters
@@ -216,7 +216,13 @@ SUBSCRIBED_BY_MISTAKE = [
     (Float64MultiArray, 'right/wrench', 1, "/right/wrench is WrenchStamped; '/client' subscribes "
      'to Float64MultiArray'),
     (JointState, 'joint_states', LATE_JOINER, "'/client' cannot receive /joint_states: volatile "
-     'publisher and transient local subscription')]
+     'publisher and transient local subscription'),
+    (JointState, 'joint_state', 1, "'/client' subscribes to '/joint_state', which nobody "
+     'publishes; this node publishes /joint_states'),
+    (PoseStamped, 'right/eef_poses', 1, "'/client' subscribes to '/right/eef_poses', which nobody "
+     'publishes; this node publishes /right/eef_pose'),
+    (WrenchStamped, 'external_wrench', 1, "'/client' subscribes to '/external_wrench', which "
+     'nobody publishes; this node publishes /right/external_wrench')]
 #: Services that another node calls by mistake.
 CALLED_BY_MISTAKE = [
     (Trigger, 'reset', "'/client' calls '/reset', which nobody offers; this node offers "
@@ -267,6 +273,10 @@ def test_what_matches_the_node_is_not_reported(serve, client):
     # Somebody else takes it.
     client.node.create_publisher(JointState, 'other/joint_command', 1)
     client.node.create_subscription(JointState, 'other/joint_command', print, 1)
+    client.node.create_subscription(Float64MultiArray, 'humidity', print, 1)
+    # Somebody else publishes it.
+    client.node.create_subscription(JointState, 'other/joint_states', print, 1)
+    client.node.create_publisher(JointState, 'other/joint_states', 1)
     client.node.create_subscription(
         WrenchStamped, 'right/wrench', lambda _: None, qos_profile_sensor_data)
     client.spin_until(lambda: client.node.count_subscribers('joint_command') == 2)
