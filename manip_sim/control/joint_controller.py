@@ -242,7 +242,7 @@ class JointController(ControlledJoints):
         else:
             drives = any([isinstance(c, BaseTwist) for c in self.commands.running])
             self.commands.take(meant)
-            self.commands.running.append(meant)
+            self.commands.begin(meant)
             if isinstance(meant, BaseTwist):
                 self._base.begin(meant, data, now_s, period_s, drives)
             elif isinstance(meant, JointSetpoint):
@@ -350,7 +350,7 @@ class JointController(ControlledJoints):
         for twist in twists:
             # It has ended, but brings the base to rest along its path.
             stop = replace(twist, twist=np.zeros(3))
-            self.commands.running.append(stop)
+            self.commands.begin(stop)
             self._base.begin(stop, data, now_s, period_s, True)
 
     def tick(self, data: mujoco.MjData, now_s: float, duration_s: float) -> None:

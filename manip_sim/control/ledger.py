@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -15,6 +16,8 @@ from manip_sim.control.commands import (
     Command, CommandHandle, GripperCommand, JointTrajectory, Status, STOPPED, TrajectoryStop)
 
 C = TypeVar('C', bound=Command)
+#: How many trajectories may wait for their start; clients may send any number, each later.
+_MOST_WAITING = 1000
 
 
 class Ledger:
@@ -24,8 +27,9 @@ class Ledger:
     At most one that runs owns a joint. Who took it last is known after that command has ended.
 
     :param count: number of joints
-    :ivar running: commands that own the joints of their indices
-    :ivar waiting: trajectories that start later, which own no joints yet
+    :ivar running: commands that own the joints of their indices, in the order of these
+    :ivar waiting: trajectories that start later, in the order of their starts; they own no joints
+        yet
     """
 
     def __init__(self, count: int) -> None:
@@ -48,6 +52,23 @@ class Ledger:
         self._pass_on(command.indices if indices is None else indices, command.handle,
                       Status.REPLACED)
 
+    def begin(self, command: Command) -> None:
+        """
+        Let a command run that has taken its joints.
+
+        Commands run in the order of their joints, as their order of arrival must make no
+        difference.
+        """
+        self.running.append(command)
+        if len(self.running) > 1:
+            self.running.sort(key=_first_joint)
+
+    def start(self, trajectory: JointTrajectory) -> None:
+        """Let a trajectory that waits take its joints from what runs, not from what waits."""
+        self.waiting.remove(trajectory)
+        self._own(trajectory.indices, trajectory.handle)
+        self.running = list(_without(self.running, trajectory.indices, Status.REPLACED))
+
     def release(self, indices: IntArray, status: Status, reason: str = '') -> None:
         """Take joints from the commands that own or await them; end those that have none left."""
         self._pass_on(indices, CommandHandle(Status.ABORTED, reason), status, reason)
@@ -65,8 +86,20 @@ class Ledger:
             self._owners[index] = handle
 
     def await_start(self, trajectory: JointTrajectory) -> None:
-        """Let a trajectory wait; commands that run go on until it starts."""
-        self.waiting = [*_without(self.waiting, trajectory.indices, Status.REPLACED), trajectory]
+        """
+        Let a trajectory wait; commands that run, or start before it, go on until it starts.
+
+        It is aborted if too many wait.
+        """
+        before = [older for older in self.waiting if _start(older) < _start(trajectory)]
+        after = self.waiting[len(before):]
+        if len(self.waiting) >= _MOST_WAITING:
+            trajectory.handle.end(
+                Status.ABORTED, f'{_MOST_WAITING} trajectories wait for their starts already')
+            return
+        rest = _without(after, trajectory.indices, Status.REPLACED)
+        self.waiting = sorted([*before, *rest, trajectory],
+                              key=lambda waiting: (_start(waiting), _first_joint(waiting)))
 
     def stop(self, stop: TrajectoryStop) -> IntArray:
         """Take joints from all trajectories, and return those that followed one."""
@@ -145,13 +178,23 @@ def takes_from(newer: Command, older: Command) -> bool:
     """
     Return whether a command takes its joints from an older one that has not begun either.
 
-    A trajectory that begins later takes them from other trajectories only, and so does a stop.
+    A trajectory that begins later takes them only from trajectories that do not begin before it,
+    and a stop from all trajectories.
     """
     if isinstance(newer, GripperCommand) or isinstance(older, GripperCommand):
         return newer.parts == older.parts
-    if isinstance(newer, TrajectoryStop) or isinstance(newer, JointTrajectory) and newer.start_ns:
-        return isinstance(older, JointTrajectory)
-    return True
+    if isinstance(newer, JointTrajectory) and newer.start_ns:
+        return isinstance(older, JointTrajectory) and older.start_ns >= newer.start_ns
+    return isinstance(older, JointTrajectory) or not isinstance(newer, TrajectoryStop)
+
+
+def _start(trajectory: JointTrajectory) -> float:
+    """Return when a trajectory starts, since the last reset [s]."""
+    return -math.inf if trajectory.start_s is None else trajectory.start_s
+
+
+def _first_joint(command: Command) -> int:
+    return int(command.indices.min())
 
 
 def _without(commands: Iterable[C], indices: IntArray, status: Status, reason: str = ''

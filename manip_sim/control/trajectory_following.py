@@ -46,17 +46,16 @@ class TrajectoryFollowing:
             start_s = now_s if command.start_s is None else command.start_s
             if start_s >= now_s + duration_s - 1e-9:
                 continue
-            self._commands.waiting.remove(command)
-            self._commands.take(command)
+            self._commands.start(command)
             own = command.own_trajectory()
             setpoint = own.as_setpoint(tuple(modes[i] for i in own.indices))
             if self._continues_stream(own, start_s, now_s):
                 self._setpoints.go_to(setpoint.indices, setpoint.values, period_s,
                                       own.messages, own.sent_s)
-                self._commands.running.append(setpoint)
+                self._commands.begin(setpoint)
             elif own.trajectory.end_s <= now_s - start_s:
                 self._setpoints.come_back(setpoint.indices, setpoint.values)
-                self._commands.running.append(setpoint)
+                self._commands.begin(setpoint)
             else:
                 self._begin(own, start_s, now_s)
 
@@ -76,7 +75,7 @@ class TrajectoryFollowing:
         except CommandError as error:
             own.handle.end(Status.ABORTED, str(error))
         else:
-            self._commands.running.append(replace(own, start_s=start_s))
+            self._commands.begin(replace(own, start_s=start_s))
 
     def follow(self, command: JointTrajectory, end_s: float) -> FloatArray | None:
         """

@@ -127,7 +127,7 @@ class StreamRows:
             for robot, command in self._commands(goals):
                 command.handle.status = Status.RUNNING
                 robot.joints.commands.take(command)
-                robot.joints.commands.running.append(command)
+                robot.joints.commands.begin(command)
                 robot.joints._timeouts.renew(command.parts, at_s)
 
     def _commands(self, goals: FloatArray) -> Iterator[tuple[SimulatedRobot, JointSetpoint]]:

@@ -127,8 +127,11 @@ def test_goals_that_wait_go_before_a_trajectory_that_starts_later():
     buffer.add(earlier)
     later = trajectory(0, start_ns=2 * 10**9)
     buffer.add(later)
-    assert buffer.take() == [goal, later]
-    assert statuses(goal, earlier) == [Status.WAITING, Status.REPLACED]
+    sooner = trajectory(0, start_ns=15 * 10**8)
+    buffer.add(sooner)
+    # Each runs until the next one starts; what starts after a newer one is replaced.
+    assert buffer.take() == [goal, earlier, sooner]
+    assert statuses(goal, earlier, later) == [Status.WAITING, Status.WAITING, Status.REPLACED]
 
 
 @pytest.mark.parametrize('newer', [setpoint({0: 2.0}), trajectory(0), BaseTwist(
