@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import fcntl
 from importlib.util import find_spec
 import os
 from pathlib import Path
@@ -21,6 +22,9 @@ _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT', 'NOT_SET')
 #: Names by which pip installs the modules that are no part of ROS.
 _FROM_PIP = {'mujoco': 'mujoco', 'numpy': 'numpy', 'PIL': 'pillow', 'pydantic': 'pydantic',
              'yaml': 'pyyaml'}
+#: Where Fast DDS keeps messages between processes, what a node and its clients need there, and how
+#: many leftovers are named.
+_SHARED_MEMORY, _NEEDED_BYTES, _NAMED = Path('/dev/shm'), 4_000_000, 5  # noqa: S108
 _OF_VIEWER = ('scipy', 'trimesh', 'viser')
 
 
@@ -29,8 +33,9 @@ def check_ros_environment() -> None:
     Check variables that rcl reads: with a bad value it ends the process, or takes another one.
 
     These are ``ROS_DOMAIN_ID``, ``ROS_AUTOMATIC_DISCOVERY_RANGE`` and ``RMW_IMPLEMENTATION``.
+    Without room in shared memory, Fast DDS ends the process by SIGBUS.
 
-    :raises ManipSimError: naming the values that can be used
+    :raises ManipSimError: naming the values that can be used, or what fills the shared memory
     """
     domain = os.environ.get('ROS_DOMAIN_ID', '')
     if domain and not (re.fullmatch('[0-9]+', domain) and int(domain[:9]) <= _LAST_DOMAIN):
@@ -47,6 +52,41 @@ def check_ros_environment() -> None:
     if chosen and installed and chosen not in installed:
         raise ManipSimError(f'RMW_IMPLEMENTATION is {quoted(chosen)}, which is not installed; '
                             f'installed: {", ".join(installed)}')
+    if chosen in ('', 'rmw_fastrtps_cpp', 'rmw_fastrtps_dynamic_cpp'):
+        _check_shared_memory()
+
+
+def _check_shared_memory() -> None:
+    transports = os.environ.get('FASTDDS_BUILTIN_TRANSPORTS', 'DEFAULT')
+    if not _SHARED_MEMORY.is_dir() or 'UDP' in transports or 'TCP' in transports:
+        return
+    found = os.statvfs(_SHARED_MEMORY)
+    free = found.f_bavail * found.f_frsize
+    if free >= _NEEDED_BYTES:
+        return
+    left = [file.with_name(file.name.removesuffix('_el'))
+            for file in sorted(_SHARED_MEMORY.glob('fastrtps_*_el')) if not _is_locked(file)]
+    left = [file for file in left if file.is_file()]
+    size = sum(file.stat().st_size for file in left)
+    names = ' '.join(f'{file.name}*' for file in left[:_NAMED])
+    more = f' (and {len(left) - _NAMED} more)' if len(left) > _NAMED else ''
+    raise ManipSimError(
+        f'{_SHARED_MEMORY} has {free / 1e6:.1f} MB left, and ROS needs {_NEEDED_BYTES / 1e6:.0f} '
+        'MB there: ' + (
+            f'nodes that were killed have left {size / 1e6:.1f} MB, remove it with: cd '
+            f'{_SHARED_MEMORY} && rm {names}{more}' if left else
+            'remove files, make it larger (docker run --shm-size 256m), or set '
+            'FASTDDS_BUILTIN_TRANSPORTS=UDPv4'))
+
+
+def _is_locked(file: Path) -> bool:
+    """Return whether a process uses a file of Fast DDS; one that has been killed does not."""
+    try:
+        with file.open() as opened:
+            fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # Also of a file of another user.
+        return True
+    return False
 
 
 def _installed_middleware() -> list[str]:

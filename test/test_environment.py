@@ -136,3 +136,31 @@ def test_without_mujoco_the_node_names_it_and_not_ros():
                           text=True, timeout=60.0, check=False)
     assert (done.returncode, done.stdout) == (1, '')
     assert done.stderr == "sim_node: no module 'mujoco': install it with pip install mujoco\n"
+
+
+FULL = """
+mount -t tmpfs -o size=8m tmpfs /dev/shm || exit 77
+"$0" -c "import rclpy; rclpy.init(); node = rclpy.create_node('killed')
+import os; os.kill(os.getpid(), 9)"
+ls /dev/shm/fastrtps_????????????????
+dd if=/dev/zero of=/dev/shm/full bs=4k 2> /dev/null
+"$0" -m "$@"
+"""
+
+
+@pytest.mark.parametrize('program', [['manip_sim'], ['manip_sim.cli', 'topic', 'list']])
+def test_a_full_shared_memory_is_one_line_that_names_what_killed_nodes_have_left(program):
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    done = subprocess.run(
+        ['unshare', '--user', '--map-root-user', '--mount', 'sh', '-c', FULL, sys.executable,
+         *program], capture_output=True, text=True, timeout=300.0,
+        env={**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'})
+    if done.returncode == 77 or 'unshare' in done.stderr:
+        pytest.skip('no mounts of its own here')
+    left = done.stdout.split()[0].rpartition('/')[2]
+    assert done.returncode == 1
+    line = done.stderr.splitlines()[-1]
+    name = 'manip_sim' if program[1:] else 'sim_node'
+    assert line.startswith(f'{name}: /dev/shm has 0.0 MB left, and ROS needs 4 MB there: nodes '
+                           'that were killed have left 0.')
+    assert f'{left}*' in line and 'rm fastrtps_' in line

@@ -23,6 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError, UnknownNameError
 from manip_sim.rclpy_internals import start_rclpy
+from manip_sim.ros_environment import check_ros_environment
 from manip_sim.testing.controllers import Controllers
 from manip_sim.testing.evidence import save_evidence
 from manip_sim.testing.recorded_topics import (
@@ -70,6 +71,7 @@ class SimulationUnderTest:
                  patience_s: float = 10.0) -> None:
         if not patience_s > 0.0:
             raise ManipSimError(f'patience must be above 0 s, got {patience_s}')
+        check_ros_environment()
         self._patience_s = patience_s
         given = self._given = {'stepping': 'free', **parameters, 'start_paused': True}
         self._lockstep = given['stepping'] == 'lockstep'
