@@ -12,7 +12,7 @@ from manip_sim.control.modes import MODES, POSITION
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.models.missing_meshes import inferred_by_model, LostShape
-from manip_sim.models.robots import RobotModel
+from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 Value = Callable[[str], Any]
@@ -63,6 +63,8 @@ def inferred(world: World, robot: RobotModel | None = None) -> Iterator[str]:
     """
     Yield what was inferred about each model that comes from a file, but for lost shapes.
 
+    Arms without a gripper, which have no topics of an end effector, are named with the remedy.
+
     :param world: the world of the models
     :param robot: that all is about; None: the whole world
     """
@@ -70,3 +72,10 @@ def inferred(world: World, robot: RobotModel | None = None) -> Iterator[str]:
         kept = [sentence for sentence in sentences if not isinstance(sentence, LostShape)]
         if kept:
             yield f'{name}: inferred: {"; ".join(kept)}'
+    for found in world.robots if robot is None else [robot]:
+        if isinstance(found, ManipulatorModel):
+            for arm in found.arms:
+                if arm not in found.grippers:
+                    yield (f"{found.name}: arm '{arm}' has no gripper, so no {arm}/eef_pose, "
+                           f'{arm}/target_pose or {arm}/wrench; gripper:=NullGripper puts a bare '
+                           f"flange with these on '{found.eef_name[arm]}'")

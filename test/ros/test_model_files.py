@@ -9,6 +9,7 @@ from pathlib import Path
 import struct
 import zipfile
 
+from geometry_msgs.msg import PoseStamped
 import mujoco
 import numpy as np
 import pytest
@@ -50,6 +51,27 @@ def test_a_robot_of_a_file_is_served_and_driven(serve, client, tmp_path):
     client.spin_until(lambda: abs(client.state().position[0] - 0.5) < 1e-3)
     client.spin_until(lambda: any('inferred' in text for text in log))
     assert node.simulation.robot.robot_model.eef_name['right'].endswith('flange')
+
+
+def test_the_log_tells_how_an_arm_without_a_hand_gets_an_end_effector(serve, client, tmp_path):
+    log, file = client.log(), str(write_arm(tmp_path / 'arm'))
+    serve(robot=file)
+    client.spin_until(lambda: any(
+        "arm 'right' has no gripper" in text and 'gripper:=NullGripper' in text
+        and "'robot0_flange'" in text for text in log))
+
+
+def test_the_flange_that_the_log_names_is_read_and_led(serve, client, tmp_path):
+    log = client.log()
+    node = serve(robot=str(write_arm(tmp_path / 'arm')), gripper='NullGripper')
+    poses = client.listen(PoseStamped, 'right/eef_pose')
+    client.spin_until(lambda: poses)
+    found, flange = poses[-1].pose.position, node.simulation.data.body('robot0_flange')
+    np.testing.assert_allclose([found.x, found.y, found.z], flange.xpos, atol=1e-3)
+    served = {topic for topic, _ in client.node.get_topic_names_and_types()}
+    for topic in ('eef_twist', 'target_pose', 'target_twist', 'wrench', 'external_wrench'):
+        assert any(name.endswith(f'/right/{topic}') for name in served), topic
+    assert not any('has no gripper' in text for text in log)
 
 
 def test_the_log_tells_which_gains_of_a_file_were_lowered(serve, client, tmp_path):
