@@ -225,7 +225,7 @@ def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[s
     for sensor in hardware.wrench_topics if own else ():
         arm = sensor.partition('_')[0]
         yield f'{sensor}_broadcaster', WRENCH, '', {
-            'sensor_name': sensor, 'frame_id': robot.end_effectors[arm].ft_frame}
+            'sensor_name': sensor, 'frame_id': robot.end_effectors[arm].wrench_frame}
     for sensor in hardware.imu_topics if own else ():
         yield f'{sensor}_broadcaster', IMU, '', {'sensor_name': sensor, 'frame_id': sensor}
 

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.frame_names import FrameNames
 from manip_sim.models.grippers import GripperModel
 from manip_sim.physics.external_wrench import ExternalWrench
 from manip_sim.physics.physics import Physics
@@ -77,8 +78,13 @@ class EndEffectorReader:
         self._grip_site = model.site(grip_site).id
 
     @property
+    def wrench_frame(self) -> str:
+        """Name of the frame of the wrenches, among those of bodies and cameras."""
+        return FrameNames(self._physics.model).sites[self._ft_frame]
+
+    @property
     def ft_frame(self) -> str:
-        """Name of the frame of the wrenches."""
+        """Name of the site of the wrenches."""
         name: str = self._physics.model.site(self._ft_frame).name
         return name
 

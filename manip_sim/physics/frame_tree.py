@@ -19,8 +19,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.frame_names import FrameNames
 from manip_sim.models.urdf_writer.kinematic_tree import (
-    build_tree, Joint, joints_of_body, KinematicTree, OPTICAL, ROOT_LINK)
+    build_tree, Joint, joints_of_body, KinematicTree, ROOT_LINK)
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quaternion import wxyz_to_xyzw
 
@@ -75,15 +76,15 @@ class FrameTree:
                 static_poses.append(_row(joint.position, _quat_wxyz(joint.rotation)))
             else:
                 joints[frame] = joint
-        followers = {TreeFrame(tree.take_name(model.camera(camera).name or f'camera_{camera}',
-                                              '_camera'), WORLD): camera
+        names = FrameNames(model)
+        followers = {TreeFrame(names.cameras[camera], WORLD): camera
                      for camera in range(model.ncam) if camera not in tree.link_of_camera}
         self._bodies = np.array(list(bodies.values()), dtype=np.int64)
         self._parents: Any = model.body_parentid[self._bodies]
         self._joints, self._cameras = list(joints.values()), list(followers.values())
         self.moving: list[TreeFrame] = [*bodies, *joints, *followers]
-        for frame in followers:
-            self.static.append(TreeFrame(tree.take_name(frame.name + OPTICAL, '_'), frame.name))
+        for frame, camera in followers.items():
+            self.static.append(TreeFrame(names.opticals[camera], frame.name))
             static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
         for name, pose in placed:
             self.static.append(TreeFrame(tree.take_name(name, '_frame'), WORLD))

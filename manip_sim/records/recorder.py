@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from manip_sim.arrays import FloatArray
 from manip_sim.cdr_patching import PatchedBytes
 from manip_sim.errors import RecordError
+from manip_sim.frame_names import FrameNames
 from manip_sim.interface.scope import Scope
 from manip_sim.records.definitions import definition, encoder, full_name
 from manip_sim.records.record_file import RecordFile
@@ -214,7 +215,7 @@ class _Topics:
                        lambda seen: np.concatenate([seen[f'joint_{kind}'][joints] for kind in (
                            'position', 'velocity', 'effort')]), lambda: exact('joints'))
         for row, (name, reader) in enumerate(robot.end_effectors.items(), arm):
-            make, kind = _wrench(reader.ft_frame), 'geometry_msgs/WrenchStamped'
+            make, kind = _wrench(reader.wrench_frame), 'geometry_msgs/WrenchStamped'
             # No part of observations.
             self._add_both(scope, f'{name}/wrench', kind, make,
                            _present(partial(robot.sensing.measured, f'{name}/wrench')),
@@ -275,11 +276,13 @@ class _Topics:
     def _write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         """Write images by camera as JPEG; the topics are those of cameras of the node."""
         kind, time_ns = 'sensor_msgs/CompressedImage', self._simulation.time_ns
+        model = self._simulation.model
+        frames = FrameNames(model).opticals
         for camera, rgb in images.items():
             self._file.write(
                 self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
                 encoder(kind)({
-                    'header': _header(_stamp(time_ns), f'{camera}_optical_frame'),
+                    'header': _header(_stamp(time_ns), frames[model.camera(camera).id]),
                     'format': JPEG_FORMAT, 'data': jpeg_of(rgb)}))
 
 

@@ -21,11 +21,11 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header, String
 
 from manip_sim.errors import ManipSimError
+from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_image
 from manip_sim.interface.topics import Topic
 from manip_sim.interface.world_topics import topics_of_cameras, truths
 from manip_sim.models.cameras import ImageSettings
-from manip_sim.models.urdf_writer.kinematic_tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
@@ -137,7 +137,8 @@ class CameraPublishers:
         self._rows = topics_of_cameras({name: depth})
         self.view = CameraView(name, found.width, found.height)
         self.sensing = sensing
-        self._frame_id = f'{node.frame_prefix}{name}{OPTICAL}'
+        model = node.simulation.model
+        self._frame_id = node.frame_prefix + FrameNames(model).opticals[model.camera(name).id]
         self._info = camera_info(found)
         outputs = self._create(self._rows)
         self._images = {False: ImageOutputs(outputs, found)}

@@ -13,6 +13,7 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
 from manip_sim.arrays import FloatArray
+from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.world_topics import topics_of_lidars, truths
 from manip_sim.models.lidar_models import LidarModel
@@ -71,7 +72,8 @@ class LidarPublisher:
     def __init__(self, node: SimNode, found: LidarModel) -> None:
         self._node, self._thread = node, node.thread
         self._name = found.name
-        self._frame_id = node.frame_prefix + found.name
+        model = node.simulation.model
+        self._frame_id = node.frame_prefix + FrameNames(model).sites[model.site(found.name).id]
         self.every = periods_per_message(1.0 / node.thread.period_s, found.rate_hz)
         self._rows = topics_of_lidars({found.name: found.rays.rings > 1})
         self.topic = self._rows[0].name

@@ -158,7 +158,7 @@ def _controllers(robot: SimulatedRobot, part: str, _: str, __: Read) -> Reading:
 
 def _of_arm(name: str, make: Make, count: int, robot: SimulatedRobot, arm: str, prefix: str,
             read: Read) -> Reading:
-    frame = messages.WORLD if name in ('pose', 'twist') else robot.end_effectors[arm].ft_frame
+    frame = messages.WORLD if name in ('pose', 'twist') else robot.end_effectors[arm].wrench_frame
     return partial(make, prefix + frame), lambda _: read(f'{arm}/{name}'), count
 
 

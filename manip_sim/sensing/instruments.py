@@ -22,6 +22,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
+from manip_sim.frame_names import FrameNames
 from manip_sim.quaternion import XYZW
 
 IMU, WRENCH, RANGE, MAGNETIC_FIELD, VALUES = KINDS = (
@@ -177,14 +178,8 @@ def _frame(model: mujoco.MjModel, sensor: int) -> str:
     """Return the name of the frame of the site or body that a sensor is fixed to."""
     kind, number = int(model.sensor_objtype[sensor]), int(model.sensor_objid[sensor])
     if kind == _SITE:
-        return frame_of_site(model, number)
-    return _name(model, _BODIES[0], number) if kind in _BODIES else ''
-
-
-def frame_of_site(model: mujoco.MjModel, site: int) -> str:
-    """Return the name of the frame of a site, which differs from those of the bodies."""
-    name = _name(model, _SITE, site)
-    return f'{name}_site' if mujoco.mj_name2id(model, _BODIES[0], name) >= 0 else name
+        return FrameNames(model).sites[number]
+    return FrameNames(model).bodies[number] if kind in _BODIES else ''
 
 
 def instrument_sites(model: mujoco.MjModel) -> list[str]:

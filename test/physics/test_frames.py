@@ -160,13 +160,13 @@ def test_a_camera_that_follows_a_body_moves_in_world(cart):
     np.testing.assert_allclose(rotation.apply([0.0, 0.0, 1.0]), ahead, atol=1e-12)
 
 
-def test_names_differ_although_a_site_has_that_of_a_body(cart):
+def test_names_differ_although_a_site_has_that_of_a_free_body(cart):
     _, _, tree = cart
     assert {f.name: f.parent for f in tree.static} == {
-        'body_2': WORLD, 'cart_site': 'cart', 'eye': 'cart', 'eye_optical_frame': 'eye',
+        'body_2': WORLD, 'cart': 'cart_body', 'eye': 'cart_body', 'eye_optical_frame': 'eye',
         'follower_optical_frame': 'follower'}
     # What is placed by hand has no joint and moves all the same.
-    assert [frame.name for frame in tree.moving] == ['cart', 'body_3', 'follower']
+    assert [frame.name for frame in tree.moving] == ['cart_body', 'body_3', 'follower']
 
 
 def test_a_placed_frame_stands_in_world(cart):

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+from xml.etree import ElementTree
 
 from diagnostic_msgs.msg import DiagnosticArray
 import mujoco
@@ -100,6 +101,27 @@ def test_a_ball_is_where_its_image_its_depth_and_the_intrinsics_say(serve_seen, 
     assert (column - k[2]) / k[0] * z == pytest.approx(x, abs=5e-3)
     assert info[-1].p[0] == k[0]
     assert info[-1].p[2] == k[2]
+
+
+def test_images_and_clouds_name_their_own_optical_frame_if_a_link_has_its_usual_name(
+        serve_seen, client, tmp_path):
+    file = tmp_path / 'arm.xml'
+    file.write_text("""<mujoco><worldbody><body name="base"><geom size="0.05"/>
+      <body name="arm" pos="0 0 0.1"><joint name="j" axis="0 1 0"/><geom size="0.05" mass="1"/>
+        <camera name="eye"/><body name="eye_optical_frame" pos="0.1 0 0"><geom size="0.01"/></body>
+      </body></body></worldbody><actuator><motor joint="j" ctrlrange="-9 9"/></actuator>
+      </mujoco>""")
+    serve_seen(robot=str(file), cameras=['robot0_eye'], start_paused=True)
+    images = [listen(client, f'robot0_eye/{topic}') for topic in (
+        'color/image_raw', 'depth/points', 'color/camera_info')]
+    described = client.listen(String, 'robot_description', LATCHED)
+    client.spin_until(lambda: all(images) and described)
+    (frame,) = {messages[-1].header.frame_id for messages in images}
+    joints = ElementTree.fromstring(described[-1].data).findall('joint')
+    parents = {joint.find('child').get('link'): joint.find('parent').get('link')
+               for joint in joints}
+    assert parents[frame] == 'robot0_eye'
+    assert parents['robot0_eye_optical_frame'] == 'robot0_arm'
 
 
 def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serve_seen, client,

@@ -17,12 +17,12 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.frame_names import FrameNames, ROOT
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.quaternion import matrix_of
 from manip_sim.sensing.instruments import instrument_sites
 
-ROOT_LINK = 'world'
-OPTICAL = '_optical_frame'
+ROOT_LINK = ROOT
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 #: From MuJoCo's camera, which looks along -z with y up, to an optical frame: along z, y down.
 _TO_OPTICAL = np.diag([1.0, -1.0, -1.0])
@@ -68,6 +68,7 @@ class KinematicTree:
 
     :param model: the compiled ``mujoco.MjModel``
     :param joint_names: names that are taken already
+    :param frame_names: of all frames of the model but joints, taken already
     :ivar links: the first one is the root
     :ivar joints: one for each other link
     :ivar link_of_body: names by id of the body
@@ -75,14 +76,15 @@ class KinematicTree:
     :ivar link_of_camera: names by id of the camera; its optical frame is another link
     """
 
-    def __init__(self, model: mujoco.MjModel, joint_names: set[str]) -> None:
+    def __init__(self, model: mujoco.MjModel, joint_names: set[str], frame_names: set[str]
+                 ) -> None:
         self._model = model
         self.links: list[Link] = [Link(ROOT_LINK)]
         self.joints: list[Joint] = []
         self.link_of_body: dict[int, str] = {}
         self.link_of_site: dict[int, str] = {}
         self.link_of_camera: dict[int, str] = {}
-        self._link_names = {ROOT_LINK}
+        self._link_names = {ROOT_LINK, *frame_names}
         self._joint_names = set(joint_names)
 
     def take_name(self, name: str, otherwise: str) -> str:
@@ -102,7 +104,7 @@ class KinematicTree:
         """
         Add a link that does not move in its parent.
 
-        :param link: a link whose name was reserved by :meth:`take_name`
+        :param link: a link with a name of its own
         :param parent: name of its parent
         :param position: in the parent [m], shape (3,)
         :param rotation: in the parent, shape (3, 3)
@@ -142,23 +144,23 @@ def build_tree(model: mujoco.MjModel, root: int, sites: list[int]) -> KinematicT
     :param root: id of a child of the world body, or 0 for the whole world
     :param sites: ids of sites below it that become links; all fixed cameras become links too
     """
-    bodies = subtree(model, root)
-    tree = KinematicTree(model, {_joint_name(model, j) for b in bodies
-                                 for j in joints_of_body(model, b)})
-    # Bodies take their names first: sites and cameras of equal name get another one.
-    for body in bodies:
-        tree.link_of_body[body] = ROOT_LINK if body == 0 else tree.take_name(
-            model.body(body).name or f'body_{body}', '_body')
+    bodies, names = subtree(model, root), FrameNames(model)
+    tree = KinematicTree(
+        model, {_joint_name(model, j) for b in bodies for j in joints_of_body(model, b)},
+        {*names.bodies, *names.cameras, *names.opticals, *(names.sites[site] for site in sites)})
+    tree.link_of_body = {body: names.bodies[body] for body in bodies}
     for body in bodies:
         if body > 0:
             _add_body(model, tree, body)
         for site in sites:
             if int(model.site_bodyid[site]) == body:
-                _add_site(model, tree, site)
+                tree.link_of_site[site] = names.sites[site]
+                tree.add_fixed(Link(names.sites[site]), names.bodies[body], model.site_pos[site],
+                               matrix_of(model.site_quat[site]))
     for camera in range(model.ncam):
         fixed = int(model.cam_mode[camera]) == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
         if fixed and int(model.cam_bodyid[camera]) in tree.link_of_body:
-            _add_camera(model, tree, camera)
+            _add_camera(model, tree, camera, names)
     return tree
 
 
@@ -181,20 +183,12 @@ def _joint_name(model: mujoco.MjModel, joint: int) -> str:
     return model.joint(joint).name or f'joint_{joint}'
 
 
-def _add_site(model: mujoco.MjModel, tree: KinematicTree, site: int) -> None:
-    name = tree.take_name(model.site(site).name or f'site_{site}', '_site')
-    tree.link_of_site[site] = name
-    tree.add_fixed(Link(name), tree.link_of_body[int(model.site_bodyid[site])],
-                   model.site_pos[site], matrix_of(model.site_quat[site]))
-
-
-def _add_camera(model: mujoco.MjModel, tree: KinematicTree, camera: int) -> None:
-    name = tree.take_name(model.camera(camera).name or f'camera_{camera}', '_camera')
-    optical = tree.take_name(name + OPTICAL, '_')
-    tree.link_of_camera[camera] = name
+def _add_camera(model: mujoco.MjModel, tree: KinematicTree, camera: int, names: FrameNames
+                ) -> None:
+    name = tree.link_of_camera[camera] = names.cameras[camera]
     tree.add_fixed(Link(name), tree.link_of_body[int(model.cam_bodyid[camera])],
                    model.cam_pos[camera], matrix_of(model.cam_quat[camera]))
-    tree.add_fixed(Link(optical), name, np.zeros(3), _TO_OPTICAL)
+    tree.add_fixed(Link(names.opticals[camera]), name, np.zeros(3), _TO_OPTICAL)
 
 
 def _add_body(model: mujoco.MjModel, tree: KinematicTree, body: int) -> None:
