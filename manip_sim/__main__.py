@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 
-from manip_sim.startup import import_mujoco, run_program
+from manip_sim.startup import import_mujoco, run_program, without_ros_arguments
 
 _HELP = """\
 usage: sim_node [--help] [--ros-args -p NAME:=VALUE ...]
@@ -36,7 +36,7 @@ def main() -> int:
 
 def _run() -> int:
     arguments = sys.argv[1:]
-    ours = _without_ros(arguments)
+    ours = without_ros_arguments(arguments)
     if ours and ours[0] in ('-h', '--help'):
         print(_HELP)
         return 0
@@ -55,19 +55,6 @@ def _run() -> int:
     except ManipSimError as error:
         return _fail(str(error))
     return run(arguments)
-
-
-def _without_ros(arguments: list[str]) -> list[str]:
-    """Return the arguments that are not between ``--ros-args`` and ``--``."""
-    ours, ros = [], False
-    for argument in arguments:
-        if argument == '--ros-args':
-            ros = True
-        elif not ros:
-            ours.append(argument)
-        elif argument == '--':
-            ros = False
-    return ours
 
 
 def _fail(message: str) -> int:

@@ -157,3 +157,16 @@ def import_mujoco() -> None:
         del os.environ['MUJOCO_GL']
         if asked is not None:
             os.environ['MUJOCO_GL'] = asked
+
+
+def without_ros_arguments(arguments: list[str]) -> list[str]:
+    """Return the arguments that are not between ``--ros-args`` and ``--``."""
+    ours, ros = [], False
+    for argument in arguments:
+        if argument == '--ros-args':
+            ros = True
+        elif not ros:
+            ours.append(argument)
+        elif argument == '--':
+            ros = False
+    return ours

@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+import manip_sim
 from manip_sim.errors import describe_choices
 
 PANDA = [*(f'robot0_joint{n}' for n in range(1, 8)),
@@ -78,3 +79,12 @@ def test_a_short_list_is_told_as_a_whole():
 @pytest.mark.parametrize('available', [[], ['']])
 def test_a_message_says_that_there_is_nothing_to_choose_from(available):
     assert describe_choices('home', available) == 'available: none'
+
+
+@pytest.mark.parametrize('name, where', [
+    ('compose', 'manip_sim.models'), ('Simulation', 'manip_sim.simulation'),
+    ('Worlds', 'manip_sim.worlds')])
+def test_a_name_of_a_folder_that_is_asked_of_the_package_is_told_with_its_folder(name, where):
+    with pytest.raises(AttributeError, match=f'it is {where}.{name}$'):
+        getattr(manip_sim, name)
+    assert not hasattr(manip_sim, 'composer')

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 
-from manip_sim.startup import EndSignals, import_mujoco, run_program
+from manip_sim.startup import EndSignals, import_mujoco, run_program, without_ros_arguments
 
 _NAMES = {
     'pick_cube': """Pick up the cube of a node with one arm at a table, and print the wrist force.
@@ -44,6 +44,10 @@ def _run(name: str) -> int:
     if {'-h', '--help'} & set(sys.argv[1:]):
         print(f'usage: {name} [--help] [--ros-args ...]\n\n{_NAMES[name]}')
         return 0
+    if unknown := without_ros_arguments(sys.argv[1:]):
+        print(f"{name}: unknown argument '{unknown[0]}': it uses the robot of the node that runs, "
+              'as started by sim_node --ros-args -p robot:=NAME; see --help', file=sys.stderr)
+        return 2
     import gc
     from importlib import import_module
 
@@ -71,7 +75,8 @@ def _run(name: str) -> int:
 
 if __name__ == '__main__':
     if sys.argv[1:2] and sys.argv[1] in _NAMES:
-        sys.exit(run_program(lambda: _run(sys.argv[1])))
+        example_name = sys.argv.pop(1)
+        sys.exit(run_program(lambda: _run(example_name)))
     print(f'usage: python3 -m manip_sim.examples {"|".join(_NAMES)} [--ros-args ...]',
           file=sys.stderr)
     sys.exit(2)

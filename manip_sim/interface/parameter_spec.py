@@ -94,7 +94,8 @@ class ParameterSpec:
         if found == self.type:
             return None
         hint = (f': quote it, as in {str(value)!r}'
-                if self.type == 'string' and not self.choices else '')
+                if self.type == 'string' and not self.choices else
+                f': write a list, "[{value}]"' if f'{found}_array' == self.type else '')
         return f"parameter '{self.name}' must be of type {self.type}, got {value!r}{hint}"
 
     def problem_with(self, value: Any) -> str | None:

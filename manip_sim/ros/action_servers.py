@@ -21,7 +21,7 @@ from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.ros.background import Rounds
 from manip_sim.ros.command_subscribers import CommandSubscribers
-from manip_sim.ros.optional_packages import import_optional, missing_note
+from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.rejection_log import kind_of
 from manip_sim.runtime.action_goals import Ending, ActionGoal, GoalError
 from manip_sim.runtime.goal_tracker import GoalTracker
@@ -258,7 +258,7 @@ def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int]
 def offer_actions(node: SimNode) -> ActionServers | None:
     """Offer the actions if the package control_msgs is installed, else note that it is missing."""
     if ACTION_TYPES is None:
-        node.notes.append(missing_note('control_msgs', 'actions'))
+        node.missing['control_msgs'] = 'actions'
         return None
     return ActionServers(node, partial(
         messages_of, ACTION_TYPES, now_ns=lambda: node.thread.progress.time_ns))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import importlib
 from typing import Any
 
@@ -26,12 +27,13 @@ def import_optional(module: str) -> Any:
         return None
 
 
-def missing_note(package: str, without: str) -> str:
+def missing_note(missing: Mapping[str, str]) -> str:
     """
-    Return the note of a package that is not installed.
+    Return the note of the packages that are not installed, on one line.
 
-    :param package: such as ``tf2_msgs``
-    :param without: what does not exist without it
+    :param missing: by package, such as ``tf2_msgs``, what does not exist without it
     """
-    return (f'no {without}: {package} is not installed; it is not available from pip: '
-            f'apt install ros-jazzy-{package.replace("_", "-")}, or build it')
+    without = ', '.join(f'{what} ({package})' for package, what in missing.items())
+    names = ' '.join(f'ros-jazzy-{package.replace("_", "-")}' for package in missing)
+    return (f'without packages that are not installed, there are no {without}; they are not '
+            f'available from pip: apt install {names}, or build them')

@@ -22,7 +22,6 @@ from manip_sim.physics.odometry import OdometryReader
 from manip_sim.quoting import quoted
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.messages import stamped
-from manip_sim.ros.optional_packages import missing_note
 from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
 from manip_sim.ros.state_publishers import Read, Reading, StatePublishers
 from manip_sim.ros.transforms import offer_transforms, TransformPublisher
@@ -93,7 +92,7 @@ class SceneTopics:
         every = _divider(node, value('publish_rate'), value('tf_rate'))
         self._scene_every = periods_per_message(value('publish_rate'), RATE_HZ)
         if not PLANS:
-            node.notes.append(missing_note('moveit_msgs', 'planning scene for MoveIt'))
+            node.missing['moveit_msgs'] = 'planning scene for MoveIt'
         for scope, robot in node.robots.items():
             self.add(scope, robot, value(scope.parameter('prefix')))
         markers = MarkerPublisher(node, self._end_effectors)

@@ -41,6 +41,7 @@ from manip_sim.ros.episode_publishers import EpisodePublisher, TaskPublisher
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
 from manip_sim.ros.journal_publisher import JournalPublisher
 from manip_sim.ros.lidar_publishers import offer_lidars
+from manip_sim.ros.optional_packages import missing_note
 from manip_sim.ros.overrides import check_qos_names, check_qos_values
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
@@ -99,6 +100,7 @@ class SimNode(Node):
         value = self.declared.value
         #: Notes for the user that are logged after the start.
         self.notes: list[str] = []
+        self.missing: dict[str, str] = {}
         composition = compose_world(self.declared)
         world = composition.world
         self.simulation = Simulation(world)
@@ -322,7 +324,8 @@ class SimNode(Node):
         log = self.get_logger()
         value = self.declared.value
         log.info(introduction(self.robots, self.simulation, value, self.thread.paused))
-        for note in (*inferred(self._world), *self.simulation.lowered_gains, *self.notes):
+        for note in (*inferred(self._world), *self.simulation.lowered_gains, *self.notes,
+                     *([missing_note(self.missing)] if self.missing else ())):
             log.info(note)
         for sentence in lost_shapes(self._world):
             log.warning(sentence)

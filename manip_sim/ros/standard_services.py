@@ -17,7 +17,7 @@ from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import Rounds
 from manip_sim.ros.messages import filled, numbers_of, stamp_of, WORLD
-from manip_sim.ros.optional_packages import import_optional, missing_note
+from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.posix_ere import PosixExpression
 from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
@@ -43,7 +43,7 @@ def offer_simulation_interfaces(node: SimNode, files: FilesBelow) -> None:
     :param files: those that a request may name
     """
     if not AVAILABLE:
-        node.notes.append(missing_note('simulation_interfaces', 'standard simulation services'))
+        node.missing['simulation_interfaces'] = 'standard simulation services'
         return
     SimulationInterfaces(node, SERVICE_TYPES)
     EntityServices(node, SERVICE_TYPES)

@@ -17,7 +17,7 @@ from manip_sim.interface.topics import BY_NAME
 from manip_sim.physics.frame_tree import FrameTree, TreeFrame
 from manip_sim.ros.lazy_publishers import create_output, Output
 from manip_sim.ros.messages import filled, stamp_of
-from manip_sim.ros.optional_packages import import_optional, missing_note
+from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
 
@@ -36,7 +36,7 @@ def offer_transforms(node: SimNode, frames: Callable[[Simulation], FrameTree]
     :returns: None without ``tf2_msgs``
     """
     if TFMessage is None:
-        node.notes.append(missing_note('tf2_msgs', '/tf and /tf_static'))
+        node.missing['tf2_msgs'] = '/tf and /tf_static'
         return None
     return TransformPublisher(node, frames)
 

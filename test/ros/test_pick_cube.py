@@ -5,6 +5,8 @@
 
 from itertools import count
 import re
+import subprocess
+import sys
 import time
 
 from geometry_msgs.msg import WrenchStamped
@@ -166,3 +168,14 @@ def test_inverse_kinematics_keep_the_turns_of_joints_without_a_range():
     found = kinematics.nearest(kinematics.solve(start + 0.1, position, rotation), turned)
     np.testing.assert_allclose(kinematics.forward(found)[0], position, atol=1e-3)
     assert np.abs(found - turned).max() < 0.5
+
+
+@pytest.mark.parametrize('program', ['pick_cube', 'hand_over'])
+def test_an_argument_that_an_example_does_not_use_is_rejected(program):
+    done = subprocess.run(
+        [sys.executable, '-m', 'manip_sim.examples', program, '--robot', 'UR5e', '--ros-args',
+         '-r', '__ns:=/left'], capture_output=True, text=True, timeout=300.0)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"{program}: unknown argument '--robot': it uses the robot of the node that runs, as "
+        'started by sim_node --ros-args -p robot:=NAME; see --help\n')
