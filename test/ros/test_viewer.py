@@ -80,7 +80,7 @@ def browser():
 @pytest.fixture(scope='module')
 def page(browser, address):
     """Return the page when the robot is on it."""
-    page = browser.new_page(viewport={'width': 800, 'height': 400})
+    page = browser.new_page(viewport={'width': 800, 'height': 500})
     page.set_default_timeout(PATIENCE_MS)
     page.goto(address)
     page.get_by_text('arm [rad]').wait_for()
