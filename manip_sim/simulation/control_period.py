@@ -73,8 +73,10 @@ class ControlPeriods:
         #: When the intervals of a control period end, by its number of steps: the last one used.
         self._ends_of: dict[int, FloatArray] = {}
         self._cuts: dict[int, tuple[int, ...]] = {}
-        #: How many steps of the period have yet to be run.
+        #: How many steps have yet to be run until a late command takes effect, or of the period.
         self._left = 0
+        #: How many steps of the period follow then.
+        self._later = 0
 
     def look_at_robots(self) -> None:
         """Take over which robots there are now."""
@@ -128,10 +130,21 @@ class ControlPeriods:
         self._check_not_diverged()
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
-        period_s, ends_s = steps * self._timestep_s, self.ends_s(steps)
+        self._left = self._until_command(steps)
+        self._later = steps - self._left
+        self._begin_control(steps * self._timestep_s)
+        return self._steps.begin() and self.resting and self._steps.stays_untouched
+
+    def _begin_control(self, period_s: float) -> None:
+        ends_s = self.ends_s(self._left)
         for robot in self._robots:
             robot.begin_period(period_s, ends_s)
-        return self._steps.begin() and self.resting and self._steps.stays_untouched
+
+    def _until_command(self, steps: int) -> int:
+        """Return after how many of some steps the next late command takes effect, or all."""
+        now = self._clock.control_steps
+        return min([steps, *(arrival - now for robot in self._robots
+                             if (arrival := robot.next_arrival(now)) is not None)])
 
     def run_planned(self, steps: int, plan: PlannedRates) -> None:
         """
@@ -201,10 +214,13 @@ class ControlPeriods:
             raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
 
     def _intervals(self, steps: int) -> Iterator[Interval]:
-        """Divide a period into intervals, each of which control begins."""
+        """Divide a period into intervals, each of which control begins; so do late commands."""
         self._steps.begin_run()
-        self._left = steps
-        while self._left:
+        while self._left or self._later:
+            if not self._left:
+                self._left = self._until_command(self._later)
+                self._later -= self._left
+                self._begin_control(steps * self._timestep_s)
             awake, chunk = [robot for robot in self._robots if not robot.resting], self._left
             if any([robot.moving for robot in awake]):
                 chunk = self._chunk(chunk)
@@ -223,7 +239,7 @@ class ControlPeriods:
         else:
             self._run((), (steps,))
         self._left -= steps
-        if not self._left:
+        if not (self._left or self._later):
             self._steps.finish()
 
     def _run(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> None:

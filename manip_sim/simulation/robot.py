@@ -345,6 +345,19 @@ class SimulatedRobot:
         self.reflexes.check(self._physics.data)
         self.joints.begin_period(self._physics.data, self._clock.control_s, period_s, ends_s)
 
+    @property
+    def has_late_commands(self) -> bool:
+        """Whether commands are on their way."""
+        return bool(self._late)
+
+    def next_arrival(self, count: int) -> int | None:
+        """
+        Return when the next late command takes effect, or None.
+
+        :param count: steps since the reset, after which that has to be
+        """
+        return next((arrival for arrival, _ in self._late if arrival > count), None)
+
     def _apply_late(self) -> None:
         for command in self._late.take(self._clock.control_steps):
             try:

@@ -76,6 +76,11 @@ class Episode:
         for name in self.noise.keys() & {'latency.image', 'latency.image_jitter'}:
             raise CommandError(f"{name} cannot be used here: give latency={{'state': ...}}, which "
                                'is that of images too')
+        for kind in ('command', 'state'):
+            given = getattr(late, f'{kind}_s') or getattr(late, f'{kind}_jitter_s')
+            if given and any(f'latency.{kind}' in name for name in simulation.randomized.drawn):
+                raise ModelError(f'both latency= and the randomization set latency.{kind}: give '
+                                 'one of them')
         for robot in simulation.robots.values():
             for quantity, value in self.noise.items():
                 robot.sensing.set(quantity, value)

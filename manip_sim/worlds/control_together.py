@@ -76,7 +76,7 @@ class ControlTogether:
         """Find robots that can be controlled together: of one name, in models of one size."""
         groups: dict[object, list[SimulatedRobot]] = {}
         for robot in robots:
-            if takes(robot.joints):
+            if takes(robot.joints) and not robot.has_late_commands:
                 physics = robot._physics
                 key = robot.name, len(physics.qpos), len(physics.qvel), len(physics.act)
                 groups.setdefault(key, []).append(robot)

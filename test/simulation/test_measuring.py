@@ -278,3 +278,19 @@ def test_worlds_have_the_noise_of_their_seeds():
         single.reset(seed)
         np.testing.assert_array_equal(worlds.robot.state().position[row],
                                       single.robot.state().position)
+
+
+@pytest.mark.parametrize('late_steps', [1, 7, 24, 25, 26, 51])
+def test_a_late_command_takes_effect_in_its_timestep(late_steps):
+    late, by_hand = (Simulation(compose('UR5e')) for _ in range(2))
+    late.robot.sensing.set('latency.command', 0.002 * late_steps)
+    late.robot.apply(late.robot.parse.action('arm', [0.5] * 6), period_s=0.05)
+    for _ in range(3):
+        late.advance(25)
+    by_hand.advance(late_steps)
+    by_hand.robot.apply(by_hand.robot.parse.action('arm', [0.5] * 6), period_s=0.05)
+    by_hand.advance(-late_steps % 25 or 25)
+    while by_hand.time_ns < late.time_ns:
+        by_hand.advance(25)
+    np.testing.assert_allclose(late.data.qpos, by_hand.data.qpos, atol=1e-12)
+    np.testing.assert_allclose(late.data.qvel, by_hand.data.qvel, atol=1e-10)

@@ -6,6 +6,7 @@
 import numpy as np
 import pytest
 
+from manip_sim.errors import ModelError
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import create_task, Episode, Setting
 
@@ -143,3 +144,21 @@ def test_jitter_delays_actions_as_the_sensing_of_the_robot_draws_it():
     for _ in range(30):
         episode.step(np.zeros(7))
     assert effects == [due for due in expected.tolist() if due < 750]
+
+
+def test_a_drawn_latency_acts_to_the_timestep_and_not_besides_a_given_one(tmp_path):
+    ways = []
+    for seconds in (0.0, 0.002, 0.02, 0.048, 0.052):
+        file = tmp_path / 'drawn.yaml'
+        file.write_text(f'parameters:\n  latency.command: {{choice: [{seconds}]}}\n')
+        drawn = {'composition': {'randomization': str(file)}}
+        episode = Setting('reach', **drawn).create_episode()
+        episode.reset(1)
+        start = episode.simulation.data.qpos[1]
+        for _ in range(2):
+            episode.step([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+        ways.append(abs(episode.simulation.data.qpos[1] - start))
+        with pytest.raises(ModelError, match='both latency= and the randomization set latency'):
+            Setting('reach', latency=0.1, **drawn).create_episode()
+    # Each step later, the joint has come a little less far; 52 ms are one step after a period.
+    assert (np.diff(ways) < -5e-4).all()
