@@ -38,6 +38,9 @@ class Row:
     :ivar timer: standard deviation of the times of sending, in intervals
     :ivar lost: share of the messages
     :ivar due: if each message is a trajectory of one point, when that is due, in intervals
+    :ivar noise: standard deviation of the goals [rad]
+    :ivar copied: when each message comes again, in intervals; 0: never
+    :ivar stall_s: for how long nothing comes, and then one message each ms [s]
     """
 
     rate: int
@@ -46,11 +49,17 @@ class Row:
     timer: float = 0.0
     lost: float = 0.0
     due: float = 0.0
+    noise: float = 0.0
+    copied: float = 0.0
+    stall_s: float = 0.0
 
     def __str__(self) -> str:
         what = [f'{self.jitter_s * 1e3:g} ms on the way'] if self.jitter_s else []
         what += [f"{self.timer:.0%} of the sender's timer"] if self.timer else []
         what += [f'{self.lost:.0%} lost'] if self.lost else []
+        what += [f'goals off by {self.noise * 1e3:g} mrad'] if self.noise else []
+        what += [f'each again {self.copied:g} intervals later'] if self.copied else []
+        what += [f'a stall of {self.stall_s * 1e3:g} ms, then one each ms'] if self.stall_s else []
         points = f', points due in {1e3 * self.due / self.rate:.3g} ms' if self.due else ''
         return (f'{self.rate} Hz, {self.control_rate} Hz{points} | '
                 + (', '.join(what) or 'on schedule'))
@@ -67,8 +76,14 @@ class Row:
         sent = (number + 0.37 + random.normal(0.0, self.timer, len(number))) / self.rate
         sent = np.sort(np.maximum(sent, 0.0))
         came = sent + np.abs(random.normal(0.0, self.jitter_s, len(sent)))
+        stalled = (sent > 3.6) & (sent < 3.6 + self.stall_s)
+        came[stalled] = 3.6 + self.stall_s + 1e-3 * np.arange(np.count_nonzero(stalled))
         kept = random.random(len(sent)) >= self.lost
-        return sent[kept], np.maximum.accumulate(came)[kept]
+        sent, came = sent[kept], np.maximum.accumulate(came)[kept]
+        if self.copied:
+            sent, came = np.repeat(sent, 2), np.repeat(came, 2)
+            came[1::2] += self.copied / self.rate
+        return sent, came
 
 
 ROWS = tuple(row for rate, control_rate, jitter_s in (
@@ -77,7 +92,8 @@ ROWS = tuple(row for rate, control_rate, jitter_s in (
                 Row(rate, control_rate, lost=0.01))) + (
     Row(10, 500), Row(10, 500, timer=0.2), Row(100, 500), Row(100, 500, timer=0.2),
     Row(100, 500, 0.002, timer=0.2), Row(100, 100, 0.002, timer=0.1),
-    Row(250, 250, 0.001, timer=0.2), *(
+    Row(250, 250, 0.001, timer=0.2), Row(100, 100, noise=1e-3), Row(500, 500, noise=1e-4),
+    Row(250, 500, copied=0.3), Row(500, 500, stall_s=0.06), *(
         Row(rate, 500, jitter_s, due=due) for rate, due in ((100, 1.0), (100, 2.0), (30, 1.0))
         for jitter_s in (0.0, 0.002)))
 
@@ -90,6 +106,7 @@ def follow(row: Row, seconds: float) -> tuple[float, float, float]:
     start = robot.measured('arm')[:7]
     steps = round(1.0 / (row.control_rate * TIMESTEP_S))
     sent, came = row.deliver(seconds)
+    noise = np.random.default_rng(1).normal(0.0, row.noise, len(sent))
     taken = 0
     rows: list[tuple[float, float, float]] = []
     for period in range(int(seconds * row.control_rate)):
@@ -97,7 +114,7 @@ def follow(row: Row, seconds: float) -> tuple[float, float, float]:
         while taken < len(came) and came[taken] <= now_s + 1e-9:
             time_s = sent[taken]
             goal = start.copy()
-            goal[0] += AMPLITUDE * min(1.0, time_s) * np.sin(TURN * time_s)
+            goal[0] += AMPLITUDE * min(1.0, time_s) * np.sin(TURN * time_s) + noise[taken]
             due_s = row.due / row.rate
             commands = ([robot.parse.trajectory('arm', names, [due_s], [goal])] if row.due
                         else robot.parse.joint_command(names, position=goal))
