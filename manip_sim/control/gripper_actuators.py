@@ -13,7 +13,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.declared_limits import declared_velocity
@@ -26,6 +26,8 @@ _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 #: A force that a servo exerts so many ranges away from its place of rest stands for no limit.
 _NO_LIMIT_RANGES = 100.0
+#: Ranges of two fingers that differ by less, as a share, are equal.
+_EQUAL = 0.01
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -42,6 +44,8 @@ class GripperActuators:
         velocity limit [1/s]; infinite where none is declared
     :ivar overtravel: how far a setpoint is below and above its place of rest at full force, zero
         where the force is not limited, or by an absurd number, or the activation is, shape (n, 2)
+    :ivar is_pair: whether they are two servos of independent joints with equal ranges, as of two
+        fingers that close on each other
     :ivar terms: by actuator, the joints that make up its length, with their coefficients; empty
         where the length is no sum of joint positions
     :ivar couplings: among the joints of the gripper
@@ -64,6 +68,29 @@ class GripperActuators:
         self.speeds = np.array([self._speed(i) for i in range(len(self.ids))])
         self.overtravel = np.array([self._overtravel(i) for i in range(len(self.ids))]
                                    ).reshape(-1, 2)
+        self.is_pair = self._is_pair()
+
+    def _is_pair(self) -> bool:
+        if len(self.ids) != 2 or [len(terms) for terms in self.terms] != [1, 1]:
+            return False
+        (first, _), (second, _) = (terms[0] for terms in self.terms)
+        kinds, spans = self._physics.model.jnt_type, np.ptp(self.ranges, axis=1)
+        coupled = second in self.couplings.group(first)
+        return bool(self.is_servo.all() and not coupled and kinds[first] == kinds[second]
+                    and abs(spans[0] - spans[1]) <= _EQUAL * spans[0]
+                    and self.overtravel.any(axis=1).all())
+
+    def lead(self, ends: BoolArray) -> FloatArray:
+        """
+        Return how far setpoints are beyond their servos' places at full force, shape (n,).
+
+        :param ends: whether each servo presses towards the lower and the upper end, shape (n, 2)
+        """
+        model = self._physics.model
+        limits = np.abs(model.actuator_forcerange[self.ids]) / self._gain[:, None]
+        limited = model.actuator_forcelimited[self.ids].astype(bool)[:, None]
+        reach = np.where(limited, np.minimum(self.overtravel, limits), self.overtravel)
+        return np.asarray((reach * ends).sum(axis=1))
 
     def _find_joints(self) -> None:
         model = self._physics.model

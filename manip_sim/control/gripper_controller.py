@@ -27,6 +27,11 @@ _AT_END = 0.015
 _STOPPED_S = 20.0
 #: How long a stopped finger takes to press with its full force [s].
 _PRESS_S = 0.05
+#: Time constant with which two fingers that press come to be equally open [s].
+_CENTRES_S = 0.1
+#: Two fingers that press have settled if their setpoints move less in an interval, as a fraction
+#: of the range.
+_STEADY = 1e-3
 #: Two setpoints that differ by less than this fraction of the range are the same.
 _SAME = 1e-9
 
@@ -38,7 +43,9 @@ class GripperController:
     An action lasts until the next one, so one message closes fully, and how often it is repeated
     does not matter. Actions and joint commands set goals; the setpoints approach them no faster
     than the fingers may move. If an action or a grasp leads to an end of the range and a finger is
-    stopped before it, the setpoint goes on until the actuator exerts its full force.
+    stopped before it, the setpoint goes on until the actuator exerts its full force. Two fingers
+    with a drive each that press against each other stay equally open: the force of the one that
+    is pushed in falls below the full force.
 
     :param physics: of the world, whose position servos have a setpoint activation
     :param part: the gripper
@@ -89,7 +96,12 @@ class GripperController:
     @property
     def moving(self) -> bool:
         """Whether :meth:`tick` has to be called; if not, the setpoints stay where they are."""
-        return self._moving
+        return self._moving or self._centres
+
+    @property
+    def _centres(self) -> bool:
+        """Whether two fingers press against each other, and are kept equally open."""
+        return self._actuators.is_pair and bool(self._pressing.all())
 
     @property
     def dof(self) -> int:
@@ -188,6 +200,8 @@ class GripperController:
         actuators = self._actuators
         place, start = actuators.place(data), actuators.setpoints(data)
         target = self._target(data, place, start)
+        if self._centres:
+            target = self._centred(place, start, duration_s)
         if self._turned:
             # A servo that presses the other way lets go at once, or its finger would have to wait
             # until the setpoint has come back to it.
@@ -199,6 +213,8 @@ class GripperController:
         actuators.approach(data, np.where(there & actuators.is_servo, present, setpoints),
                            duration_s)
         waits = self._to_end.any(axis=1) & ~self._pressing
+        if self._centres:
+            there = np.abs(setpoints - present) <= _STEADY * np.ptp(actuators.ranges, axis=1)
         self._moving = self._action is not None or not there.all() or bool(waits.any())
         if not self._moving:
             for command in list(self.commands.running):
@@ -218,12 +234,28 @@ class GripperController:
         target: FloatArray = self._goal - below + above
         return target
 
+    def _centred(self, place: FloatArray, setpoints: FloatArray, duration_s: float) -> FloatArray:
+        """
+        Return setpoints at which two fingers exert their full force where they are equally open.
+
+        Where they are not, that of the finger which gives way moves on until they are.
+        """
+        inward = np.where(self._to_end[:, 0], -1.0, 1.0)
+        opening, ahead = inward * (self._goal - place), inward * (setpoints - self._goal)
+        uneven, trim = opening - opening.mean(), ahead - ahead.mean()
+        lead = self._actuators.lead(self._to_end)
+        trim = np.clip(trim + min(duration_s / _CENTRES_S, 1.0) * uneven, -lead, lead)
+        target: FloatArray = self._goal + inward * (lead + trim - opening.mean())
+        return target
+
     def _stride(self, distance: FloatArray, duration_s: float) -> FloatArray:
         """Return how far setpoints move in an interval."""
         speeds = np.minimum(self._actuators.speeds, self._pace)
         press = self._actuators.overtravel.max(axis=1, initial=0.0) / _PRESS_S
         reach = np.where(self._pressing, press, speeds) * duration_s
         stride: FloatArray = np.clip(distance, -reach, reach)
+        if self._centres:  # What is beyond the full force comes back at once.
+            stride = np.where((distance > 0.0) == self._to_end[:, 0], distance, stride)
         return stride
 
     def _call_if_due(self, data: mujoco.MjData) -> None:

@@ -5,11 +5,13 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from manip_sim.errors import CommandError
 from manip_sim.models import compose, load_robot
+from manip_sim.models.grippers import create_gripper
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 
@@ -251,3 +253,49 @@ def test_no_finger_is_pressed_with_a_force_that_stands_for_no_limit(tmp_path, ru
         run(simulation, 2.0)
         position = simulation.robot.state().position
         assert position.min() > -2e-3 and position.max() < 0.042
+
+
+def soft_pal_gripper():
+    """Return the gripper with two servos as users write them, 20 N at 20 mm."""
+    gripper = create_gripper('PalGripper')
+    for actuator in gripper.spec.actuators:
+        actuator.gainprm[0], actuator.forcerange = 1000.0, [-20.0, 20.0]
+        actuator.biasprm[1:3] = -1000.0, -20.0
+    return gripper
+
+
+@pytest.mark.parametrize(('gripper', 'load_kg', 'offset_m'), [
+    ('PalGripper', 0.8 * 2.0, 0.0), ('PalGripper', 0.15, 0.006), ('PandaGripper', 0.8 * 3.0, 0.0),
+    ('RethinkGripper', 0.8 * 2.3, 0.0), (soft_pal_gripper, 0.5, 0.003)])
+def test_two_fingers_with_a_drive_each_keep_what_they_hold_in_the_middle(
+        gripper, load_kg, offset_m, run):
+    simulation = Simulation(compose(gripper=gripper() if callable(gripper) else gripper, objects=[
+        {'name': 'box', 'shape': 'box', 'size': [0.03] * 3, 'mass': load_kg,
+         'position': [3.0, 0.0, 1.0]}]))
+    model, data, robot = simulation.model, simulation.data, simulation.robot
+    model.opt.gravity[:] = 0.0
+    dof = robot.grippers[GRIPPER].dof
+    robot.apply(robot.parse.action(GRIPPER, [-1.0] * dof))
+    run(simulation, 1.0)
+    site, box = data.site(robot.end_effectors['right'].grip_site), data.body('box')
+    joint = model.joint(robot.parts[GRIPPER].joints[0])
+    axis = data.xaxis[joint.id].copy()
+    start = data.joint('box_joint').qpos
+    start[:3] = site.xpos + offset_m * axis
+    mujoco.mju_mat2Quat(start[3:], site.xmat)
+    simulation.forward()
+    robot.apply(robot.parse.action(GRIPPER, [1.0] * dof))
+    run(simulation, 1.5)
+    assert abs(axis @ (box.xpos - site.xpos)) < 1e-3
+    # The weight along the closing axis.
+    box_id, ways = model.body('box').id, []
+    for _ in range(20):
+        data.xfrc_applied[box_id, :3] = -9.81 * load_kg * axis
+        run(simulation, 0.05)
+        ways.append(axis @ (box.xpos - site.xpos))
+    assert np.abs(ways[-10:]).max() < 1e-3
+    if not callable(gripper):
+        assert np.abs(ways).max() < 1e-3
+    force, limit = data.actuator_force[robot.parts[GRIPPER].actuator_ids], np.abs(
+        model.actuator_forcerange[robot.parts[GRIPPER].actuator_ids])
+    assert np.abs(force).max() == pytest.approx(limit.max(), rel=0.01)
