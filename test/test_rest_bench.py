@@ -1,7 +1,12 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Arms whose targets are out of reach come to rest, as ``benchmark/rest.py`` and its page say."""
+"""
+Arms that cannot go on come to rest.
+
+Those whose targets are out of reach, as ``benchmark/rest.py`` and its page say, and those that
+press on something, as ``benchmark/resting.py`` measures.
+"""
 
 from pathlib import Path
 import re
@@ -35,3 +40,15 @@ def test_the_page_says_that_arms_rest_in_time():
     rows = re.findall(r'^\| (\w+) \| (\w+) \| (\d+) \| [\d., ]+ \| (\d+) \|', PAGE, re.M)
     assert {name for name, *_ in rows} <= set(robot_names()) and len(rows) >= 5
     assert all(int(soon) >= 0.98 * int(targets) for _, _, targets, soon in rows)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(('robot', 'mode', 'timestep_s', 'arena', 'motions'), [
+    ('IIWA', 'velocity', 0.005, 'table', [0, 1, 2]), ('IIWA', 'position', 0.005, 'table', [0]),
+    ('Sawyer', 'position', 0.005, 'empty', [0, 12, 13, 14]),
+    ('UR5e', 'velocity', 0.001, 'empty', [0, 1, 2])])
+def test_arms_that_press_on_something_come_to_rest(
+        benchmark_module, robot, mode, timestep_s, arena, motions):
+    outcomes = benchmark_module('resting').measure(robot, mode, timestep_s, motions, arena)
+    assert outcomes
+    assert [outcome for outcome in outcomes if not outcome.rests] == []

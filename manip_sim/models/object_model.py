@@ -16,7 +16,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import compile_spec, name_unnamed_elements
 from manip_sim.models.naming import NAMED_ELEMENTS, TakenNames
-from manip_sim.models.spec_edits import attach_as_is, rename_body
+from manip_sim.models.spec_edits import attach_as_is, rename_body, soften_contacts
 from manip_sim.quoting import quoted
 
 MIN_MASS_KG, MAX_MASS_KG = 1e-5, 1e5
@@ -167,6 +167,7 @@ class PlacedModel:
         for key in list(own.keys):
             own.delete(key)
         own.option = spec.option
+        soften_contacts(own, spec.option.timestep)
         attach_as_is(spec, own, self._prefix, spec.worldbody.add_frame())
         root = self._prefix + self._root.name
         rename_body(spec, spec.body(root), self.name)

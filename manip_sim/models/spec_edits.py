@@ -19,6 +19,8 @@ _OLD_SIZES = ('nkey', 'njmax', 'nconmax', 'nstack')
 _USER_COUNTS = tuple(f'nuser_{kind}' for kind in (
     'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor'))
 _BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
+#: In longer timesteps [s], the time constants of contacts are at least so many of them.
+_SHORT_S, _CONTACT_STEPS = 0.002, 4.0
 _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 'signature'))
 
 
@@ -143,6 +145,22 @@ def _yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
 def _signed(size: int) -> int:
     # Some versions of MuJoCo return the -1 of a size that is not set as an unsigned number.
     return size if size < 2**63 else size - 2**64
+
+
+def soften_contacts(spec: mujoco.MjSpec, timestep_s: float) -> None:
+    """
+    Let contacts be no stiffer than a long timestep allows, or they oscillate from step to step.
+
+    In timesteps of more than 2 ms, the time constants of ``solref`` become at least four
+    timesteps. Negative numbers there, which are stiffness and damping, stay.
+
+    :param timestep_s: of the physics [s]
+    """
+    if timestep_s <= _SHORT_S:
+        return
+    for element in (*spec.geoms, *spec.pairs):
+        if element.solref[0] > 0.0:
+            element.solref[0] = max(element.solref[0], _CONTACT_STEPS * timestep_s)
 
 
 def name_main_default(own: mujoco.MjSpec) -> None:

@@ -17,8 +17,10 @@ from manip_sim.models.arenas import Arena, create_arena, EmptyArena, TableArena
 from manip_sim.models.bases import RethinkMount
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import Panda
 from manip_sim.models.world import World
+from manip_sim.physics.object_spawning import plan_with, plan_world
 
 
 def height_above_floor(model, geom_name):
@@ -248,6 +250,31 @@ def test_the_least_tolerance_of_several_files_applies(tmp_path):
                     objects=[{'name': 'thing', 'file': str(tmp_path / 'object.xml')}])
     assert world.compile().opt.ccd_tolerance == 1e-8
     assert world.with_objects([]).compile().opt.ccd_tolerance == 1e-3
+
+
+def test_contacts_of_long_timesteps_last_at_least_four_of_them(one_joint_arm, tmp_path):
+    robot = one_joint_arm(worldbody="""
+        <body name="base"><geom size="0.05" mass="1"/><body name="link1"><joint name="joint1"/>
+          <body name="right_hand"/>
+          <geom name="stiff" size="0.1" mass="1" solref="0.005 1"/>
+          <geom name="soft" size="0.1" mass="1" solref="0.05 1"/>
+          <geom name="direct" size="0.1" mass="1" solref="-9000 -60"/></body></body>""",
+                          sections="""<contact>
+          <pair geom1="stiff" geom2="soft" solref="0.004 1"/></contact>""")
+    (tmp_path / 'it.xml').write_text('<mujoco><worldbody><body name="it"><geom name="shape" '
+                                     'size="0.1" solref="0.01 1"/></body></worldbody></mujoco>')
+    item = create_object({'name': 'it', 'file': str(tmp_path / 'it.xml')})
+    for timestep_s, stiff, pair, shape in ((0.001, 0.005, 0.004, 0.01),
+                                           (0.002, 0.005, 0.004, 0.01), (0.005, 0.02, 0.02, 0.02)):
+        world = World([robot], timestep_s=timestep_s)
+        with_object = plan_with(plan_world(world.compose(), ()), item).compiled
+        for model in (world.compile(), mujoco.MjModel.from_xml_string(world.to_xml()),
+                      with_object):
+            found = [model.geom(f'robot0_{name}').solref[0] for name in (
+                'stiff', 'soft', 'direct')]
+            assert found == pytest.approx([stiff, 0.05, -9000.0])
+            assert model.pair_solref[0, 0] == pytest.approx(pair)
+        assert with_object.geom('it').solref[0] == pytest.approx(shape)
 
 
 def test_composing_compiles_no_part_again(panda, monkeypatch):
