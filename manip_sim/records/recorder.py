@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from manip_sim.arrays import FloatArray
 from manip_sim.cdr_patching import PatchedBytes
 from manip_sim.errors import RecordError
-from manip_sim.frame_names import FrameNames
+from manip_sim.frame_names import FrameNames, OPTICAL
 from manip_sim.interface.scope import Scope
 from manip_sim.records.definitions import definition, encoder, full_name
 from manip_sim.records.record_file import RecordFile
@@ -277,12 +277,13 @@ class _Topics:
         """Write images by camera as JPEG; the topics are those of cameras of the node."""
         kind, time_ns = 'sensor_msgs/CompressedImage', self._simulation.time_ns
         model = self._simulation.model
-        frames = FrameNames(model).opticals
+        names = [str(model.camera(number).name) for number in range(model.ncam)]
+        frames = dict(zip(names, FrameNames(model).opticals))
         for camera, rgb in images.items():
             self._file.write(
                 self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
                 encoder(kind)({
-                    'header': _header(_stamp(time_ns), frames[model.camera(camera).id]),
+                    'header': _header(_stamp(time_ns), frames.get(camera, camera + OPTICAL)),
                     'format': JPEG_FORMAT, 'data': jpeg_of(rgb)}))
 
 
