@@ -12,7 +12,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.sensing.instruments import (
     ACCELEROMETER, GYRO, IMU, Instrument, ORIENTATION, RANGE, WRENCH)
@@ -96,15 +96,25 @@ class Channel:
 
 
 class JointChannel(Channel):
-    """Positions, velocities and efforts of all joints of a robot, shape (3 n,)."""
+    """
+    Positions, velocities and efforts of all joints of a robot, shape (3 n,).
+
+    :param is_slide: whether each joint is a slide, so that it has metres for radians, shape (n,)
+    """
+
+    def __init__(self, name: str, is_slide: BoolArray) -> None:
+        self._is_slide = is_slide
+        super().__init__(name, 3 * len(is_slide))
 
     def adapt(self, settings: SensingSettings) -> None:
         """Take over the settings of the robot."""
-        count = self.width // 3
-        self.sd = np.repeat([settings[f'noise.joint_{kind}'] for kind in (
-            'position', 'velocity', 'effort')], count)
-        resolution = settings['resolution.joint_position']
-        self.step = np.repeat([resolution, 0.0, 0.0], count) if resolution else None
+        def of_each(kind: str, quantity: str) -> FloatArray:
+            return np.where(self._is_slide, settings[f'{kind}.slide_{quantity}'],
+                            settings[f'{kind}.joint_{quantity}'])
+        self.sd = np.concatenate([
+            of_each('noise', quantity) for quantity in ('position', 'velocity', 'effort')])
+        step = of_each('resolution', 'position')
+        self.step = np.concatenate([step, 0.0 * step, 0.0 * step]) if step.any() else None
 
 
 def _wrench_noise(settings: SensingSettings) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -36,9 +36,12 @@ _SD = 'Standard deviation of the white noise on'
 _OFFSET = 'Standard deviation of the constant offset, drawn from the seed, of'
 _WALK = 'Standard deviation after one second of the random walk of'
 QUANTITIES: Mapping[str, SensingQuantity] = MappingProxyType({
-    'noise.joint_position': SensingQuantity(f'{_SD} positions of joints.', 'rad or m', 1.0),
-    'noise.joint_velocity': SensingQuantity(f'{_SD} velocities of joints.', 'rad/s or m/s', 10.0),
-    'noise.joint_effort': SensingQuantity(f'{_SD} efforts of joints.', 'N m or N', 1000.0),
+    'noise.joint_position': SensingQuantity(f'{_SD} positions of hinges.', 'rad', 1.0),
+    'noise.joint_velocity': SensingQuantity(f'{_SD} velocities of hinges.', 'rad/s', 10.0),
+    'noise.joint_effort': SensingQuantity(f'{_SD} efforts of hinges.', 'N m', 1000.0),
+    'noise.slide_position': SensingQuantity(f'{_SD} positions of slide joints.', 'm', 1.0),
+    'noise.slide_velocity': SensingQuantity(f'{_SD} velocities of slide joints.', 'm/s', 10.0),
+    'noise.slide_effort': SensingQuantity(f'{_SD} efforts of slide joints.', 'N', 1000.0),
     'noise.wrench_force': SensingQuantity(f'{_SD} forces.', 'N', 1000.0),
     'noise.wrench_torque': SensingQuantity(f'{_SD} torques.', 'N m', 1000.0),
     'noise.wrench_bias': SensingQuantity(
@@ -66,7 +69,9 @@ QUANTITIES: Mapping[str, SensingQuantity] = MappingProxyType({
         'Factor for the attribute noise, a standard deviation, that sensors have in the files; '
         'it is added to that of their kind.', '', 1000.0),
     'resolution.joint_position': SensingQuantity(
-        'Step of the encoders: joint positions are rounded to multiples of it.', 'rad or m',
+        'Step of the encoders: positions of hinges are rounded to multiples of it.', 'rad', 1.0),
+    'resolution.slide_position': SensingQuantity(
+        'Step of the encoders: positions of slide joints are rounded to multiples of it.', 'm',
         1.0),
     'latency.state': SensingQuantity(
         'Age of the states, wrenches and sensor values that are published, in simulation time.',

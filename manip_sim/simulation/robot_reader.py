@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 
+import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
@@ -67,8 +68,10 @@ class RobotReader:
             name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
 
     def _add_channels(self, name: str) -> None:
+        model = self._physics.model
+        types = model.jnt_type[model.dof_jntid[self._addresses[None][1]]]
         self.sensing.add('joints', self.exact, JointChannel(
-            f'{name} joints', 3 * len(self.joint_names)))
+            f'{name} joints', types == int(mujoco.mjtJoint.mjJNT_SLIDE)))
         for arm, reader in self.end_effectors.items():
             wrench = WrenchChannel(reader.ft_frame, 6)
             noise = {'wrench': wrench, 'external_wrench': ExternalWrenchChannel(wrench)}

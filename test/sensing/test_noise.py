@@ -109,7 +109,7 @@ def test_numbers_are_the_same_in_another_process_and_differ_by_seed_name_and_cou
 
 
 def test_encoders_round_positions_to_steps_and_nothing_else():
-    channel = channel_with(JointChannel, 6, resolution__joint_position=0.01)
+    channel = channel_with(JointChannel, np.zeros(2, bool), resolution__joint_position=0.01)
     measured = channel.measure(np.array([0.1234, -0.118, 0.1234, 0.118, 0.1234, 0.118]), 0, 1.0)
     np.testing.assert_allclose(measured, [0.12, -0.12, 0.1234, 0.118, 0.1234, 0.118])
 

@@ -3,6 +3,7 @@
 
 """What is measured of a robot beside the truth; latency of states and commands."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -89,6 +90,32 @@ def test_noise_changes_what_is_measured_and_not_the_motion(simulation):
     np.testing.assert_array_equal(noise[:, 2], 0.0)
 
 
+@pytest.mark.parametrize('kind, rows', [('position', 0), ('velocity', 1), ('effort', 2)])
+@pytest.mark.parametrize('of, slides', [('joint', False), ('slide', True)])
+def test_hinges_and_slide_joints_have_noise_of_their_own(simulation, kind, rows, of, slides):
+    robot, model = simulation.robot, simulation.model
+    is_slide = np.array([model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+                         for name in robot.joint_names])
+    assert is_slide.any() and not is_slide.all()
+    robot.sensing.set(f'noise.{of}_{kind}', 0.01)
+    measured, true = run(simulation, 20)
+    noise = (measured - true).reshape(20, 3, len(is_slide))[:, rows]
+    np.testing.assert_array_equal(noise[:, is_slide != slides], 0.0)
+    assert 0.006 < noise[:, is_slide == slides].std() < 0.014
+
+
+def test_encoders_of_slide_joints_have_a_resolution_of_their_own(simulation):
+    robot = simulation.robot
+    robot.sensing.set('resolution.slide_position', 0.001)
+    fingers = robot.indices_of['right/gripper']
+    np.testing.assert_allclose(
+        robot.state().position[fingers], np.round(robot.true_state().position[fingers], 3))
+    assert (robot.state().position[fingers] != robot.true_state().position[fingers]).all()
+    np.testing.assert_array_equal(
+        robot.state().position[robot.indices_of['arm']],
+        robot.true_state().position[robot.indices_of['arm']])
+
+
 def test_a_part_has_the_noise_of_all_joints(simulation):
     simulation.robot.sensing.set('noise.joint_effort', 1.0)
     robot = simulation.robot
@@ -108,7 +135,7 @@ def test_the_same_seed_gives_the_same_noise_whatever_was_read_and_another_seed_a
     for _ in range(10):
         simulation.advance(STEPS)
     np.testing.assert_array_equal(simulation.robot.measured(), first[-1])
-    assert (other[:, :9] != first[:, :9]).all()
+    assert (other[:, :7] != first[:, :7]).all()
 
 
 def test_two_robots_have_noise_of_their_own():
@@ -117,11 +144,11 @@ def test_two_robots_have_noise_of_their_own():
     one, other = simulation.robots.values()
     for robot in (one, other):
         robot.sensing.set('noise.joint_position', 0.01)
-    errors = [robot.measured()[:9] - robot.reader.exact()[:9] for robot in (one, other)]
+    errors = [robot.measured()[:7] - robot.reader.exact()[:7] for robot in (one, other)]
     assert (errors[0] != errors[1]).all()
     other.sensing.set('noise.joint_position', 0.0)
     np.testing.assert_array_equal(other.measured(), other.reader.exact())
-    assert (one.measured()[:9] != one.reader.exact()[:9]).all()
+    assert (one.measured()[:7] != one.reader.exact()[:7]).all()
 
 
 @pytest.mark.parametrize('periods', [1, 3, 7])
