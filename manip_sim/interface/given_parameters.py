@@ -15,6 +15,8 @@ from manip_sim.quoting import quoted
 
 #: Parameters that every rclpy node knows.
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
+#: Name of the parameter that a robot has, after its namespace, if it came while the node ran.
+SPAWNED = 'spawned'
 
 
 class ParameterSource(Protocol):
@@ -63,11 +65,25 @@ class GivenParameters:
 
     def check_names(self) -> None:
         """
-        Reject what was given and nobody declared.
+        Reject what was given and nobody declared; forget what is of spawned robots.
 
         :raises ParameterError: naming the nearest parameters
         """
+        forget_spawned(self.given, self.specs)
         check_names(self.given, self.specs)
+
+
+def forget_spawned(given: dict[str, Any], known: Iterable[str]) -> None:
+    """
+    Remove the parameters of spawned robots, which the dump of a node has.
+
+    :param given: parameters by name; changed
+    :param known: names of those that were declared; a robot that has some of them stays
+    """
+    spawned = {name.partition('.')[0] for name in given if name.partition('.')[2] == SPAWNED}
+    spawned -= {name.partition('.')[0] for name in known}
+    for name in [name for name in given if name.partition('.')[0] in spawned]:
+        del given[name]
 
 
 def check_names(given: Iterable[str], known: Iterable[str]) -> None:

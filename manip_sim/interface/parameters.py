@@ -11,6 +11,7 @@ from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.message_clock import STREAM_INTERVAL_S
 from manip_sim.control.modes import default_mode, MODES
 from manip_sim.errors import ParameterError
+from manip_sim.interface.given_parameters import SPAWNED
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.scope import Scope
 from manip_sim.models.arenas import arena_names, arena_parameters
@@ -343,6 +344,12 @@ def sensing_parameters(scope: Scope) -> list[ParameterSpec]:
     return [ParameterSpec(name, 0.0, f'{quantity.meaning} 0 switches it off.', quantity.unit,
                           live=True, minimum=0.0, maximum=quantity.maximum).within(scope)
             for name, quantity in QUANTITIES.items()]
+
+
+def spawned_parameter(scope: Scope) -> ParameterSpec:
+    """Return the parameter that tells those of a robot that came while the node ran."""
+    return ParameterSpec(SPAWNED, True, 'The robot was spawned: a node that starts with a dump of '
+                         'the parameters leaves out those of this robot.').within(scope)
 
 
 def steps_per_period(publish_rate: float, timestep: float) -> int:

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from manip_sim.control.modes import MODES
 from manip_sim.control.reflexes import ReflexLimits
 from manip_sim.errors import ParameterError
-from manip_sim.interface.given_parameters import check_names
+from manip_sim.interface.given_parameters import check_names, forget_spawned
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.parameters import default_timeout
 from manip_sim.interface.scope import Scope
@@ -85,11 +85,13 @@ class Parameters:
 
     def check_names(self) -> None:
         """
-        Reject parameters that the user gave and nobody declared.
+        Reject parameters that the user gave and nobody declared; forget those of spawned robots.
 
         :raises ParameterError: naming the nearest ones
         """
-        check_names(parameter_overrides(self._node), self._specs)
+        overrides = parameter_overrides(self._node)
+        forget_spawned(overrides, self._specs)
+        check_names(overrides, self._specs)
 
     def rejection(self, parameters: Sequence[Parameter]) -> str | None:
         """Return why parameters cannot be changed, whatever their values are, or None."""

@@ -12,6 +12,7 @@ from typing import Any, TYPE_CHECKING
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.interface.composition import check_robot_name, declare_parts
+from manip_sim.interface.parameters import spawned_parameter
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.world_topics import topics_of_world
 from manip_sim.models import compose_robot
@@ -162,6 +163,7 @@ class SpawnedRobots:
             [(scope, robot.parts, robot.joints.twist_indices is not None)])
         node.table += [row for row in rows if row not in node.table]
         node.robots[scope] = robot
+        node.declared.declare([spawned_parameter(scope)])
         declare_parts(node.declared, [(scope, robot.parts)])
         node.declared.couple(scope, robot.parts)
         served = node.serve(scope, robot)

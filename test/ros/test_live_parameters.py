@@ -3,9 +3,21 @@
 
 """Of every live parameter, get, dump and what acts agree, whatever has changed it."""
 
+from functools import partial
+
+import numpy as np
 import pytest
 from rclpy.parameter import Parameter
 from spawning_node import ask, SpawningByParameters
+
+from manip_sim.errors import ParameterError
+from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.models.object_creation import create_object
+from manip_sim.models.regular_files import FilesBelow
+from manip_sim.physics.object_spawning import plan_with, plan_without
+from manip_sim.physics.poses_and_twists import Pose
+from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
+from manip_sim.simulation.robot_spawning import plan_with_robot
 
 #: Live parameters of the node that are no settings of a robot.
 OF_NODE = {'seed', 'keyframe', 'pause_at', 'real_time_factor'}
@@ -215,8 +227,75 @@ def test_objects_that_came_and_went_leave_nothing_and_dumps_start_identical_node
     assert all_values(again) == before
 
 
+@pytest.mark.full
+def test_500_objects_that_came_and_went_leave_nothing(serve, tmp_path):
+    (tmp_path / 'mechanism.xml').write_text(MECHANISM)
+    node = serve(robot='UR5e', gripper='none', start_paused=True)
+
+    def change(plan, *operation):
+        node.thread.call(partial(node.thread.change, *operation, using=plan))
+        node.world_changed(node.simulation)
+
+    def come_and_go(number):
+        name = f'thing{number}'
+        more = {'file': str(tmp_path / 'mechanism.xml')} if number % 2 else {
+            'shape': 'box', 'size': [0.05, 0.05, 0.05], 'mass': 0.2}
+        item = create_object({'name': name, 'position': [1.0, 0.0, 0.5], **more})
+        change(plan_with(node.simulation.plan, item), 'spawn', name, None, [1.0, 0.0, 0.5],
+               [1.0, 0.0, 0.0, 0.0])
+        assert any(name in topic for topic, _ in node.get_publisher_names_and_types_by_node(
+            node.get_name(), node.get_namespace()))
+        change(plan_without(node.simulation.plan, name), 'delete', name)
+
+    come_and_go(0)
+    come_and_go(1)
+    first = *ledger(node), len(list(node.waitables)), len(list(node.guards)), len(
+        node.thread.observers._all)
+    for number in range(2, 500):
+        come_and_go(number)
+    assert (*ledger(node), len(list(node.waitables)), len(list(node.guards)), len(
+        node.thread.observers._all)) == first
+    assert not [name for name in str(first).split() if 'thing' in name]
+
+
 def test_a_dump_starts_a_node_after_noise_was_switched_off(serve):
     first = serve(robot='UR5e', start_paused=True, noise__joint_position=0.1)
     set_live(first, noise__joint_position=0.0)
     second = serve(**all_values(first))
     assert second.declared.values == first.declared.values
+
+
+@pytest.mark.parametrize('text', ['{robot: UR5e}', '{robot: PandaOmron}'])
+def test_a_dump_with_a_spawned_robot_starts_an_identical_node_without_it(
+        text, serve, client, tmp_path):
+    node = serve(robot='UR5e', arena='table', start_paused=True)
+    SpawningByParameters(node, tmp_path)
+    set_live(node, reflex__right__velocity=0.9)
+    before = all_values(node)
+
+    answer = ask(client, 'spawn_entity', name='left', resource_string=text,
+                 position=[0.0, 2.0, 0.0])
+    assert answer.successful, answer.reason
+    set_live(node, left__control_mode__arm='velocity', left__noise__joint_position=0.1)
+    dump = all_values(node)
+    assert dump.keys() > before.keys() and dump['left.control_mode.arm'] == 'velocity'
+    given = GivenParameters({name: value for name, value in dump.items() if name not in before})
+    given.check_names()  # Of the commands without ROS.
+    assert not given.given
+    again = serve(**dump)
+    assert all_values(again) == before
+    assert ask(client, 'delete_entity', entity='left').successful
+    assert all_values(node) == before
+    # A robot of that name that comes to the new node has settings of its own.
+    SpawnedRobots(again).come('left', plan_with_robot(again.simulation, RequestedRobot(
+        {'robot': 'Panda'}, 'here', FilesBelow([tmp_path], 'here')).create('left', Pose(
+            np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])))))
+    assert again.declared.value('left.control_mode.arm') == 'position'
+
+
+def test_parameters_of_a_robot_that_is_not_told_as_spawned_are_unknown(serve):
+    for given in ({'left.control_mode.arm': 'velocity'},
+                  {'robots': ['left'], 'left.robot': 'UR5e', 'left.spawned': True},
+                  {'left.arm.spawned': True, 'left.arm.mode': 1}):
+        with pytest.raises(ParameterError, match="unknown parameter 'left"):
+            serve(**given)
