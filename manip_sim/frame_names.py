@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import mujoco
 
@@ -20,19 +20,20 @@ class FrameNames:
     """
     Names of the frames of bodies, cameras and sites, all different.
 
-    Bodies keep their names; then come cameras, their optical frames, sites, and bodies on free
-    joints in the world, which may come and go. Where a name is taken, ``_camera``, ``_``,
-    ``_site`` or ``_body`` is appended.
+    Bodies keep their names; then come cameras, their optical frames, sites, frames that are
+    placed in the world, and bodies on free joints in the world, which may come and go. Where a
+    name is taken, ``_camera``, ``_``, ``_site``, ``_frame`` or ``_body`` is appended.
 
     :param model: the compiled ``mujoco.MjModel``
+    :param placed: names of frames in the world, as :meth:`placed` returned them
     :ivar bodies: by id, like all others
     :ivar cameras: where they look along -z, as in MuJoCo
     :ivar opticals: of the cameras, which look along z there (REP 103)
     :ivar sites: of all sites
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        taken = {ROOT}
+    def __init__(self, model: mujoco.MjModel, placed: Iterable[str] = ()) -> None:
+        taken = {ROOT, *placed}
         bodies = {body: model.body(body).name or f'body_{body}' for body in range(1, model.nbody)}
         free = {int(model.jnt_bodyid[joint]) for joint in range(model.njnt)
                 if int(model.jnt_type[joint]) == _FREE}
@@ -43,9 +44,16 @@ class FrameNames:
         self.opticals = _free([name + OPTICAL for name in self.cameras], '_', taken)
         self.sites = _free([model.site(site).name or f'site_{site}'
                             for site in range(model.nsite)], '_site', taken)
+        self._lasting = frozenset(taken)
         names.update(zip(sorted(free), _free([bodies[body] for body in sorted(free)], '_body',
                                              taken)))
         self.bodies = [ROOT, *(names[body] for body in bodies)]
+
+    def placed(self, name: str) -> str:
+        """Return the name of a further frame in the world, such as that of an odometry."""
+        while name in self._lasting:
+            name += '_frame'
+        return name
 
 
 def _free(names: Sequence[str], suffix: str, taken: set[str]) -> list[str]:

@@ -132,7 +132,9 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
     urdf, meshes = describe(model, choose_robot(world), folder.name, hardware)
     name = robot_in(urdf.xml)
     groups = list(_controllers(robot, hardware, _driven(urdf.xml),
-                               effective_inertias(simulation)))
+                               effective_inertias(simulation), {
+                                   found.name: found.frame
+                                   for found in simulation.sensors.instruments}))
     by_mode: dict[str, list[str]] = {}
     for controller, _, mode, _ in groups:
         if mode:
@@ -207,7 +209,8 @@ _GAINS = {'velocity': velocity_gains, 'effort': effort_gains}
 
 
 def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[str],
-                 inertias: Mapping[str, float]) -> Iterator[_Controller]:
+                 inertias: Mapping[str, float], frames: Mapping[str, str]
+                 ) -> Iterator[_Controller]:
     yield 'joint_state_broadcaster', BROADCASTER, '', {}
     own = hardware.plugin == OWN_PLUGIN
     for name, part in robot.parts.items():
@@ -227,7 +230,7 @@ def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[s
         yield f'{sensor}_broadcaster', WRENCH, '', {
             'sensor_name': sensor, 'frame_id': robot.end_effectors[arm].wrench_frame}
     for sensor in hardware.imu_topics if own else ():
-        yield f'{sensor}_broadcaster', IMU, '', {'sensor_name': sensor, 'frame_id': sensor}
+        yield f'{sensor}_broadcaster', IMU, '', {'sensor_name': sensor, 'frame_id': frames[sensor]}
 
 
 def _gripper(name: str, joints: list[str]) -> _Controller:

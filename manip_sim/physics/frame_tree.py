@@ -11,8 +11,9 @@ one; and those that the caller places in the root, ``world``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -52,7 +53,8 @@ class FrameTree:
 
     :param model: the compiled ``mujoco.MjModel``
     :param sites: names of sites that are frames too
-    :param placed: names of further frames, and their poses in ``world``
+    :param placed: poses of further frames in ``world``, by names that :meth:`FrameNames.placed`
+        returned
     :ivar model: the model
     :ivar moving: frames that move in their parent: bodies with joints and mocap bodies, frames
         of joints between bodies, and cameras that follow something
@@ -61,11 +63,11 @@ class FrameTree:
     """
 
     def __init__(self, model: mujoco.MjModel, sites: Iterable[str] = (),
-                 placed: Iterable[tuple[str, Pose]] = ()) -> None:
+                 placed: Mapping[str, Pose] = MappingProxyType({})) -> None:
         self.model = model
         self.static: list[TreeFrame] = []
         static_poses: list[FloatArray] = []
-        tree = build_tree(model, 0, [model.site(name).id for name in sites])
+        tree = build_tree(model, 0, [model.site(name).id for name in sites], placed)
         bodies: dict[TreeFrame, int] = {}
         joints: dict[TreeFrame, Joint] = {}
         for frame, body, joint in _frames_of(model, tree):
@@ -76,7 +78,7 @@ class FrameTree:
                 static_poses.append(_row(joint.position, _quat_wxyz(joint.rotation)))
             else:
                 joints[frame] = joint
-        names = FrameNames(model)
+        names = FrameNames(model, placed)
         followers = {TreeFrame(names.cameras[camera], WORLD): camera
                      for camera in range(model.ncam) if camera not in tree.link_of_camera}
         self._bodies = np.array(list(bodies.values()), dtype=np.int64)
@@ -86,8 +88,8 @@ class FrameTree:
         for frame, camera in followers.items():
             self.static.append(TreeFrame(names.opticals[camera], frame.name))
             static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
-        for name, pose in placed:
-            self.static.append(TreeFrame(tree.take_name(name, '_frame'), WORLD))
+        for name, pose in placed.items():
+            self.static.append(TreeFrame(name, WORLD))
             static_poses.append(np.concatenate([pose.position, pose.quat_xyzw]))
         self.static_poses = np.array(static_poses).reshape(-1, 7)
 

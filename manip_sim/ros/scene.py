@@ -14,11 +14,13 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ParameterError
+from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.scope import Scope
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.frame_tree import FrameTree
 from manip_sim.physics.odometry import OdometryReader
+from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.messages import stamped
@@ -36,7 +38,7 @@ ODOM = 'odom'
 
 
 def odometry_publishers(node: SimNode, robot: SimulatedRobot, reader: OdometryReader, scope: Scope,
-                        frame: str) -> StatePublishers:
+                        frame: str, base: str) -> StatePublishers:
     """
     Publish a base's pose in the frame of its odometry, and its twist in its own axes.
 
@@ -44,13 +46,14 @@ def odometry_publishers(node: SimNode, robot: SimulatedRobot, reader: OdometryRe
 
     :param scope: namespace of its topic
     :param frame: name of the frame of the odometry
+    :param base: name of the frame of the base
     """
     def exact() -> FloatArray:
         found = reader.read(node.simulation.model, node.simulation.data)
         return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
 
     def reading(_: SimulatedRobot, __: str, prefix: str, read: Read) -> Reading:
-        return (partial(odometry, prefix + frame, prefix + reader.base),
+        return (partial(odometry, prefix + frame, prefix + base),
                 lambda simulation: read('odom'), 13)
     robot.sensing.add('odom', exact)
     return StatePublishers(node, robot, scope, {'odometry': reading})
@@ -86,8 +89,9 @@ class SceneTopics:
     def __init__(self, node: SimNode) -> None:
         self._node, self._thread, value = node, node.thread, node.declared.value
         self._end_effectors: dict[str, EndEffectorReader] = {}
-        self._readers: dict[str, OdometryReader] = {}
-        self._odometry: dict[Scope, StatePublishers] = {}
+        #: Poses of the frames of odometry in ``world``, by name.
+        self._placed: dict[str, Pose] = {}
+        self._odometry: dict[Scope, tuple[str, StatePublishers]] = {}
         self._scenes: dict[Scope, PlanningScenePublisher] = {}
         every = _divider(node, value('publish_rate'), value('tf_rate'))
         self._scene_every = periods_per_message(value('publish_rate'), RATE_HZ)
@@ -112,11 +116,14 @@ class SceneTopics:
         """
         thread = self._thread
         if robot.twist_joints:
-            frame = prefix + ODOM
-            reader = OdometryReader(self._node.simulation.model, robot.twist_joints)
-            self._readers[frame] = reader
-            odometry = self._odometry[scope] = odometry_publishers(
-                self._node, robot, reader, scope, frame)
+            model = self._node.simulation.model
+            names = FrameNames(model, self._placed)
+            frame = names.placed(prefix + ODOM)
+            reader = OdometryReader(model, robot.twist_joints)
+            self._placed[frame] = reader.origin
+            odometry = odometry_publishers(self._node, robot, reader, scope, frame,
+                                           names.bodies[model.body(reader.base).id])
+            self._odometry[scope] = frame, odometry
             self._node.publish_truth_by(scope, odometry.publish_truth)
             thread.observe(odometry.publish, look=odometry.look)
         thread.call(partial(self._end_effectors.update, {
@@ -125,10 +132,11 @@ class SceneTopics:
             scene = self._scenes[scope] = PlanningScenePublisher(self._node, robot, scope)
             thread.observe(scene.publish, self._scene_every, scene.look)
 
-    def remove(self, scope: Scope, prefix: str) -> None:
+    def remove(self, scope: Scope) -> None:
         """Publish nothing of a robot any more; to be called before it is deleted."""
-        odometry, scene = self._odometry.pop(scope, None), self._scenes.pop(scope, None)
-        self._readers.pop(prefix + ODOM, None)
+        frame, odometry = self._odometry.pop(scope, ('', None))
+        scene = self._scenes.pop(scope, None)
+        self._placed.pop(frame, None)
 
         def forget() -> None:
             for name in [*self._end_effectors]:
@@ -144,8 +152,7 @@ class SceneTopics:
         sites = [site for reader in self._end_effectors.values()
                  for site in (reader.ft_frame, reader.grip_site)]
         return FrameTree(simulation.model, dict.fromkeys(
-            [*sites, *instrument_sites(simulation.model), *simulation.lidars]),
-            [(frame, reader.origin) for frame, reader in self._readers.items()])
+            [*sites, *instrument_sites(simulation.model), *simulation.lidars]), self._placed)
 
     def follow(self, simulation: Simulation) -> None:
         if self._transforms is not None:

@@ -197,7 +197,7 @@ class SpawnedRobots:
         robot = simulation.robots[name]
         served = node.served.pop(scope)
         served.close()
-        node.scene.remove(scope, robot.robot_model.naming_prefix)
+        node.scene.remove(scope)
         if node.actions is not None:
             node.actions.close(robot, f"robot '{name}' was deleted")
         self._thread.change_robots(plan)

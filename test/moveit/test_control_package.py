@@ -213,3 +213,25 @@ def test_a_folder_or_a_robot_that_cannot_be_used_is_told(tmp_path):
     with pytest.raises(ModelError, match='UR5e has no joints that ros2_control could move'):
         write_control_package(world, tmp_path / 'ur_control', Hardware({}), {})
     assert not (tmp_path / 'ur_control').exists()
+
+
+def test_imus_are_broadcast_in_the_frame_that_their_site_has_among_all_names(tmp_path):
+    (tmp_path / 'arm.xml').write_text(
+        '<mujoco><worldbody><body name="base"><geom size="0.05" mass="1"/><body name="imu" '
+        'pos="0 0 0.1"><joint name="j" axis="0 1 0"/><geom size="0.05" mass="1"/>'
+        '<site name="imu"/><site name="tip"/></body></body></worldbody><actuator>'
+        '<motor joint="j" ctrlrange="-9 9"/></actuator><sensor><gyro site="imu"/>'
+        '<accelerometer site="imu"/><gyro site="tip"/><gyro site="tip"/></sensor></mujoco>')
+    given = tmp_path / 'node.yaml'
+    given.write_text(yaml.safe_dump({'/**': {'ros__parameters': {
+        'robot': str(tmp_path / 'arm.xml'), 'ros2_control_plugin': OWN_PLUGIN}}}))
+    folder = tmp_path / 'control'
+    assert main(['export', '--ros2-control', str(folder), '--params-file', str(given)]) == 0
+    controllers = yaml.safe_load((folder / 'config' / 'controllers.yaml').read_text())
+    frames = {settings['ros__parameters']['sensor_name']: settings['ros__parameters']['frame_id']
+              for name, settings in controllers.items() if 'imu' in name or 'tip' in name}
+    assert frames == {'robot0_imu': 'robot0_imu_site', 'robot0_tip': 'robot0_tip',
+                      'robot0_tip_2': 'robot0_tip'}
+    (urdf,) = folder.glob('config/*.urdf')
+    links = {link.get('name') for link in ElementTree.parse(urdf).getroot().findall('link')}
+    assert set(frames.values()) <= links

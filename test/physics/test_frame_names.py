@@ -4,12 +4,14 @@
 """Names that the node makes up and those of files are never the same frame."""
 
 import mujoco
+import numpy as np
 import pytest
 
 from manip_sim.frame_names import FrameNames
 from manip_sim.models import compose
 from manip_sim.models.urdf_writer import urdf_of
 from manip_sim.physics.frame_tree import FrameTree
+from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.sensing.instruments import find_instruments, instrument_sites
 from manip_sim.simulation import Simulation
 
@@ -73,3 +75,19 @@ def test_an_object_that_comes_renames_no_camera():
     for more in ('', box):
         names = FrameNames(mujoco.MjModel.from_xml_string(text.format(more)))
         assert (names.cameras, names.opticals) == (['front'], ['front_optical_frame'])
+
+
+def test_frames_that_are_placed_give_way_to_what_stays_and_objects_to_them():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="odom"/><site name="odom_frame"/><body name="map">'
+        '<freejoint/><geom size="0.1"/></body></worldbody></mujoco>')
+    names = FrameNames(model)
+    assert [names.placed(name) for name in ('odom', 'map', 'world')] == [
+        'odom_frame_frame', 'map', 'world_frame']
+    names = FrameNames(model, ['odom_frame_frame', 'map'])
+    assert names.bodies == ['world', 'odom', 'map_body']
+    assert names.placed('map') == 'map_frame'
+    pose = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+    tree = FrameTree(model, placed={'map': pose})
+    assert sorted(frame.name for frame in [*tree.static, *tree.moving]) == [
+        'map', 'map_body', 'odom']

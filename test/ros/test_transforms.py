@@ -7,10 +7,12 @@ import copy
 import importlib.util
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from manip_sim.errors import ManipSimError
@@ -234,3 +236,62 @@ def test_over_dds_one_who_comes_late_gets_the_whole_tree(serve, client):
     client.spin_until(lambda: moving and static)
     assert_bodies_are_there(node.simulation.model, node.simulation.data,
                             in_world(moving[-1], static[-1]))
+
+
+#: Has a body that is called as the node calls the frame of the odometry of a robot ``left_``.
+WITH_ODOM = ('<mujoco><worldbody><body name="base"><geom size="0.05" mass="1"/><body name="odom" '
+             'pos="0.1 0.2 0.3"><joint name="j" axis="0 1 0"/><geom size="0.05" mass="1"/></body>'
+             '</body></worldbody><actuator><motor joint="j" ctrlrange="-9 9"/></actuator>'
+             '</mujoco>')
+ODOM_CAMERA = '{name: odom, position: [1.0, 1.0, 1.0], look_at: [0.0, 0.0, 0.0]}'
+ODOM_LIDAR = '{name: odom, position: [0.5, 0.0, 2.0], samples: 4}'
+ODOM_BOX = '{name: odom, shape: box, size: [0.1, 0.1, 0.1], mass: 0.1, position: [3.0, 1.0, 0.1]}'
+
+
+@pytest.mark.parametrize(('given', 'frame', 'other', 'other_place'), [
+    ({}, 'odom', 'world', [0.0, 0.0, 0.0]),
+    ({'robot': 'arm.xml', 'base': 'OmronMobileBase', 'prefix': 'left_'},
+     'left_odom_frame', 'left_odom', None),
+    ({'cameras': [ODOM_CAMERA]}, 'odom_frame', 'odom', [1.0, 1.0, 1.0]),
+    ({'lidars': [ODOM_LIDAR]}, 'odom_frame', 'odom', [0.5, 0.0, 2.0]),
+    ({'objects': [ODOM_BOX]}, 'odom', 'odom_body', [3.0, 1.0, 0.1])],
+    ids=['none', 'body', 'camera', 'lidar', 'object'])
+def test_the_odometry_names_its_frame_as_tf_does_whatever_else_has_that_name(
+        given, frame, other, other_place, serve, client, records, tmp_path):
+    (tmp_path / 'arm.xml').write_text(WITH_ODOM)
+    given = {'robot': 'PandaOmron', **given}
+    if given['robot'] == 'arm.xml':
+        given['robot'] = str(tmp_path / 'arm.xml')
+    node = serve(start_paused=True, position=[0.5, 0.2, 0.0], orientation=[0.0, 0.0, 0.7], **given)
+    odometry = client.listen(Odometry, 'odom')
+    urdf = client.listen(String, 'robot_description', QoSProfile(
+        depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
+    moving, static = records
+    client.spin_until(lambda: odometry and urdf and moving.messages)
+    found = in_world(moving.messages[-1], static.messages[-1])
+    assert odometry[-1].header.frame_id == frame
+    np.testing.assert_allclose(found[frame][0][:2], [0.5, 0.2], atol=1e-9)
+    np.testing.assert_allclose(found[frame][1].as_rotvec(), [0.0, 0.0, 0.7], atol=1e-9)
+    assert odometry[-1].child_frame_id in found
+    if other_place is None:  # A link, which is where the body is.
+        assert f'<link name="{other}">' in urdf[-1].data
+        other_place = node.simulation.data.body(other).xpos
+    np.testing.assert_allclose(found[other][0], other_place, atol=1e-2)
+    assert f'"{frame}"' not in urdf[-1].data
+
+
+def test_an_object_that_comes_does_not_rename_the_frame_of_the_odometry(serve, client, records):
+    node = serve(robot='PandaOmron', start_paused=True)
+    moving, static = records
+    client.spin_until(lambda: moving.messages and static.messages)
+    box = create_object({**BALL, 'name': 'odom'})
+    node.thread.call(lambda: node.thread.change(
+        'spawn', 'odom', None, BALL['position'], [1.0, 0.0, 0.0, 0.0],
+        using=plan_with(node.simulation.plan, box)))
+    node.world_changed(node.simulation)
+    count = len(moving.messages)
+    assert client.call(Trigger, 'manip_sim/step').success
+    client.spin_until(lambda: len(moving.messages) > count)
+    found = in_world(moving.messages[-1], static.messages[-1])
+    np.testing.assert_allclose(found['odom_body'][0], BALL['position'], atol=0.01)
+    assert 'odom' in static.latest and 'odom_frame' not in found

@@ -10,7 +10,7 @@ of which only the last one has mass.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -136,18 +136,21 @@ def robot_tree(model: mujoco.MjModel, robot: RobotModel, lidars: Iterable[str] =
     return build_tree(model, model.body(robot.root_body).id, list(dict.fromkeys(sites)))
 
 
-def build_tree(model: mujoco.MjModel, root: int, sites: list[int]) -> KinematicTree:
+def build_tree(model: mujoco.MjModel, root: int, sites: list[int], placed: Collection[str] = ()
+               ) -> KinematicTree:
     """
     Return the tree of a body and all below it.
 
     :param model: the compiled ``mujoco.MjModel``
     :param root: id of a child of the world body, or 0 for the whole world
     :param sites: ids of sites below it that become links; all fixed cameras become links too
+    :param placed: names of further frames, which no link has
     """
-    bodies, names = subtree(model, root), FrameNames(model)
+    bodies, names = subtree(model, root), FrameNames(model, placed)
     tree = KinematicTree(
         model, {_joint_name(model, j) for b in bodies for j in joints_of_body(model, b)},
-        {*names.bodies, *names.cameras, *names.opticals, *(names.sites[site] for site in sites)})
+        {*names.bodies, *names.cameras, *names.opticals, *(names.sites[site] for site in sites),
+         *placed})
     tree.link_of_body = {body: names.bodies[body] for body in bodies}
     for body in bodies:
         if body > 0:
