@@ -372,18 +372,25 @@ def test_what_interferes_ends_the_goal_and_is_told(panda, prepare, interfere, re
     assert goal.outcome.reason.startswith(reason)
 
 
-def test_goal_that_was_replaced_before_the_physics_diverged_says_so(panda):
+@pytest.mark.parametrize(('end', 'reason'), [
+    (lambda panda, goal: panda.operator.go({J1: 0.0}), 'a newer command has taken over'),
+    (lambda panda, goal: panda.operator.follow('arm', [], [], []), 'ended by an empty trajectory'),
+    (lambda panda, goal: panda.simulation.robot.withdraw(goal.command, 'broken'), 'broken')],
+    ids=['replaced', 'stopped', 'aborted'])
+def test_goal_that_had_ended_before_the_physics_diverged_says_how(panda, end, reason):
     goal = panda.start()
     panda.run(0.1)
-    panda.operator.go({J1: 0.0})
+    # Both happen before the goal is checked again.
+    panda.goals.clear()
+    end(panda, goal)
     panda.run(0.02)
     explode(panda)
     with contextlib.suppress(DivergenceError):
         panda.run(0.02)
-    assert panda.simulation.diverged is not None
+    assert panda.simulation.diverged is not None and goal.outcome is None
     goal.check(panda.simulation)
     assert ended(goal) == INVALID
-    assert goal.outcome.reason == 'a newer command has taken over'
+    assert goal.outcome.reason == reason
 
 
 def test_goal_whose_command_still_waits_ends_when_the_physics_diverges(panda):
