@@ -13,6 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
+from manip_sim.frame_names import FrameNames
 from manip_sim.quoting import quoted
 
 WORLD = 'world'
@@ -79,7 +80,7 @@ class Frame:
 
 class RobotFrames:
     """
-    The frames of a robot by name.
+    The frames of a robot by the names that they have in TF.
 
     :param model: the compiled ``mujoco.MjModel``
     :param bodies: names of its links
@@ -87,12 +88,13 @@ class RobotFrames:
     """
 
     def __init__(self, model: mujoco.MjModel, bodies: Iterable[str], sites: Iterable[str]) -> None:
-        self._frames = {WORLD: Frame(WORLD, 0)}
+        self._frames, names = {WORLD: Frame(WORLD, 0)}, FrameNames(model)
         for name in bodies:
-            self._frames[name] = Frame(name, int(model.body(name).id))
+            body = int(model.body(name).id)
+            self._frames[names.bodies[body]] = Frame(name, body)
         for name in sites:
             site = int(model.site(name).id)
-            self._frames[name] = Frame(name, int(model.site_bodyid[site]), site)
+            self._frames[names.sites[site]] = Frame(name, int(model.site_bodyid[site]), site)
 
     def look_at_model(self, model: mujoco.MjModel) -> None:
         """Take over the ids of all frames in another model."""

@@ -12,6 +12,7 @@ from manip_sim.models import compose
 from manip_sim.models.urdf_writer import urdf_of
 from manip_sim.physics.frame_tree import FrameTree
 from manip_sim.physics.poses_and_twists import Pose
+from manip_sim.physics.robot_frames import RobotFrames
 from manip_sim.sensing.instruments import find_instruments, instrument_sites
 from manip_sim.simulation import Simulation
 
@@ -91,3 +92,15 @@ def test_frames_that_are_placed_give_way_to_what_stays_and_objects_to_them():
     tree = FrameTree(model, placed={'map': pose})
     assert sorted(frame.name for frame in [*tree.static, *tree.moving]) == [
         'map', 'map_body', 'odom']
+
+
+def test_targets_are_in_the_frames_that_have_their_names_in_tf():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="grip_site" pos="1 0 0"><geom size="0.1"/>'
+        '<site name="grip_site" pos="0 2 0"/></body></worldbody></mujoco>')
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    frames = RobotFrames(model, ['grip_site'], ['grip_site'])
+    at = {name: frames.find(name, 'here').pose(data)[0].tolist()
+          for name in ('grip_site', 'grip_site_site')}
+    assert at == {'grip_site': [1.0, 0.0, 0.0], 'grip_site_site': [1.0, 2.0, 0.0]}
