@@ -79,7 +79,7 @@ class Bench:
 
     def __init__(self, robot: str, mode: str, timestep_s: float, arena: str = 'empty',
                  rate_hz: float = 500.0) -> None:
-        cube = {'cube': False} if arena == 'table' else {}
+        cube: dict[str, Any] = {'cube': False} if arena == 'table' else {}
         self.simulation = Simulation(compose(robot, arena=arena, timestep_s=timestep_s, **cube))
         self.robot = self.simulation.robot
         self.part = 'right'
@@ -92,7 +92,8 @@ class Bench:
         dynamics = [self.robot.dynamics()[joint] for joint in self.joints]
         self.ranges = np.array([joint.position_range or (-np.inf, np.inf) for joint in dynamics]).T
         self.velocity_limits = np.array([joint.velocity_limit for joint in dynamics])
-        self.effort_limits = np.array([joint.effort_range[1] for joint in dynamics])
+        self.effort_limits = np.array([
+            np.inf if joint.effort_range is None else joint.effort_range[1] for joint in dynamics])
         self.start = self.positions
 
     @property
@@ -107,7 +108,8 @@ class Bench:
 
     def command(self, field: str, values: Any) -> None:
         """Send a command to all joints."""
-        self.robot.apply(*self.robot.parse.joint_command(self.joints, **{field: list(values)}))
+        fields: dict[str, Any] = {field: list(values)}
+        self.robot.apply(*self.robot.parse.joint_command(self.joints, **fields))
 
     def controller(self, random: np.random.Generator) -> Iterator[None]:
         """Yield for each period, after the commands of a random motion."""
