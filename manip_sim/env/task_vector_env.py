@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from types import MappingProxyType
 from typing import Any
 
@@ -161,18 +162,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         return self._observation(), rewards, terminated, truncated, infos
 
     def _advance(self, acting: NDArray[np.bool_]) -> None:
-        """Run a control period in some worlds; with jitter, they divide it differently."""
-        periods = {int(index): self._episodes[index].period() for index in np.flatnonzero(acting)}
-        while True:
-            alike: dict[int, NDArray[np.bool_]] = {}
-            for index, period in periods.items():
-                steps = next(period, 0)
-                if steps:
-                    alike.setdefault(steps, np.zeros_like(acting))[index] = True
-            if not alike:
-                return
-            for steps, where in alike.items():
-                self.worlds.advance(steps, where=where)
+        """Run a control period in some worlds, which all divide it alike."""
+        periods = [self._episodes[index].period() for index in np.flatnonzero(acting)]
+        for steps, *_ in zip_longest(*periods):  # It runs all of them to their ends.
+            self.worlds.advance(steps, where=acting)
 
     def _take(self, actions: ArrayLike, acting: NDArray[np.bool_]) -> None:
         try:

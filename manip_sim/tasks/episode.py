@@ -12,7 +12,6 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.arrays import FloatArray
 from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.initialization_noise import checked_seed
@@ -21,7 +20,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.drawn_randomization import Drawn
 from manip_sim.tasks.episode_actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
-from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
+from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY, whole_steps
 from manip_sim.tasks.observation import Observation, Observer
 from manip_sim.tasks.pictures import Pictures
 from manip_sim.tasks.task import Task
@@ -45,6 +44,7 @@ class Episode:
     :ivar kind: what actions mean
     :ivar latency: of commands and states
     :ivar noise: of all robots, by name
+    :ivar settings: of the sensing of all robots: the noise and the latency of commands
     :ivar actions: what :meth:`step` takes
     :ivar observer: what :attr:`observation` is made of
     :ivar periods: control periods since the last reset
@@ -63,31 +63,27 @@ class Episode:
         exact_s = self._steps * timestep_s
         # Timesteps of whole nanoseconds cannot make up 1/30 s.
         self.period_s = exact_s if abs(exact_s - period_s) > 1e-12 else period_s
-        name = task.robot.name_in_world
-        self._command_delay = late.delay('command', name, timestep_s)
-        self._state_delay = late.delay('state', name, timestep_s)
+        whole_steps(late.command_s, timestep_s, 'latency of a command')
+        self._state_delay = late.delay_of_states(task.robot.name_in_world, timestep_s)
         #: Whether observations are late, and how long after the begin of a period they are made.
         self._states_late = bool(late.state_s or late.state_jitter_s)
         self._state_offset = -self._state_delay.mean_steps % self._steps
-        self._offsets = {self._state_offset, self._steps} - {0}
-        if not late.command_jitter_s:
-            self._offsets |= {self._command_delay.mean_steps % self._steps} - {0}
         self.noise = dict(noise)
         for name in self.noise.keys() & {'latency.image', 'latency.image_jitter'}:
             raise CommandError(f"{name} cannot be used here: give latency={{'state': ...}}, which "
                                'is that of images too')
-        for kind in ('command', 'state'):
-            given = getattr(late, f'{kind}_s') or getattr(late, f'{kind}_jitter_s')
-            if given and any(f'latency.{kind}' in name for name in simulation.randomized.drawn):
-                raise ModelError(f'both latency= and the randomization set latency.{kind}: give '
-                                 'one of them')
+        for quantity in late.quantities:
+            for way, names in (('noise', self.noise),
+                               ('the randomization', simulation.randomized.drawn)):
+                if any(f'/{name}'.endswith((f'/{quantity}', f'.{quantity}')) for name in names):
+                    raise ModelError(f'both latency= and {way} set {quantity}: give one of them')
+        self.settings = {**self.noise, **late.quantities_of_commands}
         for robot in simulation.robots.values():
-            for quantity, value in self.noise.items():
+            for quantity, value in self.settings.items():
                 robot.sensing.set(quantity, value)
         self.actions = create_actions(action, simulation)
         self.observer = Observer(task, simulation, pictures)
         self.periods = 0
-        self._commands: InTransit[FloatArray] = InTransit()
         self._states: InTransit[Observation] = InTransit()
 
     def reset(self, seed: int, drawn: Drawn | None = None) -> None:
@@ -99,14 +95,12 @@ class Episode:
         :raises ModelError: if it is no whole number from 0
         """
         start(self.task, self.simulation, seed, drawn)
-        for delay in (self._command_delay, self._state_delay):
-            delay.set_seed(seed)
+        self._state_delay.set_seed(seed)
         self.begin()
 
     def begin(self) -> None:
         """Begin an episode with the present state of the simulation as its start."""
         self.periods = 0
-        self._commands.clear()
         self._states.clear()
         if self._states_late:
             # A state that is older than the episode is that of its start.
@@ -131,8 +125,7 @@ class Episode:
         :raises CommandError: if it cannot be used; then nothing changes
         """
         numbers = finite_command_numbers(action, self.actions.size, 'an action')
-        count = self.periods * self._steps
-        self._commands.send_in_order(numbers, count + self._command_delay.steps(count))
+        self.actions.apply(numbers, self.period_s)
 
     def advance(self) -> None:
         """
@@ -148,26 +141,20 @@ class Episode:
         Run one control period as :meth:`advance`, but leave the physics to the caller.
 
         :returns: numbers of physics steps, each to be advanced before the next is asked for; they
-            are the same in every period of all episodes with the same latency without jitter
+            are the same in every period of all episodes with the same latency of states
         """
-        begin, done = self.periods * self._steps, 0
-        while done < self._steps:
-            for action in self._commands.take(begin + done):
-                self.actions.apply(action, self.period_s)
-            if done and done == self._state_offset:
-                self._observe(begin + done)
-            stops = [offset for offset in self._offsets if offset > done]
-            arrival = self._commands.first_arrival
-            if arrival is not None:
-                stops.append(arrival - begin)
-            yield min(stops) - done
-            done = min(stops)
+        begin = self.periods * self._steps
+        if self._state_offset:
+            yield self._state_offset
+            self._observe(begin + self._state_offset)
+        yield self._steps - self._state_offset
         self.periods += 1
         self.task.end_period(self.simulation)
         if self._states_late:
+            end = begin + self._steps
             if not self._state_offset:
-                self._observe(begin + done)
-            self._states.newest(begin + done)  # It forgets what is older.
+                self._observe(end)
+            self._states.newest(end)  # It forgets what is older.
 
     def _observe(self, count: int) -> None:
         """Observe the present instant, some steps after the begin of the episode, for later."""
@@ -185,7 +172,8 @@ class Episode:
     def observes_exactly(self) -> bool:
         """Whether observations are exact and of the present instant: no noise and no latency."""
         return not self._states_late and not any(
-            robot.sensing.settings.as_dict() for robot in self.simulation.robots.values())
+            robot.sensing.settings.measures or robot.sensing.settings.measures_images
+            for robot in self.simulation.robots.values())
 
     def run(self, policy: Policy, seed: int) -> bool:
         """

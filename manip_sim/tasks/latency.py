@@ -72,19 +72,28 @@ class Latency:
                               for mean_s in (self.command_s, self.state_s))
         return replace(self, command_s=command_s, state_s=state_s)
 
-    def delay(self, kind: str, robot: str, timestep_s: float) -> Delay:
-        """
-        Return the delays of a robot's commands or states, as its ``sensing`` has them.
+    @property
+    def quantities(self) -> dict[str, float]:
+        """Values above 0, by the names of ``manip_sim.sensing.settings.QUANTITIES``."""
+        return {f'latency.{key}': value for key, value in self.as_mapping().items() if value}
 
-        :param kind: ``command`` or ``state``
+    @property
+    def quantities_of_commands(self) -> dict[str, float]:
+        """Those of :attr:`quantities` that ``sensing`` has to delay commands by."""
+        return {name: value for name, value in self.quantities.items()
+                if name.startswith('latency.command')}
+
+    def delay_of_states(self, robot: str, timestep_s: float) -> Delay:
+        """
+        Return the delays of observed states, as the ``sensing`` of a robot has them.
+
         :param robot: its name in the world
         :param timestep_s: of the physics [s]
         :raises ModelError: if the mean is no whole number of timesteps
         """
-        delay = Delay(f'{robot} latency.{kind}', timestep_s)
-        delay.mean_s, delay.jitter_s = (
-            getattr(self, f'{kind}_s'), getattr(self, f'{kind}_jitter_s'))
-        whole_steps(delay.mean_s, timestep_s, f'latency of a {kind}')
+        delay = Delay(f'{robot} latency.state', timestep_s)
+        delay.mean_s, delay.jitter_s = self.state_s, self.state_jitter_s
+        whole_steps(delay.mean_s, timestep_s, 'latency of a state')
         return delay
 
 

@@ -165,6 +165,8 @@ def test_what_cannot_be_used_is_said(reach):
     ({'latency': {'states': 0.1}}, "unknown key of latency 'states': did you mean 'state'"),
     ({'noise': {'noise.joint_positon': 0.1}}, "did you mean 'noise.joint_position'"),
     ({'noise': {'latency.image': 0.1}}, "give latency={'state': ...}"),
+    ({'latency': 0.1, 'noise': {'latency.command': 0.1}},
+     'both latency= and noise set latency.command: give one of them'),
     ({'noise': {'noise.joint_position': -0.1}}, 'noise.joint_position must be a number from 0'),
     ({'latency': 0.0011}, 'latency of a command must be a whole number of timesteps'),
     ({'control_hz': 0}, 'control_hz must be above 0 Hz'),

@@ -8,7 +8,7 @@ import pytest
 
 from manip_sim.errors import ModelError
 from manip_sim.simulation import Simulation
-from manip_sim.tasks import create_task, Episode, Setting
+from manip_sim.tasks import ACTIONS, create_task, Episode, Setting
 
 TASK = create_task('reach', initialization_noise=None)
 
@@ -94,6 +94,33 @@ def test_the_age_of_states_does_not_change_what_happens():
     np.testing.assert_array_equal(positions({'state': 0.1}, given), positions(0.0, given))
 
 
+@pytest.mark.parametrize('robot', ['Panda', 'UR5e'])
+@pytest.mark.parametrize('rate_hz', [20, 10])
+@pytest.mark.parametrize('action', ACTIONS)
+def test_a_delayed_action_never_moves_an_arm_farther_than_one_without_delay(
+        action, rate_hz, robot):
+    ways = []
+    for latency in (0.0, 0.002, 0.004, 0.01, 0.03):
+        episode = Setting('reach', robot, action=action, control_hz=rate_hz,
+                          latency=latency).create_episode()
+        episode.reset(7)
+        read = episode.simulation.data
+        start, bias = read.qpos[:6].copy(), read.qfrc_bias[:6].copy()
+        given = np.zeros(episode.actions.size)
+        if action == 'osc_pose':
+            given[2] = 1.0
+        else:
+            given[:6] = {'position': start, 'velocity': 0.0, 'effort': bias}[
+                action.removeprefix('joint_')]
+            given[1] += {'effort': 20.0}.get(action.removeprefix('joint_'), 0.3)
+        moved = []
+        for _ in range(4):
+            episode.step(given)
+            moved.append(abs(read.qpos[1] - start[1]))
+        ways.append(moved)
+    assert (np.array(ways[1:]) < ways[0]).all()
+
+
 def test_a_reset_forgets_commands_that_are_under_way():
     episode = Episode(TASK, Simulation(TASK.world), latency=0.2)
     episode.reset(1)
@@ -138,12 +165,13 @@ def test_jitter_delays_actions_as_the_sensing_of_the_robot_draws_it():
     assert abs(np.mean(delays) - 30) < 10 and np.std(delays) > 5  # Steps of 2 ms.
     expected = np.maximum.accumulate([25 * n + delay for n, delay in enumerate(delays)])
     effects = []
-    episode.actions.apply = lambda action, period_s: effects.append(
+    episode.simulation.robot._apply = lambda command: effects.append(
         episode.simulation._clock.control_steps)
     episode.reset(5)
     for _ in range(30):
         episode.step(np.zeros(7))
-    assert effects == [due for due in expected.tolist() if due < 750]
+    # An action is a command for the arm and one for the gripper.
+    assert effects == [due for due in expected.tolist() if due < 750 for _ in range(2)]
 
 
 def test_a_drawn_latency_acts_to_the_timestep_and_not_besides_a_given_one(tmp_path):

@@ -47,7 +47,8 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
     ``control_hz``, and as ``lockstep_parts`` the arm and its gripper. Actions of joints set the
     ``control_mode`` of the arms, and switch their ``command_timeout`` off. ``noise`` sets those
     parameters of the node. ``cameras`` are among the node's, with its size and a rate of
-    ``control_hz``. Latencies are whole control periods, without jitter.
+    ``control_hz``. The latency of commands sets ``latency.command`` of the node and its jitter;
+    that of states is whole control periods, without jitter.
 
     :param task: its name, as the node has it
     :param control_hz: actions per second of simulated time [Hz]
@@ -71,15 +72,12 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self.observation_space = observation_space(seen)
         like.close()
         late, period_s = self._like.latency, self._like.period_s
-        if late.command_jitter_s or late.state_jitter_s:
-            raise ManipSimError('latency with jitter cannot be used with a node')
-        self._command_periods, state_periods = (
-            number_of_parts(late_s, period_s, f'latency of a {kind} with a node',
-                            'control periods')
-            for kind, late_s in (('command', late.command_s), ('state', late.state_s)))
+        if late.state_jitter_s:
+            raise ManipSimError('latency of states with jitter cannot be used with a node')
+        state_periods = number_of_parts(late.state_s, period_s, 'latency of a state with a node',
+                                        'control periods')
         self._images = {key: value.shape for key, value in seen.items() if key.startswith(IMAGE)}
-        #: Actions and observations that are on their way.
-        self._actions: deque[FloatArray] = deque()
+        #: Observations that are on their way.
         self._states: deque[Observation] = deque(maxlen=state_periods + 1)
         self._context = rclpy.Context()
         start_rclpy(context=self._context, domain_id=domain_id)
@@ -123,12 +121,11 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._node.create_subscription(String, f'{self._name}/task', self._see_task, _LATCHED)
         self._reset = self._node.create_client(Trigger, f'{self._name}/reset')
         self._save = self._node.create_client(Trigger, f'{self._name}/save_state')
-        self._step = self._node.create_client(Trigger, f'{self._name}/step')
         self._pause = self._node.create_client(SetBool, f'{self._name}/pause')
         self._set = self._node.create_client(SetParameters, f'{self._name}/set_parameters')
         self._spin_until(lambda: bool(self._task) and all(
             client.service_is_ready() for client in (
-                self._reset, self._save, self._set, self._step, self._pause))
+                self._reset, self._save, self._set, self._pause))
             and all(publisher.get_subscription_count() for publisher, *_ in self._commands),
             f'there is no node {self._name} with a task')
         asked = (self._like.task.name, self._like.task.robot.type_name)
@@ -142,7 +139,9 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         actions: Any = self._like.actions
         self._settings |= {f'{robot}.{name}' if several else name: value
                            for robot in self._like.simulation.robots
-                           for name, value in self._like.noise.items()}
+                           for name, value in {
+                               'latency.command': 0.0, 'latency.command_jitter': 0.0,
+                               **self._like.settings}.items()}
         for item in actions.arms:
             prefix = f'{item.robot.name}/' if several else ''
             topic = f'{namespace}/{prefix}{item.arm}'
@@ -228,9 +227,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
                 parameters=[Parameter(name, value=value).to_parameter_msg()]))
             if not answer.results[0].successful:
                 raise ManipSimError(f'{name} {value}: {answer.results[0].reason}')
-        # Lock-step waits for commands; before the first of them takes effect, steps are called.
-        self._call(self._pause, SetBool.Request(data=self._command_periods > 0))
-        self._actions.clear()
+        self._call(self._pause, SetBool.Request(data=False))
         self._states.clear()
         before = self._task['stamp_ns']
         self._call(self._reset, Trigger.Request())
@@ -251,15 +248,8 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if self._periods < 0:
             raise gymnasium.error.ResetNeeded('call reset() before step()')
         numbers = finite_command_numbers(action, self._like.actions.size, 'an action')
-        self._actions.append(numbers)
-        if len(self._actions) <= self._command_periods:
-            self._call(self._step, Trigger.Request())
-        else:
-            if self._periods == self._command_periods > 0:
-                self._call(self._pause, SetBool.Request(data=False))
-            due = self._actions.popleft()
-            for publisher, make in self._commands:
-                publisher.publish(make(due))
+        for publisher, make in self._commands:
+            publisher.publish(make(numbers))
         observation = self._observe(self._stamp_ns)
         self._periods += 1
         self._like.periods = self._periods
