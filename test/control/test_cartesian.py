@@ -197,6 +197,7 @@ def test_setpoints_of_a_twist_lead_straight_from_rest_and_do_not_turn(name, line
     assert np.abs(rotations - rotations[0]).max() < 1e-5
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['Panda', 'IIWA', 'Kinova3', 'UR5e'])
 @pytest.mark.parametrize('way', [[0.0, 0.2, 0.0], [0.0, -0.4, 0.1], [0.1, 0.0, 0.1]])
 def test_setpoints_of_a_pose_lead_the_end_effector_there_straight_and_without_delay(name, way):

@@ -61,6 +61,7 @@ def place(ops, random, at_ends):
     ops[0].robot.joints.reset(data)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_target_out_of_reach_ends_in_rest(name, mode):
@@ -75,6 +76,7 @@ def test_a_target_out_of_reach_ends_in_rest(name, mode):
     assert all(op.report.unreachable >= 1 for op in ops)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('name', 'mode', 'seed'), [
     ('Panda', 'position', 2), ('Kinova3', 'velocity', 1), ('UR5e', 'position', 3),
     ('Sawyer', 'effort', 1)])

@@ -73,6 +73,7 @@ def test_a_position_servo_pulls_towards_its_control(gain, bias, factor, slope, e
     assert position_servos(spec.compile(), [0]).tolist() == [expected]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('joint', range(7))
 def test_position_mode_follows_a_sine(panda_sim, joint):
     robot = panda_sim.robot

@@ -113,6 +113,7 @@ PERIODS = st.sampled_from([0.001, 0.002, 0.004, 0.005, 0.01, 0.02, 0.05])
 INTERVALS = st.sampled_from([0.002, 0.004])
 
 
+@pytest.mark.full
 @given(transports(), PERIODS, INTERVALS, st.booleans(), st.sampled_from([0.105, 0.5]),
        st.sampled_from([0.0, 0.1, 0.3]))
 @settings(max_examples=30)
@@ -130,6 +131,7 @@ def test_whatever_the_order_of_arrival_positions_keep_the_limits_and_end_at_the_
     np.testing.assert_allclose(velocities[-1], 0.0, atol=1e-6)
 
 
+@pytest.mark.full
 @given(transports(), PERIODS, INTERVALS, st.booleans())
 @settings(max_examples=12)
 def test_whatever_the_order_of_arrival_velocities_keep_the_limits(
@@ -149,6 +151,7 @@ def panda_operator():
     return operator_of('Panda')
 
 
+@pytest.mark.full
 @given(transports(), st.sampled_from([0.004, 0.01, 0.02, 0.05]), st.booleans(),
        st.sampled_from([0.105, 0.5]), st.sampled_from([0.0, 0.2]))
 @settings(max_examples=12)

@@ -70,6 +70,7 @@ def jitter(sd_s, count=997):
     return np.abs(np.random.default_rng(0).normal(0.0, sd_s, count))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('stamped', [False, True])
 @pytest.mark.parametrize('velocities', [False, True])
 @pytest.mark.parametrize(('rate', 'due'), [

@@ -35,6 +35,7 @@ def reach():
     env.close()
 
 
+@pytest.mark.full
 @WARNINGS[0]
 @WARNINGS[1]
 @pytest.mark.parametrize('arguments', [
@@ -46,6 +47,7 @@ def test_gymnasiums_checker_finds_nothing_wrong(arguments, gl):
     env.close()
 
 
+@pytest.mark.full
 @WARNINGS[0]
 @WARNINGS[1]
 def test_gymnasiums_checker_finds_nothing_wrong_with_images(gl):
@@ -60,6 +62,7 @@ def test_gymnasiums_checker_finds_nothing_wrong_with_images(gl):
     env.close()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('task', task_names())
 def test_each_task_is_an_environment_whose_episodes_are_those_of_the_task(task):
     env = gymnasium.make(manip_sim.env.env_id(task)).unwrapped
@@ -190,6 +193,7 @@ def test_an_episode_whose_physics_diverges_is_truncated(reach):
     assert 'diverged' not in info and not reach.step(np.zeros(7))[3]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('task, arguments', [
     ('Reach', {'latency': {'command': 0.03, 'state': 0.04}}),
     ('Reach', {'noise': {'noise.joint_velocity': 0.01, 'latency.state': 0.06}}),

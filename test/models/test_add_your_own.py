@@ -81,6 +81,7 @@ def test_the_command_finds_nothing_wrong_with_the_new_arm(package):
     assert done.stdout == 'TinyArm0 in arena empty: nothing is wrong with the start\n'
 
 
+@pytest.mark.full
 def test_the_scripts_of_the_document_run(package):
     scripts = SCRIPT.findall(DOCUMENT.read_text())
     assert scripts
@@ -89,6 +90,7 @@ def test_the_scripts_of_the_document_run(package):
         assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.full
 def test_the_catalogue_tests_take_the_new_parts_and_pass(package):
     done = run(package, '-m', 'pytest', '-q', '-p', 'no:cacheprovider', 'test/models',
                '-k', 'TinyArm or TinyGripper or tiny_arm or tiny_gripper')

@@ -152,6 +152,7 @@ def test_plus_one_closes_and_minus_one_opens(name):
     assert gaps[-1] < gaps[0]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', PINCHING)
 def test_a_cube_is_lifted_and_held(name):
     lift = lift_of(name)
@@ -159,12 +160,14 @@ def test_a_cube_is_lifted_and_held(name):
     assert lift.slipped < 0.005
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', stated('stroke_m'))
 def test_the_stroke_is_that_of_the_datasheet(name):
     gaps = stroke_of(name).gaps
     assert gaps[0] - gaps.min() == pytest.approx(DATASHEETS[name]['stroke_m'], rel=0.1)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', stated('grip_force_n'))
 def test_the_grip_force_is_in_the_range_of_the_datasheet(name):
     low, high = DATASHEETS[name]['grip_force_n']
@@ -178,6 +181,7 @@ def test_closing_by_an_action_takes_as_long_as_the_datasheet_says(name):
         DATASHEETS[name]['closing_time_s'], rel=0.15)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', stated('closing_time_s'))
 def test_closing_by_a_joint_command_takes_as_long_as_the_datasheet_says(name):
     assert Stroke(name, stroke_of(name).closed).duration_s() == pytest.approx(
@@ -216,6 +220,7 @@ WIDTHS = [pytest.param(name, width, id=f'{name}-{width * 1e3:g}mm')
           for name in stated('grip_force_n') for width in GRASPS['plates_m'].get(name, [])]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('name', 'width_m'), WIDTHS)
 def test_the_grip_force_is_that_of_the_datasheet_whatever_the_width_of_the_part(name, width_m):
     grasp, (low, high) = Grasp(name, width_m), DATASHEETS[name]['grip_force_n']
@@ -233,6 +238,7 @@ CUBES = [pytest.param(name, edge, id=f'{name}-{edge * 1e3:g}mm')
          for name, edges in GRASPS['cubes_m'].items() for edge in edges]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('name', 'edge_m'), CUBES)
 def test_a_hand_that_leans_on_its_part_grips_cubes_with_the_force_of_the_datasheet(name, edge_m):
     lift, (low, high) = Lift(name, edge_m), DATASHEETS[name]['grip_force_n']
@@ -299,6 +305,7 @@ class Hold:
         self.depth = rig.deepest_contact()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', [name for name in GRIPPERS if name in GRASPS['cylinders']])
 def test_a_hand_keeps_a_cylinder_when_turned_over(name):
     hold = Hold(name)

@@ -141,6 +141,7 @@ def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serv
     client.spin_until(lambda: len(color) > count)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('topic, what', [
     ('color/image_raw', (True, False, False)), ('depth/image_raw', (False, True, False)),
     ('color/image_raw/compressed', (True, False, False)), ('depth/points', (True, True, False))])
@@ -347,6 +348,7 @@ def test_what_cannot_be_is_told_on_one_line(serve, parameters, what):
     assert '\n' not in str(error.value)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('value', ['disable', 'nonsense'])
 def test_a_node_that_cannot_render_says_so_once_and_does_all_else(value, sim_process, client,
                                                                   monkeypatch):
@@ -384,6 +386,7 @@ sys.exit(process.run(['--ros-args', '-p', 'cameras:=[birdview]']))
 """
 
 
+@pytest.mark.full
 def test_a_process_with_a_rendering_that_hangs_ends_cleanly(client, renderer):
     node = subprocess.Popen([sys.executable, '-c', HANGS], text=True, stdout=subprocess.PIPE,
                             stderr=subprocess.PIPE, env={'MUJOCO_GL': 'egl', **os.environ})

@@ -147,6 +147,7 @@ def test_a_factor_that_is_not_reached_is_told_also_with_long_periods(serve, clie
     assert int(values(last)['missed_deadlines']) > int(values(first)['missed_deadlines'])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('loss, level', [
     (0.0, DiagnosticStatus.OK), (0.009, DiagnosticStatus.OK), (0.011, DiagnosticStatus.WARN)])
 def test_more_than_a_hundredth_of_lost_time_is_warned_of(loss, level, serve, client, monkeypatch):
@@ -177,6 +178,7 @@ def part(array, name):
     return values(next(s for s in array.status if s.name == f'manip_sim: {name}'))
 
 
+@pytest.mark.full
 def test_the_rate_of_commands_is_that_at_which_they_come(serve, client):
     serve()
     arrays = listen_with_times(client)

@@ -72,6 +72,7 @@ def distance_from_goal(poses):
     return np.linalg.norm(np.subtract((position.x, position.y, position.z), GOAL))
 
 
+@pytest.mark.full
 def test_the_cube_gets_from_the_first_arm_to_the_third_and_none_lets_go_too_early(
         node, touches, process, client):
     poses = client.listen(PoseStamped, 'objects/cube/pose')
@@ -92,6 +93,7 @@ def test_the_cube_gets_from_the_first_arm_to_the_third_and_none_lets_go_too_earl
         frozenset(('cube', 'table'))}
 
 
+@pytest.mark.full
 def test_a_gripper_that_does_not_close_is_told(node, process, client):
     # The example's commands for this gripper arrive here and nowhere else.
     client.node.create_subscription(Float64MultiArray, 'unplugged', lambda _: None, 1)
@@ -102,6 +104,7 @@ def test_a_gripper_that_does_not_close_is_told(node, process, client):
     assert 'hand_over: the gripper of middle does not close' in errors
 
 
+@pytest.mark.full
 def test_a_cube_that_is_lost_on_the_way_is_told(node, process, client):
     poses = client.listen(PoseStamped, 'objects/cube/pose')
     controller = process('hand_over', module=EXAMPLE)
@@ -112,6 +115,7 @@ def test_a_cube_that_is_lost_on_the_way_is_told(node, process, client):
     assert 'the cube is not held by left: it is at (-0.0' in errors
 
 
+@pytest.mark.full
 def test_an_arm_that_does_not_move_is_told(node, process, client):
     robot = node.simulation.robots['left']
     node.thread.call(lambda: robot.set_control_mode('arm', 'velocity'))

@@ -62,6 +62,7 @@ def drive(client, states, lockstep):
             assert client.call(Trigger, 'manip_sim/tare_wrench').success
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('parameters', [
     ('stepping:=lockstep', 'arena:=table', 'latency.command:=0.02', 'noise.joint_position:=0.001'),
     ('robot:=UR5e', 'latency.state:=0.02'), ('stepping:=free', 'task:=pick_cube')],
@@ -81,6 +82,7 @@ def test_the_record_of_a_node_is_repeated(parameters, sim_process, record, proce
     assert periods > 60 and changes > (20 if 'stepping:=lockstep' in parameters else 0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('victim', ['node', 'recorder'])
 def test_a_record_that_ends_early_is_repeated_up_to_there(
         victim, sim_process, record, process, client):

@@ -68,6 +68,7 @@ def run(sim_process, client_factory):
         node.wait(timeout=300.0)
 
 
+@pytest.mark.full
 @pytest.mark.timeout(300)
 def test_the_same_controller_gives_the_same_states_to_the_last_bit(sim_process):
     quiet = run(sim_process, Client)
@@ -133,6 +134,7 @@ def run_two_controllers(sim_process, cycles):
             process.wait()
 
 
+@pytest.mark.full
 @pytest.mark.timeout(300)
 def test_two_controllers_of_one_arm_each_lose_nothing_and_repeat_to_the_last_bit(sim_process):
     cycles = CYCLES // 2

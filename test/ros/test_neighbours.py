@@ -86,6 +86,7 @@ def test_rclpy_does_not_log_again_what_the_diagnostics_report(serve):
     assert not any(publisher.event_handlers for publisher in publishers)
 
 
+@pytest.mark.full
 def test_a_subscriber_that_never_reads_does_not_slow_the_simulation(sim_process, client):
     sim_process()
     client.state()
@@ -110,6 +111,7 @@ def test_a_subscriber_that_never_reads_does_not_slow_the_simulation(sim_process,
         idle.wait()
 
 
+@pytest.mark.full
 def test_a_reader_that_never_acknowledges_costs_messages_and_no_real_time(sim_process, client):
     sim_process('publish_rate:=1000', 'timestep:=0.001',
                 'qos_overrides./joint_states.publisher.history:=keep_all')
@@ -144,6 +146,7 @@ def test_a_reader_that_never_acknowledges_costs_messages_and_no_real_time(sim_pr
         idle.wait()
 
 
+@pytest.mark.full
 def test_two_robots_live_in_two_namespaces_of_one_domain(process, client):
     for side, clock in (('left', 'true'), ('right', 'false')):
         process('--ros-args', '-r', f'__ns:=/{side}', '-p', f'publish_clock:={clock}',
@@ -168,6 +171,7 @@ def ended(node):
     return errors
 
 
+@pytest.mark.full
 def test_two_nodes_of_one_name_each_say_so_once(sim_process, client):
     nodes = [sim_process(), sim_process()]
     arrays = client.listen(DiagnosticArray, '/diagnostics')
@@ -183,6 +187,7 @@ def test_two_nodes_of_one_name_each_say_so_once(sim_process, client):
             assert errors.count(text) == 1
 
 
+@pytest.mark.full
 def test_a_second_clock_is_told_and_separate_robots_are_not(process, client):
     left = process('--ros-args', '-r', '__ns:=/left')
     right = process('--ros-args', '-r', '__ns:=/right', '-p', 'publish_clock:=false')

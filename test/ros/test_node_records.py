@@ -60,6 +60,7 @@ def assert_shown(path, state):
     assert len(shown.lines(0)) == 2  # All joints and bodies are recorded.
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('number', END_SIGNALS[:2])
 def test_all_topics_of_a_node_are_recorded_until_a_signal(
         number, sim_process, record, client, tmp_path):
@@ -97,6 +98,7 @@ def test_all_topics_of_a_node_are_recorded_until_a_signal(
     assert_shown(path, states[-1])
 
 
+@pytest.mark.full
 def test_named_topics_are_recorded_for_a_time(sim_process, record, client, tmp_path):
     sim_process()
     client.state()
@@ -114,6 +116,7 @@ def test_named_topics_are_recorded_for_a_time(sim_process, record, client, tmp_p
     assert errors == f'manip_sim: {path} already exists and is not overwritten\n'
 
 
+@pytest.mark.full
 def test_what_is_not_there_is_one_line_and_no_file(sim_process, record, client, tmp_path):
     sim_process()
     client.state()
@@ -128,6 +131,7 @@ def test_what_is_not_there_is_one_line_and_no_file(sim_process, record, client, 
     assert (no_node + no_topic).count('\n') == 2 and not path.exists()
 
 
+@pytest.mark.full
 def test_a_killed_recorder_and_a_full_disk_leave_what_came_before(
         sim_process, record, client, tmp_path):
     sim_process()

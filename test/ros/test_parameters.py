@@ -63,6 +63,7 @@ def rejected():
     return dict(zip(parameters, starts([['--ros-args', '-p', p] for p in parameters])))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('parameter, what, hint', REJECTED)
 def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, rejected):
     code, output, errors = rejected[parameter]
@@ -128,6 +129,7 @@ def test_every_parameter_is_described(serve, client):
         assert descriptor.read_only != is_live, descriptor.name
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('file', 'joint'), [
     ('panda.yaml', 'robot0_joint1'), ('topic_based_ros2_control.yaml', 'panda_joint1'),
     ('hand_over.yaml', 'left_joint1'), ('noise_franka.yaml', 'robot0_joint1'),
@@ -148,6 +150,7 @@ def values_of_all_parameters(client):
     return {name: parameter_value_to_python(value) for name, value in zip(names, values)}
 
 
+@pytest.mark.full
 def test_a_dump_of_all_parameters_starts_an_equal_node(sim_process, process, client, tmp_path):
     first = sim_process('robot:=PandaOmron', 'publish_rate:=50', 'control_mode.arm:=effort',
                         'command_timeout.base:=0.25', 'lockstep_parts:=[arm, base]')

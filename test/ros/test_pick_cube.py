@@ -45,6 +45,7 @@ def test_a_controller_in_another_process_picks_the_cube_up(sim_process, process,
     assert abs(added - 0.981) < 0.05 * 0.981
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', [name for name in SINGLE_ARMS if name != 'Panda'])
 def test_every_other_single_arm_picks_it_up_too(name, serve, process):
     serve(robot=name, arena='table', real_time_factor=3.0)
@@ -53,6 +54,7 @@ def test_every_other_single_arm_picks_it_up_too(name, serve, process):
     assert controller.returncode == 0, output + errors
 
 
+@pytest.mark.full
 def test_it_works_in_a_namespace_with_any_names(process, client):
     namespace = ('--ros-args', '-r', '__ns:=/cell/left')
     process(*namespace, '-p', 'arena:=table', '-p', 'real_time_factor:=3.0', '-p', 'prefix:=left_')
@@ -70,6 +72,7 @@ def test_without_a_node_the_example_says_how_to_start_one(process):
     assert 'arena:=table' in errors
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('number', END_SIGNALS)
 def test_a_signal_ends_the_example_cleanly(number, process, client):
     controller = process('pick_cube', module='manip_sim.examples')
@@ -79,6 +82,7 @@ def test_a_signal_ends_the_example_cleanly(number, process, client):
     assert controller.returncode == 0
 
 
+@pytest.mark.full
 def test_without_a_cube_the_example_says_so(sim_process, process):
     sim_process('arena:=empty')
     controller = process('pick_cube', module='manip_sim.examples')
@@ -87,6 +91,7 @@ def test_without_a_cube_the_example_says_so(sim_process, process):
     assert 'there is no cube' in errors
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('parameters', 'problem'), [
     ({'gripper': 'none'}, 'the node that answers has no arm with a gripper'),
     ({'start_paused': True}, 'the simulation stands still: is it paused, or in lock-step?')])

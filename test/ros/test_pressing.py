@@ -30,6 +30,7 @@ def force_on_table(simulation):
     return total
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('gripper, force_n, rate_hz', [
     ('PandaGripper', 20.0, 500.0), ('PandaGripper', 20.0, 100.0),
     ('JacoThreeFingerGripper', 20.0, 100.0)])

@@ -27,6 +27,7 @@ def catches(process, number):
     return bool(int(status.split('SigCgt:')[1].split()[0], 16) >> (number - 1) & 1)
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not Path('/proc/self/status').is_file(), reason='needs the /proc of Linux')
 @pytest.mark.parametrize('number', END_SIGNALS)
 @pytest.mark.parametrize('delay_s', [0.0, 0.3, None])
@@ -49,6 +50,7 @@ def test_a_signal_ends_the_process_cleanly_at_any_moment(number, delay_s, sim_pr
     assert 'Traceback' not in errors
 
 
+@pytest.mark.full
 def test_a_node_without_standard_streams_serves_until_it_is_ended(client):
     node = subprocess.Popen(['sh', '-c', 'exec "$0" -m manip_sim <&- >&- 2>&-', sys.executable])
     try:
@@ -107,6 +109,7 @@ sys.exit(process.run([]))
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('what, told', [
     ('physics', 'MemoryError: no memory for the physics'),
     ('executor', 'sim_node: the executor ended unexpectedly'),
@@ -172,6 +175,7 @@ def rate(clock, wall):
     return simulated_s / (wall[-1] - wall[0])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('factor', [1.0, 4.0])
 def test_simulation_time_follows_wall_time_at_the_factor_asked_for(factor, sim_process, client):
     sim_process(f'real_time_factor:={factor}')
@@ -214,6 +218,7 @@ def flood(publisher, message, client, duration_s, most=None):
     return sent
 
 
+@pytest.mark.full
 def test_a_flood_of_commands_does_not_slow_the_simulation(sim_process, client):
     sim_process()
     wall, clock, rates = [], [], []
@@ -241,6 +246,7 @@ def test_a_flood_of_commands_does_not_slow_the_simulation(sim_process, client):
     raise AssertionError(rates)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode, value, slow', [('velocity', 0.2, 1e-3), ('effort', 2.0, 0.02)])
 def test_a_dead_publisher_leaves_the_arm_at_rest_and_a_new_one_takes_over(
         mode, value, slow, sim_process, client, tmp_path):
@@ -284,6 +290,7 @@ rclpy.shutdown()
 """
 
 
+@pytest.mark.full
 def test_a_program_ends_that_destroys_a_running_node_without_stopping_it():
     done = subprocess.run([sys.executable, '-c', DESTROYED], capture_output=True, text=True,
                           check=True, timeout=300.0)
@@ -297,6 +304,7 @@ def segments(process):
     return set(re.findall(r'/dev/shm/fastrtps_[0-9a-f]{16}$', maps, re.MULTILINE))
 
 
+@pytest.mark.full
 def test_a_killed_node_leaves_memory_that_the_command_of_the_page_removes(sim_process, client):
     page = Path(__file__).parents[2] / 'docs/how_to/security.md'
     (command,) = (block.text for block in blocks(page) if 'flock' in block.text)

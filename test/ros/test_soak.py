@@ -7,9 +7,12 @@ from pathlib import Path
 import subprocess
 import sys
 
+import pytest
+
 SOAK = Path(__file__).parent.parent / 'soak' / 'soak.py'
 
 
+@pytest.mark.full
 def test_the_soak_scripts_run_and_lose_nothing():
     done = subprocess.run(
         [sys.executable, str(SOAK), '--only', 'malformed', 'floods', 'stops', 'starts',

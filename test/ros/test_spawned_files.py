@@ -54,6 +54,7 @@ def come(client, **fields):
     return answer.reason
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('fields', [
     {'resource_string': '{robot: lab_arm/arm.urdf}'}, {'uri': 'lab_arm/arm.urdf'},
     {'resource_string': TEXT}, {'resource_string': '{robot: hand.xml}'}])
@@ -89,6 +90,7 @@ def test_a_robot_of_a_file_has_all_that_one_of_the_catalogue_has_and_goes(
         assert entities_of(node) == before
 
 
+@pytest.mark.full
 def test_its_description_names_its_meshes(spawning, client, roots):
     spawning()
     come(client, resource_string='{robot: lab_arm/arm.urdf}')
@@ -99,6 +101,7 @@ def test_its_description_names_its_meshes(spawning, client, roots):
     assert 'left_shoulder' in texts[0].data
 
 
+@pytest.mark.full
 def test_a_file_names_a_robot_beside_it_with_a_gripper_of_the_catalogue(spawning, client, roots):
     node = spawning()
     assert come(client, name='', uri='left.yaml') == 'lab'
@@ -111,6 +114,7 @@ def test_a_file_names_a_robot_beside_it_with_a_gripper_of_the_catalogue(spawning
     assert come(client, name='', uri='lab_arm/arm.urdf', allow_renaming=True) == 'arm_1'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('text', 'uri', 'problem'), [
     ('{robot: ../private.xml}', '', 'must not be read: only files below spawn_roots may be'),
     ('{robot: /etc/passwd.xml}', '', 'must not be read: only files below spawn_roots may be'),
@@ -130,6 +134,7 @@ def test_what_may_not_be_read_is_told_and_changes_nothing(
     assert entities_of(node) == before and list(node.simulation.robots) == ['robot0']
 
 
+@pytest.mark.full
 def test_the_physics_and_other_services_go_on_while_a_robot_is_loaded(
         spawning, client, monkeypatch):
     begun, seen = threading.Event(), threading.Event()

@@ -75,6 +75,7 @@ def entities_of(node):
             'group': len(node.inbox.group.entities)}
 
 
+@pytest.mark.full
 def test_a_robot_comes_is_commanded_and_goes(spawning, client):
     node = spawning()
     own = client.listen(JointState, 'joint_states')
@@ -147,6 +148,7 @@ def test_it_has_parameters_a_description_and_is_in_the_model(spawning, client):
     client.spin_until(lambda: not client.node.count_publishers('left/robot_description'))
 
 
+@pytest.mark.full
 def test_a_trajectory_ends_with_its_robot_and_those_of_others_go_on(spawning, client):
     node = spawning(stepping='realtime')
     for name, y in (('first', 2.0), ('second', -2.0)):
@@ -167,6 +169,7 @@ def test_a_trajectory_ends_with_its_robot_and_those_of_others_go_on(spawning, cl
     assert list(node.simulation.robots) == ['robot0', 'second']
 
 
+@pytest.mark.full
 def test_many_come_and_go_and_leave_nothing_behind(spawning, client):
     node = spawning()
     counts, sizes = [], []
@@ -220,6 +223,7 @@ def test_lockstep_does_not_wait_for_it(spawning, client):
     client.spin_until(lambda: abs(states[-1].position[0] - goal) < 0.01)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('fields', 'text'), [
     ({'name': 'robot0'}, "'robot0' is taken"), ({'name': 'arm'}, "'arm' is taken"),
     ({'name': 'cube'}, "'cube' is taken"), ({'name': 'control_mode'}, 'is taken'),
@@ -242,6 +246,7 @@ def test_requests_that_cannot_be_served_change_nothing(spawning, client, fields,
     assert entities_of(node) == before and list(node.simulation.robots) == ['robot0']
 
 
+@pytest.mark.full
 def test_to_a_simulation_that_has_diverged_a_robot_comes_after_a_reset_only(spawning, client):
     node = spawning()
     node.thread.call(lambda: node.simulation.data.qvel.fill(1e9))
@@ -255,6 +260,7 @@ def test_to_a_simulation_that_has_diverged_a_robot_comes_after_a_reset_only(spaw
     assert list(node.simulation.robots) == ['robot0', 'left']
 
 
+@pytest.mark.full
 def test_names_and_files(spawning, client, tmp_path):
     node = spawning()
     (tmp_path / 'ur.yaml').write_text('{robot: UR5e, gripper: none, name: mine}')
@@ -270,6 +276,7 @@ def test_names_and_files(spawning, client, tmp_path):
     go(client, 'mine_1')
 
 
+@pytest.mark.full
 def test_streams_to_two_robots_of_a_node_in_another_process(client, monkeypatch):
     monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent), prepend=os.pathsep)
     with subprocess.Popen([sys.executable, '-m', 'spawning_node'], stdin=subprocess.PIPE,
@@ -298,6 +305,7 @@ def test_streams_to_two_robots_of_a_node_in_another_process(client, monkeypatch)
     assert running.returncode == 0 and 'Traceback' not in errors and 'ERROR' not in errors
 
 
+@pytest.mark.full
 def test_a_goal_of_a_robot_ends_with_it_and_its_client_hears_why(spawning, client, monkeypatch):
     action = pytest.importorskip('test_msgs.action', reason='test_msgs is not installed')
 

@@ -53,6 +53,7 @@ def rejected():
     return dict(zip(REJECTED, starts([['--ros-args', *words.split()] for words in REJECTED])))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('arguments', REJECTED)
 def test_a_start_that_cannot_succeed_ends_with_one_line(arguments, rejected):
     code, output, errors = rejected[arguments]
@@ -63,6 +64,7 @@ def test_a_start_that_cannot_succeed_ends_with_one_line(arguments, rejected):
         assert words in errors
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('content, line', [
     ('/**:\n\tros__parameters:\n', r", line 2: found character '\t' that cannot start any token"),
     ('robot: Panda\n', ": parameters must be below the name of the node and 'ros__parameters'"),
@@ -88,6 +90,7 @@ def test_a_home_that_cannot_be_written_is_named(process, monkeypatch):
     assert 'arguments' not in errors
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('folder', ['/proc/self', '/dev/null/log'])
 @pytest.mark.parametrize('program', [
     ['manip_sim'], ['manip_sim.viewer', '--port', '0'], ['manip_sim.cli', 'record', 'new.mcap'],
@@ -111,11 +114,13 @@ def first_joint_and_warnings(process, client, *arguments):
                    if '[WARN]' in line and 'too slow' not in line]
 
 
+@pytest.mark.full
 def test_an_empty_list_of_lockstep_parts_is_a_list(process, client):
     _, warnings = first_joint_and_warnings(process, client, '-p', 'lockstep_parts:=[]')
     assert not warnings
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('key, effect', [
     ('sim_node', False), ('/ns/manip_sim', False), ('/*/*', False),
     ('manip_sim', True), ('/manip_sim', True), ('/**', True), ('/**/manip_sim', True),
@@ -133,6 +138,7 @@ def test_a_parameters_file_for_other_nodes_is_told(key, effect, process, client,
         assert 'this node is /manip_sim' in warnings[0]
 
 
+@pytest.mark.full
 def test_a_parameter_for_another_node_is_told(process, client):
     _, warnings = first_joint_and_warnings(process, client, '-p', 'sim_node:robot:=GR1')
     assert len(warnings) == 1

@@ -43,6 +43,7 @@ def equal(one, other):
         np.testing.assert_array_equal(value, other[key], err_msg=key)
 
 
+@pytest.mark.full
 def test_an_episode_in_a_node_is_that_in_this_process_to_the_last_bit(pick_cube):
     over_topics, here = pick_cube
     assert over_topics.observation_space == here.observation_space
@@ -81,6 +82,7 @@ def test_an_episode_with_noise_in_a_node_is_that_in_this_process(serve):
     here.close()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('latency', [{'command': 0.1}, {'state': 0.05}, {
     'command': 0.034, 'state': 0.15}, {'command': 0.05, 'command_jitter': 0.02}])
 def test_late_episodes_with_noisy_images_in_a_node_are_those_in_this_process(serve, gl, latency):
@@ -132,6 +134,7 @@ def test_images_of_another_size_than_the_nodes_are_said(serve, gl):
         env.reset(seed=1)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('action', ['joint_position', 'joint_velocity', 'joint_effort'])
 def test_actions_of_joints_do_the_same_in_a_node_as_in_this_process(serve, action):
     serve(task='reach', lockstep_parts=['arm', 'right/gripper'], **LOCKSTEP)

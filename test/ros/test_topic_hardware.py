@@ -326,6 +326,7 @@ def test_with_the_threshold_of_the_tag_a_constant_velocity_is_kept(controlled):
     assert np.abs(velocity - 0.2).max() < 1e-4
 
 
+@pytest.mark.full
 def test_with_the_threshold_of_the_plugin_the_timeout_starves_a_constant_velocity(controlled):
     sim, hardware, loop = controlled('velocity')
     hardware.claim('velocity', dict.fromkeys(ARM, 0.0) | {ARM[0]: 0.2})
@@ -333,6 +334,7 @@ def test_with_the_threshold_of_the_plugin_the_timeout_starves_a_constant_velocit
     assert sim.states('arm/joint_states').velocity[-150:, 0].min() < 0.15
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind, command', [('velocity', 0.2), ('effort', 1.0)])
 def test_an_arm_stops_when_the_controller_manager_dies(kind, command, controlled):
     sim, hardware, loop = controlled(kind, threshold=-1.0)
@@ -371,6 +373,7 @@ def test_lock_step_stands_still_with_this_hardware_and_the_node_says_so(
     assert {stamp(state) for state in states} == {0.01}
 
 
+@pytest.mark.full
 def test_a_moving_command_is_followed_at_the_rate_of_the_hardware(serve, client, connect, until):
     node = serve(prefix='panda_')
     hardware = connect(tag(ARM + FINGERS, 'position'))

@@ -56,6 +56,7 @@ def test_the_agentview_of_a_handover_shows_both_grippers_from_the_front(robot):
     assert axes[2, 1] > 0.7  # Upright.
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', ARMS)
 @pytest.mark.parametrize('name', task_names())
 def test_an_expert_does_its_task(name, robot):
@@ -65,6 +66,7 @@ def test_an_expert_does_its_task(name, robot):
     assert episode.reward == 1.0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', [3, 4])
 def test_slow_fingers_are_open_before_the_arm_goes_down_and_hold_before_it_goes_up(seed):
     # In the first one they would open on the cube, in the second one stand on the table.
@@ -72,6 +74,7 @@ def test_slow_fingers_are_open_before_the_arm_goes_down_and_hold_before_it_goes_
     assert episode.run(episode.task.expert(episode.simulation), seed)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', [0, 2])
 def test_fingers_side_by_side_go_down_between_the_handle_and_the_drawer(seed):
     # Turned as hands with two fingers are, one of the three stands on the front of the drawer.
@@ -105,6 +108,7 @@ def test_the_page_on_experts_has_enough_successes_of_each_task_and_robot():
             assert int(count) == 200 and int(successes) >= (190 if robot == 'Panda' else 180)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', task_names())
 def test_doing_nothing_is_no_success(name):
     episode = episode_of(name)
@@ -132,6 +136,7 @@ def test_a_seed_draws_the_same_start_and_another_one_another(name):
     assert other.digest == first
 
 
+@pytest.mark.full
 def test_an_episode_is_the_same_in_another_process():
     episode = episode_of('pick_cube')
     expert = episode.task.expert(episode.simulation)
@@ -145,6 +150,7 @@ def test_an_episode_is_the_same_in_another_process():
     assert json.loads(found.stdout) == [episode.periods, episode.digest]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', task_names())
 def test_rewards_rise_while_the_expert_works(name):
     episode = episode_of(name)
@@ -358,6 +364,7 @@ def test_a_robot_that_does_not_reach_the_table_can_stand_nearer():
     assert create_task('reach', 'GR1', position=[-0.3, 0.0, 0.0]).robot.name == 'GR10'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name, robot', [
     ('insert_peg', 'Jaco'), ('reach', 'Jaco'), ('wipe_table', 'PandaOmron'),
     ('hand_over', 'Baxter')])

@@ -151,6 +151,7 @@ def start(pair, mode='position', seeds=(4, 5, 6)):
 MASK = st.sampled_from([None, np.array([True, False, True]), np.array([False, True, False])])
 
 
+@pytest.mark.full
 @given(mode=st.sampled_from(MODES), events=st.lists(st.tuples(
     st.sampled_from((*KINDS, 'reset', 'mode')), MASK), min_size=3, max_size=10))
 @settings(max_examples=15)
@@ -168,6 +169,7 @@ def test_each_world_is_a_simulation_with_the_same_seed_and_commands(lasting_pair
     pair.check_equal()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('count, threads', [(1, 1), (2, 3), (6, 2), (2, 10**9)])
 def test_any_number_of_worlds_and_threads_makes_the_same_digests(count, threads):
     pair = Pair(count=count, threads=threads)
@@ -210,6 +212,7 @@ NAMES = st.sampled_from([['robot0_joint1'], ['robot0_joint1'] * 2, [], ['joint']
                          [f'robot0_joint{n}' for n in range(1, 8)]])
 
 
+@pytest.mark.full
 @given(what=st.sampled_from(['action', 'joints', 'trajectory', 'twist', 'pose', 'arm_twist', 'osc',
                              'reset', 'restore', 'mode']),
        one=ANYTHING, other=ANYTHING, where=WHERE, names=NAMES)
@@ -238,6 +241,7 @@ def test_whatever_is_given_is_taken_or_rejected_with_a_reason(
     assert not worlds.diverged.any()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ROBOTS.names())
 def test_worlds_of_every_robot_are_simulations(name):
     pair = Pair(name, initialization_noise=None)
@@ -249,6 +253,7 @@ def test_worlds_of_every_robot_are_simulations(name):
     pair.worlds.close()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity'])
 def test_joints_that_arrive_stop_at_ends_or_are_held_back_do_so_in_each_world(pair, mode):
     start(pair, mode)
@@ -270,6 +275,7 @@ def test_joints_that_arrive_stop_at_ends_or_are_held_back_do_so_in_each_world(pa
     assert mode == 'velocity' or not all(moving)
 
 
+@pytest.mark.full
 def test_joints_too_fast_for_the_rest_of_their_ranges_slow_down_alike_in_each_world(pair):
     start(pair, 'position')
     names = pair.simulations[0].robot.joint_names[:7]
