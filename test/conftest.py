@@ -96,6 +96,8 @@ def pytest_collection():
 #: Of tests that are repeated over a catalogue, ``make test`` runs the cases of these.
 REPRESENTATIVES = {'Panda', 'Tiago', 'GR1', 'PandaGripper', 'PalGripper', 'InspireRightHand'}
 CATALOGUE = {*ROBOTS.names(), *GRIPPERS.names()}
+#: Of the others it runs as many cases, spread over all.
+MOST_CASES = 6
 #: A test whose cases name at least as many of them is repeated over the catalogue.
 REPEATED = 9
 
@@ -112,17 +114,22 @@ def pytest_configure(config):
 def mark_full(config, items):
     """Mark the cases that only ``make test-full`` runs because others are like them."""
     named = {item: CATALOGUE.intersection(re.split(r'[\[\]-]', item.name)) for item in items}
-    tests = defaultdict(set)
-    for item, names in named.items():
-        tests[item.path, getattr(item, 'originalname', None)] |= names
-    for item, names in named.items():
-        repeated = tests[item.path, getattr(item, 'originalname', None)]
-        is_further = len(repeated) >= REPEATED and not names <= REPRESENTATIVES
-        # The other tier runs it with fewer examples.
-        has_more = getattr(item, 'obj', None) is not None and not is_fast_tier(config) and (
-            getattr(item.obj, 'is_hypothesis_test', False))
-        if is_further or has_more:
-            item.add_marker('full')
+    tests = defaultdict(list)
+    for item in items:
+        tests[item.path, getattr(item, 'originalname', None)].append(item)
+    for cases in tests.values():
+        if len(set().union(*(named[item] for item in cases))) >= REPEATED:
+            for item in cases:
+                if not named[item] <= REPRESENTATIVES:
+                    item.add_marker('full')
+        left = [item for item in cases if item.get_closest_marker('full') is None]
+        step = max(len(left) / MOST_CASES, 1.0)
+        kept = {int(number * step) for number in range(MOST_CASES)}
+        for number, item in enumerate(left):
+            # Of properties, the other tier tries more examples.
+            is_property = getattr(getattr(item, 'obj', None), 'is_hypothesis_test', False)
+            if number not in kept or is_property and not is_fast_tier(config):
+                item.add_marker('full')
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -95,6 +95,7 @@ def check_imports(path):
             assert '._' not in name or path.stem == INTERNALS, f'{path} imports {name}'
 
 
+@pytest.mark.full
 def test_a_module_imports_from_its_own_layer_or_below():
     for path in MODULES:
         check_imports(path)
@@ -108,6 +109,7 @@ def _is_standard(name):
 FIELDS_OF_MESSAGES = ('viewer', 'runtime/gripper_goal.py')
 
 
+@pytest.mark.full
 def test_no_module_compares_the_name_of_a_control_mode():
     for path in MODULES:
         if path.relative_to(PACKAGE).as_posix().startswith(FIELDS_OF_MESSAGES):
@@ -132,6 +134,7 @@ def test_a_module_has_its_name_for_itself_in_its_room():
     assert [name for name, count in names.items() if count > 1] == []
 
 
+@pytest.mark.full
 def test_a_class_has_its_name_for_itself_in_its_room():
     classes = Counter((room(path), node.name) for path in MODULES
                       for node in ast.parse(path.read_text()).body
@@ -154,6 +157,7 @@ def skips(tree):
             yield node.lineno, None
 
 
+@pytest.mark.full
 def test_every_test_that_may_be_skipped_says_why():
     for path in TESTS:
         for line, reason in skips(ast.parse(path.read_text())):
@@ -178,6 +182,7 @@ def test_ci_shows_why_tests_are_skipped():
         assert not re.search(r'pytest.* (-r[^a]|-p no:terminal|--no-summary|-qq)', text), file
 
 
+@pytest.mark.full
 def test_the_pictures_of_the_architecture_are_those_of_the_code(monkeypatch):
     monkeypatch.syspath_prepend(TESTS_FOLDER.parent / 'docs')
     drawn = importlib.import_module('draw_architecture')

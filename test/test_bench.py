@@ -49,6 +49,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.full
 def test_every_program_answers_help_and_does_nothing_else():
     done = subprocess.run([sys.executable, '-c', HELP, ROOT / 'benchmark'], capture_output=True,
                           text=True, timeout=300, check=True)
@@ -105,6 +106,7 @@ def test_the_table_has_a_line_of_equal_length_for_each_figure(bench):
                         '**misses**']
 
 
+@pytest.mark.full
 def test_a_row_without_ros_is_measured_and_written(tmp_path):
     done = subprocess.run(
         [sys.executable, ROOT / 'benchmark' / 'bench.py', '--quick', '--rounds', '1',

@@ -85,6 +85,7 @@ def names():
             for node in ast.walk(ast.parse(file.read_text()))}
 
 
+@pytest.mark.full
 def test_names_avoid_words_that_the_style_replaces(names):
     # What is written like a file has its method tell.
     assert {(file, name) for file, name in names if NOT_USED & set(words_of(name))} == {

@@ -90,6 +90,7 @@ SPHERE = st.fixed_dictionaries({'name': st.just('ball'), 'shape': st.just('spher
     'position': st.lists(st.floats(-1e4, 1e4), min_size=3, max_size=3)})
 
 
+@pytest.mark.full
 @settings(max_examples=200)
 @given(OBJECT | SPHERE | st.dictionaries(st.text(max_size=4), VALUES, max_size=3))
 def test_a_description_of_an_object_is_rejected_or_compiles(values):

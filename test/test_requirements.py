@@ -112,6 +112,7 @@ def test_make_installs_what_is_locked_where_that_is_asked_for(target, file):
         'pip install --quiet --no-deps --no-build-isolation --editable .']
 
 
+@pytest.mark.full
 @pytest.mark.skipif(importlib.util.find_spec('cyclonedx_py') is None,
                     reason='cyclonedx-bom is not installed')
 def test_the_bill_of_materials_of_a_release_names_what_is_locked_with_its_hashes(tmp_path):

@@ -51,11 +51,13 @@ def test_mujoco_is_imported_without_opengl_and_without_threads_for_linear_algebr
     assert seen(IMPORT) == ['False None 1']
 
 
+@pytest.mark.full
 def test_what_the_user_chose_stands():
     assert seen(IMPORT, MUJOCO_GL='nonsense', OPENBLAS_NUM_THREADS='2') == ['False nonsense 2']
     assert seen(IMPORT, OMP_NUM_THREADS='2') == ['False None None']
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('module', 'main', 'arguments', 'needed', 'code'), [
     ('manip_sim.cli.__main__', 'run', ['describe'], (), 0),
     ('manip_sim.__main__', 'main', WRONG, ('rclpy',), 1),

@@ -46,6 +46,7 @@ def found(tmp_path_factory):
     return done.stdout.splitlines()
 
 
+@pytest.mark.full
 def test_the_python_examples_of_the_documentation_are_well_typed(found):
     assert BLOCKS
     assert found[-1].endswith(f'(checked {len(BLOCKS) + 1} source files)')

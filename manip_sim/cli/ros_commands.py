@@ -32,6 +32,7 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import get_parameter_value, Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 import yaml
 
@@ -391,6 +392,7 @@ def _set(graph: _Graph, options: argparse.Namespace) -> int:
     client = _parameters(graph, options.node)
     try:
         value = get_parameter_value(options.value)
+        serialize_message(value)  # It finds numbers that the fields cannot hold.
     except (AssertionError, OverflowError, SystemError, yaml.YAMLError) as error:
         raise ManipSimError(f'cannot use the value {quoted(options.value)}: '
                             f'{one_line(str(error), 200)}') from error

@@ -42,6 +42,7 @@ def is_read_or_one_line(read):
         assert '\n' not in str(error) and len(str(error)) < 2000
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('read', [
     Randomization, create_task,
     lambda file: _noise(argparse.Namespace(noise=[str(file)], latency=[]))],

@@ -112,6 +112,7 @@ def test_options_that_do_not_go_together_are_told(arguments, what, rejected):
     assert what in rejected('export', *arguments, code=2)
 
 
+@pytest.mark.full
 def test_a_package_for_moveit_is_that_of_the_composition(here, tmp_path):
     code, text, errors = here('export', '--moveit', tmp_path / 'ur5e_moveit_config', '--robot',
                               'UR5e', '--gripper', 'none', '--prefix', 'left_')

@@ -115,6 +115,7 @@ def test_what_cannot_be_composed_is_one_line_and_exit_code_1(arguments, what, re
     assert what in rejected(*arguments)
 
 
+@pytest.mark.full
 def test_a_process_ends_with_the_exit_code_and_one_line(command):
     for arguments, code in ((('check',), 0), (('check', '--robot', 'Pnda'), 1), (('chek',), 2)):
         done = command(*arguments)
@@ -147,6 +148,7 @@ def test_a_prefix_begins_all_names(here):
     assert 'robot0_' not in text.replace('such as robot0_joint1', '')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('unbuffered', ['', '1'])
 @pytest.mark.parametrize('arguments', [('describe', '--robot', 'GR1'), ('--help',)])
 def test_a_reader_that_has_seen_enough_is_no_error(arguments, unbuffered, environment):
@@ -169,6 +171,7 @@ def test_defects_are_the_exit_code_though_nobody_reads_them(environment):
     assert process.wait(timeout=300.0) == 1
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
 @pytest.mark.parametrize('unbuffered', ['', '1'])
 def test_output_that_cannot_be_written_is_one_line(unbuffered, environment):
@@ -192,6 +195,7 @@ def test_characters_that_the_terminal_does_not_have_are_escaped(command, tmp_pat
     assert done.returncode == 1 and 'gr\\xfcn.xml' in done.stderr
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('encoding', 'text'), [
     ('ascii', b'gr\\xfcn'), ('latin-1', b'gr\xfcn'), ('utf-8', b'gr\xc3\xbcn')])
 def test_an_output_is_in_the_encoding_of_the_terminal(encoding, text, environment, mjcf):
@@ -213,6 +217,7 @@ def test_what_nobody_expected_is_one_line_too(environment):
     assert 'Traceback' in run('-X', 'dev').stderr
 
 
+@pytest.mark.full
 def test_ctrl_c_ends_it_without_a_traceback(environment):
     slow = ("import sys, time; from manip_sim.cli import __main__, listing; "
             "listing.run = lambda options: (print('ready', flush=True), time.sleep(60)); "
@@ -234,6 +239,7 @@ def test_help_needs_neither_mujoco_nor_numpy_nor_ros(environment):
     assert done.stdout.splitlines()[-1] == 'set()'
 
 
+@pytest.mark.full
 def test_no_command_needs_ros_or_a_renderer_but_render(environment):
     script = ("import sys; sys.modules['rclpy'] = None; from manip_sim.cli.main import main\n"
               "assert main(['list']) == main(['describe']) == main(['check']) == 0\n"

@@ -84,6 +84,7 @@ def test_an_export_is_the_world_that_the_file_asks_for(here, tmp_path, parameter
     assert model.body('can').mass[0] == pytest.approx(0.3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('arena', arena_names())
 def test_options_a_file_and_python_make_the_same_world_of_the_same_words(
         arena, here, tmp_path, parameters_file):
@@ -103,6 +104,7 @@ def test_nothing_is_wrong_with_the_start_of_a_shipped_file(file, here):
     assert text.endswith(': nothing is wrong with the start\n')
 
 
+@pytest.mark.full
 def test_several_robots_are_rendered(command, tmp_path, renderer):
     done = command('render', tmp_path / 'out.png', '--params-file', HAND_OVER)
     assert (done.returncode, done.stderr) == (0, '')

@@ -62,6 +62,7 @@ def difference(one, other):
     return max(ImageStat.Stat(ImageChops.difference(one, other)).mean)
 
 
+@pytest.mark.full
 def test_a_robot_is_shown_from_two_sides(command, renderer):
     done = command('render', 'picture.png', '--size', '301x200')
     assert (done.returncode, done.stdout, done.stderr) == (0, 'picture.png\n', '')
@@ -174,6 +175,7 @@ def test_the_ground_of_the_studio_has_no_material():
     np.testing.assert_array_equal(np.delete(model.geom_matid, ground), others)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('azimuth', [0.0, 30.0, -135.0])
 def test_the_lights_of_the_studio_turn_with_the_view_and_shine_down(azimuth):
     from manip_sim.cli.rendering import light_studio

@@ -51,6 +51,7 @@ def test_a_single_arm_is_also_the_right_one(panda_op):
     assert panda_op.simulation.robot.joints.mode_of(panda_op.joints_of('arm')[0]) == 'velocity'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('part', ['right', 'left'])
 def test_command_of_one_arm_does_not_move_the_setpoints_of_the_other(op, part):
     other = {'right': 'left', 'left': 'right'}[part]
@@ -203,6 +204,7 @@ def test_busy_parts_are_those_that_follow_or_await_a_trajectory(op):
     assert op.simulation.robot.joints.busy_parts == {'left'}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('part', ['torso', 'head', 'legs', 'base'])
 def test_every_part_follows_a_trajectory(operator_of, part):
     op = operator_of({'torso': 'PandaOmron', 'base': 'PandaOmron'}.get(part, 'GR1'))

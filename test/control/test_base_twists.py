@@ -43,6 +43,7 @@ class Base:
             self.efforts.append(data.qfrc_actuator[self.dofs].copy())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('rate', [10, 20, 50, 500])
 def test_a_stream_of_twists_needs_no_more_acceleration_than_its_own(rate):
     base = Base()
@@ -85,6 +86,7 @@ def test_a_reset_forgets_the_stream():
     assert driven.simulation.digest() == fresh.simulation.digest()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['PandaOmron', 'Tiago'])
 @pytest.mark.parametrize('taken', [[0], [1], [2], [0, 1], [1, 2], [0, 1, 2]])
 def test_joints_taken_by_a_newer_command_leave_the_others_to_the_twist(name, taken):
@@ -117,6 +119,7 @@ def in_own_frame(base, seconds, twist):
     return np.array(velocities)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['PandaOmron', 'Tiago'])
 @pytest.mark.parametrize('turning', [0.0, 1.0])
 def test_a_base_does_not_slide_sideways_when_it_speeds_up_turns_and_times_out(name, turning):

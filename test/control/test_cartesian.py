@@ -23,6 +23,7 @@ from manip_sim.simulation import Simulation
 MODES = ['position', 'velocity', 'effort']
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 def test_the_end_effectors_of_every_robot_reach_poses_in_position_and_effort_mode(name):
     simulation = whole_robot(name)
@@ -185,6 +186,7 @@ def aside(positions, direction):
     return np.linalg.norm(way - np.outer(way @ along, along), axis=1).max()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['Panda', 'IIWA', 'Kinova3', 'UR5e'])
 @pytest.mark.parametrize('linear', [[0.0, 0.2, 0.0], [0.1, 0.1, -0.1]])
 def test_setpoints_of_a_twist_lead_straight_from_rest_and_do_not_turn(name, linear):
@@ -241,6 +243,7 @@ def test_a_pose_in_the_frame_of_the_end_effector_is_meant_where_that_is_now(base
     assert max(distance(op.pose, (start[0] + start[1] @ [0.0, 0.0, 0.05], start[1]))) < 1e-3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('frame', 'follows'), [('world', False), ('robot0_link0', True)])
 def test_a_goal_stays_with_its_frame_while_the_base_drives(frame, follows):
     op = operator_of('PandaOmron')
@@ -260,6 +263,7 @@ def test_a_goal_stays_with_its_frame_while_the_base_drives(frame, follows):
     np.testing.assert_allclose(moved, [-0.1 if follows else 0.0, 0.0, 0.0], atol=3e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_stretched_arm_stays_bounded_and_comes_back(mode):
     op = operator_of('Panda', mode=mode)
@@ -283,6 +287,7 @@ def test_a_stretched_arm_stays_bounded_and_comes_back(mode):
     assert op.pose[0][0] < x - 0.1
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_target_out_of_reach_is_approached_and_told_once(mode):
     op = operator_of('UR5e', mode=mode)
@@ -299,6 +304,7 @@ def test_a_target_out_of_reach_is_approached_and_told_once(mode):
     assert op.report.unreachable == 1
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_command_for_a_target_out_of_reach_does_not_end(mode):
     op = operator_of('UR5e', mode=mode)
@@ -307,6 +313,7 @@ def test_a_command_for_a_target_out_of_reach_does_not_end(mode):
     assert handle.status is Status.RUNNING
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_the_end_of_a_joint_range_is_kept_and_counted(mode):
     op = operator_of('Panda', mode=mode)
@@ -325,6 +332,7 @@ def test_the_end_of_a_joint_range_is_kept_and_counted(mode):
         'right: the twist is limited by the range of robot0_joint7')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('linear', 'angular'), [
     ([0.2, 0.2, 0.2], [-2.0, -2.0, -1.0]), ([-0.3, 0.0, 0.0], [-1.0, -1.0, -2.0])])
 def test_joints_brake_before_a_twist_brings_them_to_an_end_of_their_range(linear, angular):
@@ -536,6 +544,7 @@ def test_an_end_effector_that_passes_a_singularity_slows_down_and_stays_on_its_w
     assert op.report.aside == 0 and handle.status is Status.DONE
 
 
+@pytest.mark.full
 def test_whoever_leaves_the_way_by_centimetres_says_so():
     told = []
     for seed in range(6):

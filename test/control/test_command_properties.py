@@ -178,6 +178,7 @@ def trajectories(draw):
     return names, times, positions, velocities, accelerations
 
 
+@pytest.mark.full
 @settings(max_examples=150)
 @given(trajectories(), STAMPS_NS, st.sampled_from(['arm', 'right', 'torso', 'base']))
 def test_a_trajectory_is_rejected_or_finite_and_within_limits(trajectory, start_ns, part):

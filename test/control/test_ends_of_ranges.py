@@ -12,6 +12,7 @@ from manip_sim.errors import CommandError
 from manip_sim.models.robots import robot_names
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('then', ['velocity', 'effort', 'stop', 'go on'])
 @pytest.mark.parametrize('late', [0, 1])
 @pytest.mark.parametrize('name', ['Panda', 'SO101', 'GR1'])
@@ -80,6 +81,7 @@ def random_command(robot, parts, random):
         random.uniform(-1.0, 1.0, (count, len(names))) * limit)]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 def test_setpoints_keep_ranges_and_velocity_limits_whatever_is_commanded(name):
     random = np.random.default_rng(1)

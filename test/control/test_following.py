@@ -325,6 +325,7 @@ def test_joints_may_come_in_any_order(op):
     np.testing.assert_allclose(op.where(J1, J5), [at[J1] + 0.2, at[J5] + 0.1], atol=1e-4)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('velocities', [None, [[0.5]]])
 @pytest.mark.parametrize('goal', [-0.5, 0.3, 1.1])
 def test_trajectory_that_begins_in_motion_keeps_to_the_velocity_limit_too(op, goal, velocities):

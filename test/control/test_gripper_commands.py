@@ -361,6 +361,7 @@ def block(simulation, width_m):
         simulation.model.joint(joint).range[0] = width_m / 2.0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('force_range', 'force'), [('-20 20', 20.0), ('-20 5', 20.0),
                                                     ('-5 20', 5.0)])
 @pytest.mark.parametrize('width_m', [0.003, 0.02, 0.05])

@@ -45,6 +45,7 @@ def open_fully(simulation, run):
     np.testing.assert_allclose(setpoints(simulation), [0.04, -0.04])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('steps', [1, 5, 10, 25])
 @pytest.mark.parametrize('message_every', [None, 1, 3])
 def test_full_stroke_takes_as_long_as_the_data_sheet_says_whatever_the_message_rate(
@@ -58,6 +59,7 @@ def test_full_stroke_takes_as_long_as_the_data_sheet_says_whatever_the_message_r
     assert np.median(speeds) > 0.0495
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('steps', [1, 4, 5, 25])
 def test_format_action_is_called_twenty_times_a_second(panda_sim, run, steps):
     gripper, calls = panda_sim.robot.parts[GRIPPER].gripper, []
@@ -264,6 +266,7 @@ def soft_pal_gripper():
     return gripper
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('gripper', 'load_kg', 'offset_m'), [
     ('PalGripper', 0.8 * 2.0, 0.0), ('PalGripper', 0.15, 0.006), ('PandaGripper', 0.8 * 3.0, 0.0),
     ('RethinkGripper', 0.8 * 2.3, 0.0), (soft_pal_gripper, 0.5, 0.003)])

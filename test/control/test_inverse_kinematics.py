@@ -46,6 +46,7 @@ def drive_to(goal, interval_s, seconds, **arguments):
         interval_s, seconds, **arguments)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('interval_s', [0.001, 0.01, 0.05])
 def test_the_way_is_straight_without_overshoot_and_within_limits(interval_s):
     goal = np.array([0.3, -0.1, 0.0, 0.2, 0.0, 0.05])
@@ -72,6 +73,7 @@ def test_a_joint_in_motion_brakes_and_comes_back():
     np.testing.assert_allclose(position[-1], 0.0, atol=1e-6)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('interval_s', [0.001, 0.01, 0.05])
 def test_a_joint_on_the_way_to_a_pose_beyond_its_range_stops_at_the_end(interval_s):
     position, velocity = drive_to(np.array([0.5, -0.5, 0.0, 0.1, 0.0, 0.0]), interval_s, 4.0,
@@ -81,6 +83,7 @@ def test_a_joint_on_the_way_to_a_pose_beyond_its_range_stops_at_the_end(interval
     assert np.abs(np.diff(velocity, axis=0)).max() <= 4.0 * interval_s * 1.0001
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('interval_s', [0.001, 0.01, 0.05])
 def test_joints_brake_before_a_twist_brings_them_to_the_end_of_their_range(interval_s):
     twist = np.array([0.9, -0.9, 0.3, 0.0, 0.0, 0.0])

@@ -95,6 +95,7 @@ def test_each_trajectory_stamped_ahead_runs_until_the_start_of_the_next():
     assert simulation.data.qpos[0] == pytest.approx(start - 0.2, abs=2e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('every_s, ahead_s', [(0.02, 0.05), (0.02, 0.01), (0.004, 0.1),
                                               (0.1, 0.35)])
 def test_goals_sent_faster_than_they_lead_move_the_arm_to_the_last_one(every_s, ahead_s):
@@ -134,6 +135,7 @@ def test_a_newer_trajectory_replaces_those_that_start_after_it_also_in_one_perio
         assert last.handle.status is Status.RUNNING
 
 
+@pytest.mark.full
 def test_trajectories_that_wait_are_limited():
     simulation = Simulation(compose('UR5e'))
     commands = [reach(simulation, 0.1, 10.0 + number) for number in range(1001)]
@@ -143,6 +145,7 @@ def test_trajectories_that_wait_are_limited():
     assert commands[-2].handle.is_active
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('latency_s', [0.0, 0.03])
 def test_the_order_of_arrival_within_an_instant_makes_no_difference(latency_s):
     digests, two_arms = set(), Template(Simulation(compose('Baxter')))

@@ -57,6 +57,7 @@ def test_the_end_effector_moves_as_spring_and_damper_say(stiffness, ratio):
     assert distance(op.pose, (start, rotation))[1] < 2e-3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('stiffness', [100.0, 300.0])
 def test_a_force_moves_the_end_effector_by_what_stiffness_and_inertia_say(stiffness):
     op = operator_of('IIWA', mode='effort')
@@ -128,6 +129,7 @@ def way_of_joints(robot, mode, turns):
     return op.robot.state().position - start
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
 @pytest.mark.parametrize(('robot', 'turns'), [
     ('Kinova3', (0, 0, 0, 1)), ('Kinova3', (2, -1, 0, -3))])
@@ -148,6 +150,7 @@ def test_the_stiffest_setting_is_stable(stepping):
     assert op.simulation.diverged is None
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['Panda', 'Baxter', 'GR1'])
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_an_action_of_one_moves_the_goal_by_five_centimetres_in_one_period(name, mode):
@@ -197,6 +200,7 @@ def test_a_goal_of_an_action_goes_with_the_base():
     assert distance(op.pose, op.goal)[0] < 5e-3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('axis', range(3))
 @pytest.mark.parametrize('way', [-0.05, 0.05])
 def test_a_motion_far_from_the_ends_of_all_ranges_is_limited_by_none(axis, way):

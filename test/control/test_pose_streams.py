@@ -16,6 +16,7 @@ def sine(times, values, frequency_hz):
     return np.hypot(along, across), np.arctan2(-across, along) / rate
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('name', 'mode', 'rate', 'frequency_hz', 'radius'), [
     ('Panda', 'position', 100, 1.0, 0.05), ('Panda', 'position', 50, 1.0, 0.05),
     ('Panda', 'position', 100, 2.0, 0.02), ('Panda', 'effort', 100, 1.0, 0.05),

@@ -115,6 +115,7 @@ class Driver:
         return [self.robot.parse.twist(*np.resize(wave, 3))]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 def test_no_valid_commands_stop_a_robot_from_being_simulated(name):
     random = np.random.default_rng(SEED)

@@ -365,6 +365,7 @@ def swing(joints, mode, share):
     raise AssertionError('no joint is fast enough')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 def test_every_change_of_mode_keeps_the_acceleration_limits(name):
     simulation = whole_robot(name)
@@ -392,6 +393,7 @@ def test_every_change_of_mode_keeps_the_acceleration_limits(name):
                 robot.joints.find(joints.names)) + 1e-9).all()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity'])
 @pytest.mark.parametrize('name', robot_names())
 def test_a_runaway_in_effort_mode_brakes_within_the_acceleration_limit(name, mode):
@@ -477,6 +479,7 @@ def test_the_acceleration_limit_is_that_of_postures_within_the_ranges(one_joint_
 HOW = ('goal', 'stream', 'trajectory', 'velocity')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('how', HOW)
 @pytest.mark.parametrize('name', ['Panda', 'UR5e'])
 def test_blocked_joint_presses_within_its_limit_and_is_released_without_a_race(name, how):
@@ -614,6 +617,7 @@ def sine_error(arm, mode, amplitude):
     return np.sqrt(np.mean(np.square(errors[100:])))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity'])
 def test_dry_friction_that_a_weak_servo_could_not_overcome_is_overcome(one_joint_arm, mode):
     arm = one_joint_arm('<position name="a" joint="joint1" kp="20" kv="4"/>')

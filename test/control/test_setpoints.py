@@ -102,6 +102,7 @@ def test_limits_hold_at_every_instant_for_random_goals_and_intervals():
         assert (np.abs(np.diff(course.velocity)) <= 1.1 * A * steps + 1e-12).all()
 
 
+@pytest.mark.full
 def test_goals_are_not_passed_whatever_the_intervals_are():
     random = np.random.default_rng(6)
     for _ in range(15):
@@ -114,6 +115,7 @@ def test_goals_are_not_passed_whatever_the_intervals_are():
         assert course.position[-1] == goal
 
 
+@pytest.mark.full
 def test_velocity_and_acceleration_are_the_rates_of_the_position():
     setpoints = generator()
     setpoints.go_to(ONE, np.array([0.5]), PERIOD_S)
@@ -150,6 +152,7 @@ def test_goals_that_come_five_times_a_second_are_steps():
         assert abs(step[-1]) < 0.02
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('phase', [0.0, 0.25, 0.5])
 @pytest.mark.parametrize('frequency_hz', [0.5, 1.0, 2.0])
 def test_streamed_sine_passes_in_full_with_one_and_a_half_intervals_of_delay(frequency_hz, phase):
@@ -211,6 +214,7 @@ def test_a_joint_keeps_its_limit_after_a_fast_stream_though_others_move(commands
     assert np.abs(one.acceleration[one.time > 2.0]).max() <= A * (1.0 + 1e-9)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('rate', [50, 100, 500])
 def test_stream_beyond_the_end_of_the_range_brakes_and_leaves_within_the_limit(rate):
     # At the end, where it is cut off, its velocity of 1.9 rad/s stops from goal to goal.
@@ -303,6 +307,7 @@ def jittered(kind, goal_at, seconds, seed, until_s=np.inf):
     return course
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind', ['late', '0.9', '0.93', '0.97', '1.03', '1.1'])
 def test_stream_whose_messages_jitter_keeps_its_velocity_within_thirty_percent(kind):
     for seed in range(2):
@@ -314,6 +319,7 @@ def test_stream_whose_messages_jitter_keeps_its_velocity_within_thirty_percent(k
         assert delay_s.min() > 0.0 and delay_s.max() < 0.06
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind', ['late', '0.9', '1.1'])
 def test_stream_whose_messages_jitter_lands_on_its_last_goal(kind):
     for seed in range(2):
@@ -326,6 +332,7 @@ def test_stream_whose_messages_jitter_lands_on_its_last_goal(kind):
         assert not course._setpoints.moving
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind', ['late', '0.9', '1.1'])
 def test_sine_whose_messages_jitter_is_still_followed(kind):
     turn = 2.0 * np.pi
@@ -496,6 +503,7 @@ def test_a_setpoint_that_was_dragged_away_at_rest_goes_back_when_it_is_woken():
     assert setpoints.settled and setpoints.position[0] == pytest.approx(0.5)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', range(4))
 def test_a_period_that_is_planned_at_once_goes_as_one_interval_after_the_other(seed):
     draw = np.random.default_rng(seed)

@@ -212,6 +212,7 @@ def sine(transport, period_s, interval_s, frequency_hz=0.5, stamped=False, secon
     return peak, np.hypot(a, b) / size, -np.arctan2(b, a) / turn * transport.rate
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('rate', 'frequency_hz'), [
     (100, 0.5), (100, 2.0), (100, 5.0), (500, 5.0), (50, 1.0)])
 def test_clean_sines_pass_in_full_one_and_a_half_intervals_late(rate, frequency_hz):
@@ -222,6 +223,7 @@ def test_clean_sines_pass_in_full_one_and_a_half_intervals_late(rate, frequency_
     assert lag == pytest.approx(1.5 + 0.63, abs=0.02)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('rate', 'control_rate', 'jitter_s', 'lost', 'late', 'stamped'), [
     (100, 100, 0.002, 0.0, 0.0, False), (100, 500, 0.002, 0.0, 0.0, False),
     (250, 250, 0.001, 0.0, 0.0, False), (500, 500, 0.0005, 0.0, 0.0, False),
@@ -237,6 +239,7 @@ def test_jitter_and_loss_hardly_change_the_acceleration_of_a_smooth_stream(
     assert ratio == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('rate', [2, 3, 5, 8])
 def test_slow_streams_are_smooth_once_their_interval_is_admitted(rate):
     sent = np.arange(0.0, 12.0, 1.0 / rate)

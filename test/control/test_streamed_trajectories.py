@@ -87,12 +87,14 @@ def test_points_that_are_due_soon_need_hardly_more_than_the_motion_itself(
         assert np.abs(sender.efforts[700:]).max() < 4.5
 
 
+@pytest.mark.full
 def test_points_that_are_due_at_once_are_a_stream_too():
     sender = Sender()
     sender.stream(100, [0.0], False, jitter(0.002), lasts_s=2.6)
     assert sender.hardest < 1.5 * SIZE * RATE**2
 
 
+@pytest.mark.full
 def test_lost_points_are_bridged_within_the_acceleration_limit():
     sender = Sender()
     sender.stream(100, [0.01], True, lost=set(range(150, 400, 31)))
@@ -102,6 +104,7 @@ def test_lost_points_are_bridged_within_the_acceleration_limit():
     assert np.abs(np.array(sender.places[700:]) - sender.begin - wanted).max() < 0.02
 
 
+@pytest.mark.full
 def test_a_stream_that_stops_ends_at_its_last_point_and_its_commands_are_done():
     sender = Sender()
     last = sender.stream(100, [0.02], True)
@@ -112,6 +115,7 @@ def test_a_stream_that_stops_ends_at_its_last_point_and_its_commands_are_done():
     assert np.abs(np.diff(sender.speeds[-500:])).max() / PERIOD_S < 1.2 * limit
 
 
+@pytest.mark.full
 def test_points_that_are_due_later_are_motions_that_end_in_time():
     sender = Sender()
     sender.stream(20, [0.3], True)
@@ -133,6 +137,7 @@ def test_a_single_point_after_a_pause_is_a_motion():
     assert sender.place == pytest.approx(before + 0.1, abs=1e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['Panda', 'Sawyer'])
 @pytest.mark.parametrize('gap_s', [0.15, 0.5, 0.9])
 def test_a_point_after_a_gap_of_a_stream_is_approached_within_the_limits(name, gap_s):

@@ -128,6 +128,7 @@ def followed(sent_s, arrived_s, step_s=0.002, amplitude=0.2, omega=np.pi, steps=
             np.abs(acceleration).max() / (amplitude * omega**2))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', [0, 1])
 @pytest.mark.parametrize(('rate', 'ripple_bound'), [(10, 0.06), (50, 0.02), (100, 0.02)])
 def test_goals_of_the_moment_of_a_timer_that_jitters_are_followed(rate, ripple_bound, seed):
@@ -140,6 +141,7 @@ def test_goals_of_the_moment_of_a_timer_that_jitters_are_followed(rate, ripple_b
     assert hardest < 2.5
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', [0, 1])
 @pytest.mark.parametrize(('rate', 'timer', 'way_s', 'hardest_bound'), [
     (50, 0.1, 0.002, 2.0), (100, 0.1, 0.001, 2.0), (100, 0.2, 0.002, 4.0)])
@@ -154,6 +156,7 @@ def test_goals_that_jitter_in_time_and_on_their_way_are_averaged(
     assert hardest < hardest_bound
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', [0, 1])
 @pytest.mark.parametrize(('rate', 'timer', 'way_s'), [
     (100, 0.1, 0.002), (100, 0.2, 0.0), (250, 0.2, 0.001)])
@@ -187,6 +190,7 @@ def test_a_stream_is_on_schedule_again_once_its_goals_are_smooth():
     assert all(on_time[-100:])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('rate', [10, 50, 100])
 def test_goals_of_an_even_timer_that_jitter_on_their_way_are_followed(rate):
     random, sent_s = np.random.default_rng(0), np.arange(9 * rate) / rate
@@ -216,6 +220,7 @@ def test_messages_that_were_lost_are_counted(seed):
     assert estimator.lost[0] == np.count_nonzero(~kept)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', range(6))
 @pytest.mark.parametrize('mode', ['go_to', 'go_at'])
 def test_joints_follow_alike_whichever_of_them_share_a_message(mode, seed):

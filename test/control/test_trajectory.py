@@ -148,6 +148,7 @@ def test_rest_of_a_path_is_slowed_from_a_time_on(from_s, times_s):
     np.testing.assert_allclose(slow.positions[:, 0], np.arange(4.0)[-len(times_s):])
 
 
+@pytest.mark.full
 def test_highest_velocity_is_that_of_a_fine_sampling():
     random = np.random.default_rng(5)
     for _ in range(10):

@@ -33,6 +33,7 @@ def accelerations(op, speeds):
     return np.abs(np.diff(speeds, axis=0)).max(axis=0) / op.period_s
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['Panda', 'UR5e', 'Baxter'])
 def test_short_control_periods_need_no_more_acceleration_than_those_of_the_stream(name):
     often, seldom = operator_of(name, period_s=0.002), operator_of(name, period_s=INTERVAL_S)
@@ -43,6 +44,7 @@ def test_short_control_periods_need_no_more_acceleration_than_those_of_the_strea
     assert (accelerations(often, speeds) < 1.2 * needed + 0.1).all()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
 @pytest.mark.parametrize('period_s', [0.002, INTERVAL_S])
 def test_the_end_effector_has_each_velocity_when_the_next_one_is_due(mode, period_s):
@@ -53,6 +55,7 @@ def test_the_end_effector_has_each_velocity_when_the_next_one_is_due(mode, perio
     assert np.abs(twists[:, :2] - wanted).max() < (0.002 if mode != 'effort' else 0.004)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_lost_twist_is_bridged(mode):
     kept, lossy = operator_of('Panda', mode=mode, period_s=0.002), operator_of(

@@ -222,6 +222,7 @@ def test_a_vector_environment_equals_as_many_environments(task, arguments):
     single.close()
 
 
+@pytest.mark.full
 def test_the_vector_environment_shows_each_world(gl):
     vector = gymnasium.make_vec('manip_sim/Reach-v0', 2, render_mode='rgb_array',
                                 cameras=['frontview'], image_size=(32, 24))

@@ -62,6 +62,7 @@ def rows_of(policy, limit_s=10.0, seeds=range(3)):
     return [worker.run(seed) for seed in seeds]
 
 
+@pytest.mark.full
 def test_the_node_of_the_guide_gives_the_rows_of_the_same_policy_in_process(node, tmp_path):
     (block,) = [block for block in blocks(DOCS / 'how_to' / 'experiments.md')
                 if block.file == 'towards.py']
@@ -74,11 +75,13 @@ def test_the_node_of_the_guide_gives_the_rows_of_the_same_policy_in_process(node
     assert [row['periods'] for row in rows] == [row.periods for row in like]
 
 
+@pytest.mark.full
 def test_an_action_may_have_names_in_any_order(node):
     node('names')
     assert rows_of('ros:/policy') == rows_of(f'{IN_PROCESS}:Towards')
 
 
+@pytest.mark.full
 def test_a_node_that_is_killed_costs_its_episodes_and_not_the_run(node, tmp_path, capsys):
     killed = node(dies_after=15)
     code, rows = run(tmp_path / 'out', 'ros:/policy', '--policy-limit', '4', seeds='0:2')
@@ -88,6 +91,7 @@ def test_a_node_that_is_killed_costs_its_episodes_and_not_the_run(node, tmp_path
     assert 'failed' in capsys.readouterr().out
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind, message', [
     ('nan', 'finite'), ('unknown', "unknown name in an action 'elbow'"),
     ('unstamped', 'the last action has the stamp 0 ns, and that of the observation is')])

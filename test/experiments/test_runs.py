@@ -78,6 +78,7 @@ def test_the_summary_says_how_often_and_how_sure(whole):
     assert {'manip_sim', 'mujoco', 'numpy', 'python'} == set(found['versions'])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('successes, count', [(0, 1), (1, 1), (3, 10), (870, 1000), (200, 200)])
 def test_the_interval_is_that_of_wilsons_score(successes, count):
     expected = scipy.stats.binomtest(successes, count).proportion_ci(method='wilson')
@@ -105,6 +106,7 @@ def test_shards_in_one_folder_and_in_several_make_the_same_rows(whole, tmp_path,
     assert not lost.exists() and not (tmp_path / 'less').exists()
 
 
+@pytest.mark.full
 def test_runs_of_other_policies_are_not_merged_and_leave_no_folder(whole, tmp_path, capsys):
     assert run(tmp_path / 'other', policy='WithoutSeed', worlds='1', seeds='0:1') == 0
     out = tmp_path / 'merged'
@@ -250,6 +252,7 @@ def test_a_policy_that_changes_the_folder_moves_no_file(whole, tmp_path, monkeyp
     assert not [*(tmp_path / 'there').iterdir()]
 
 
+@pytest.mark.full
 def test_the_file_of_a_policy_replaces_no_module(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path('random.py').write_text(POLICIES.read_text())
@@ -262,6 +265,7 @@ def test_the_file_of_a_policy_replaces_no_module(tmp_path, capsys, monkeypatch):
     assert 'policy_json' not in sys.modules
 
 
+@pytest.mark.full
 def test_a_policy_that_writes_into_its_observation_changes_no_row(whole, tmp_path):
     assert run(tmp_path / 'writes', policy='Writes', seeds='0:3', worlds='1') == 0
     assert rows(tmp_path / 'writes') == rows(whole)[:3]
@@ -530,6 +534,7 @@ def test_a_folder_of_something_else_is_rejected(whole, tmp_path, capsys):
     assert 'it has no run.json' in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_a_shard_that_runs_already_is_rejected(tmp_path, capsys):
     import fcntl
     assert run(tmp_path / 'twice', seeds='0:1', worlds='1') == 0
@@ -557,6 +562,7 @@ def test_a_flat_observation_has_the_order_of_gymnasium():
     env.close()
 
 
+@pytest.mark.full
 def test_rows_of_randomized_runs_are_those_of_shards_and_of_episodes_by_hand(tmp_path, capsys):
     file = tmp_path / 'drawn.yaml'
     file.write_text('bodies: {"robot0_link*": {mass: {scale: {uniform: [0.8, 1.2]}}}}\n'

@@ -75,6 +75,7 @@ def test_the_new_parts_are_found_and_mounted(package):
     assert 'robot0_elbow' in done.stdout and 'gripper0_left_finger' in done.stdout
 
 
+@pytest.mark.full
 def test_the_command_finds_nothing_wrong_with_the_new_arm(package):
     done = run(package, '-m', 'manip_sim.cli', 'check', '--robot', 'TinyArm')
     assert (done.returncode, done.stderr) == (0, '')
@@ -100,6 +101,7 @@ def test_the_catalogue_tests_take_the_new_parts_and_pass(package):
     assert passed >= 20, done.stdout
 
 
+@pytest.mark.full
 def test_what_the_yaml_files_say_is_so(package):
     done = run(package, '-c', """if True:
         from manip_sim.models import compose

@@ -59,6 +59,7 @@ def of_mesh(faces):
                     '<body><geom type="mesh" mesh="m"/></body></worldbody></mujoco>'})
 
 
+@pytest.mark.full
 def test_a_model_that_takes_too_long_is_rejected(monkeypatch):
     monkeypatch.setattr(archives, '_MAX_CPU_S', 1)
     rejected(of_mesh(100_000), '^the model of the archive takes more than 1 s to load')

@@ -174,6 +174,7 @@ def test_the_grip_force_is_in_the_range_of_the_datasheet(name):
     assert low <= lift_of(name).force <= high
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', [name for name in stated('closing_time_s')
                                   if name not in stated('slow_action')])
 def test_closing_by_an_action_takes_as_long_as_the_datasheet_says(name):
@@ -188,6 +189,7 @@ def test_closing_by_a_joint_command_takes_as_long_as_the_datasheet_says(name):
         DATASHEETS[name]['closing_time_s'], rel=0.15)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', stated('slow_action'))
 def test_an_action_of_the_reference_that_is_slower_than_the_hand_takes_as_long_as_it_says(name):
     # The fingers meet before their commands are at the end, after 10 s.
@@ -246,6 +248,7 @@ def test_a_hand_that_leans_on_its_part_grips_cubes_with_the_force_of_the_datashe
     assert lift.rose > LIFT_M - 0.01
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', PINCHING)
 def test_nothing_sinks_into_the_fingers_that_lift_a_cube(name):
     assert lift_of(name).depth < 0.001
@@ -259,6 +262,7 @@ def test_fingers_that_close_on_nothing_do_not_sink_into_each_other(name):
     assert rig.deepest_contact() < 0.001
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', sorted(GRASPS['plates_m']))
 def test_opening_starts_without_delay_after_a_grip(name):
     rig, opening = Grasp(name, 0.05).rig, np.negative(closing(name))

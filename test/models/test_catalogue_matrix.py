@@ -27,6 +27,7 @@ def check(name, base, gripper):
         robot.all_actuators + [a for part in mounted for a in part.actuators]), (base, gripper)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ROBOTS)
 def test_robots_compile_on_every_base_and_with_every_gripper(name):
     for base in BASES:
@@ -35,6 +36,7 @@ def test_robots_compile_on_every_base_and_with_every_gripper(name):
         check(name, BASE, gripper)
 
 
+@pytest.mark.full
 def test_every_base_and_every_gripper_compile_with_an_arm_between_them():
     for base, gripper in product(BASES, GRIPPERS):
         check('Panda', base, gripper)

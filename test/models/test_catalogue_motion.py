@@ -65,6 +65,7 @@ def test_robots_stay_stable_under_random_commands(name):
     assert (speed < 20.0 * np.maximum(limit, 1.0)).all(), speed
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ROBOTS)
 def test_each_arm_joint_follows_a_slow_sine(name):
     """One joint at a time, 0.5 Hz and 0.3 rad, the others hold."""

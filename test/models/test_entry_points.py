@@ -95,6 +95,7 @@ def test_a_package_is_imported_when_its_class_is_asked_for_and_not_before(packag
     assert name in sys.modules
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('code', 'why'), [
     ('import no_such_module_at_all', r"ModuleNotFoundError: No module named "
                                      r"'no_such_module_at_all'"),
@@ -123,6 +124,7 @@ def test_a_list_of_names_warns_once_of_what_cannot_be_imported(package, warnings
     assert warning.endswith('cannot be imported: ZeroDivisionError: division by zero')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('code', 'why'), [
     ('Thing = 7', 'must be a class that derives from RobotModel, got 7$'),
     ('from manip_sim.models.grippers import PandaGripper as Thing',
@@ -177,6 +179,7 @@ def test_a_damaged_package_is_told_and_hides_no_other(
         robots.create_robot('Lost')
 
 
+@pytest.mark.full
 def test_another_process_finds_them_without_a_script(package, tmp_path):
     package(MODULE.format('Child'), {'robot': {'ChildArm': '{}:ChildArm'}})
     paths = [str(tmp_path), *filter(None, [os.environ.get('PYTHONPATH')])]

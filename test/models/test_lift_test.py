@@ -40,6 +40,7 @@ def bench(gripper, half, density, x):
     return spec.compile()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', CASES)
 def test_a_gripper_lifts_a_box_as_robosuites_does(name):
     low, high, half, density, x, steps = CASES[name]

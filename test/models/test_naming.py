@@ -183,6 +183,7 @@ def test_a_robot_with_the_name_that_a_mobile_base_needs_is_rejected(
         robot.compile()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ROBOTS)
 def test_no_part_of_the_catalogue_takes_a_name_of_a_robot_that_has_a_prefix(name):
     for base in BASES:

@@ -202,6 +202,7 @@ def chain(links):
     return f'<robot name="r">{names}{joints}</robot>'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('text', 'problem'), [
     (chain(1500), ''), (urdf(more='<gazebo/>' * 6000), 'at most 5000 elements'),
     (urdf(more='<a>' * 200 + '</a>' * 200), 'in each other'),
@@ -218,6 +219,7 @@ def test_what_costs_too_much_or_is_no_robot_is_rejected_on_one_line(text, proble
     assert problem in rejection(roots / 'try.urdf', roots)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['masses.urdf', 'two_hands.xml', 'rover.xml'])
 def test_a_robot_passes_in_another_process_which_opens_no_file(name, tmp_path):
     shutil.copy(DATA / name, tmp_path / name)
@@ -230,6 +232,7 @@ def test_an_error_of_another_kind_is_told_too(roots, monkeypatch):
     assert 'cannot be loaded: TypeError' in reason
 
 
+@pytest.mark.full
 def test_a_robot_that_takes_too_long_is_given_up_in_another_process(roots, monkeypatch):
     monkeypatch.setattr(requested_robot, 'MAX_CPU_S', 1)
     corners = np.random.default_rng(1).normal(size=(90_000, 3, 3))
@@ -311,6 +314,7 @@ def random_roots(tmp_path_factory):
     opened.close()
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings('ignore::UserWarning')  # MuJoCo's, of inertia.
 @settings(max_examples=300)
 @given(base=st.sampled_from([urdf(), ARM, ARM_WITH_HAND]), edits=EDITS,

@@ -44,6 +44,7 @@ _PIECES = st.sampled_from([
     '\0', '---\n', '%TAG ! x\n'])
 
 
+@pytest.mark.full
 @settings(max_examples=1000)
 @given(st.lists(_PIECES | st.text(max_size=3), max_size=12).map(''.join))
 def test_any_text_is_a_mapping_or_an_error_in_one_line(text):

@@ -29,6 +29,7 @@ def robot(request):
     return exported(request.param)
 
 
+@pytest.mark.full
 def test_mujoco_reads_the_same_kinematics_and_inertia_from_it(robot):
     model, urdf = robot
     read, random = read_by_mujoco(urdf.xml), np.random.default_rng(1)
@@ -103,6 +104,7 @@ def test_pinocchio_finds_the_same_frames_and_inertia_in_it(robot):
                                        atol=5e-11 * np.abs(expected).max())
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings('ignore')  # Of packages that yourdfpy imports.
 def test_yourdfpy_finds_the_same_frames_with_followers_where_they_belong(robot):
     yourdfpy = pytest.importorskip('yourdfpy', reason='yourdfpy is a tool of the extra test')

@@ -35,6 +35,7 @@ def test_the_catalogue_works_without_it(tmp_path):
     assert run(tmp_path, WITH_ARENA) == (0, '0.1')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('script', [WITH_OBJECT, WITH_FILE])
 def test_what_needs_it_says_so_in_one_line(tmp_path, script):
     code, line = run(tmp_path, script)

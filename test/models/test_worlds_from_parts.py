@@ -60,6 +60,7 @@ def test_a_mesh_has_the_frame_of_its_file_and_mass_and_touch_of_its_hull():
     assert ball - ring == pytest.approx(0.05, abs=2e-3)
 
 
+@pytest.mark.full
 def test_parts_keep_the_hole_of_a_ring_and_its_mass():
     pytest.importorskip('coacd', reason='needs coacd')
     item = create_object({**RING, 'collision': 'parts'})
@@ -327,6 +328,7 @@ def test_an_area_that_is_too_small_is_told():
         draw_places([small], sizes, 0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('most', [0.5, 2.0, math.pi])
 def test_turns_are_evenly_distributed_up_to_the_greatest(most):
     (one,) = area(yaw=most)

@@ -70,6 +70,7 @@ def start_of_swing(joints):
     return joints.position
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('timestep_s', [0.001, 0.005])
 @pytest.mark.parametrize('name', robot_names())
 def test_inertia_identified_from_published_effort_is_that_of_the_model(name, timestep_s):

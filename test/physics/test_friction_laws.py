@@ -133,6 +133,7 @@ def test_the_catalogue_has_values_with_sources_for_the_arm_of_each_robot(name):
     assert 'sources:' in text and ('Guess' in text or 'guess' in text)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 def test_a_robot_with_all_of_the_catalogue_follows_steps_and_comes_to_rest(name):
     world = compose(name)
@@ -188,6 +189,7 @@ ANYTHING = strategies.recursive(
     max_leaves=8)
 
 
+@pytest.mark.full
 @settings(max_examples=60, deadline=None)
 @given(strategies.sampled_from(['friction', 'torque_speed', 'armature']),
        ANYTHING.filter(lambda value: value is not None))

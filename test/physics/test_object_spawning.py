@@ -76,6 +76,7 @@ def spawned_and_deleted(objects, item, **options):
     return told
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('place', [FAR, [3.0, 3.0, 0.05]], ids=['falling', 'lying'])
 def test_arm_moves_on_bit_for_bit_when_a_box_comes_and_goes(place):
     cube = box('cube', [0.1, 0.1, 0.85])
@@ -83,6 +84,7 @@ def test_arm_moves_on_bit_for_bit_when_a_box_comes_and_goes(place):
     np.testing.assert_array_equal(with_box, alone)
 
 
+@pytest.mark.full
 def test_arm_that_is_alone_moves_on_but_for_rounding():
     # MuJoCo solves the constraints of a world with one tree at once, else island by island.
     alone, with_box = spawned_and_deleted([], box(), grip=False)
@@ -354,6 +356,7 @@ def test_a_name_can_be_used_again_with_another_object(live):
     assert again.model.geom('first').type[0] == int(mujoco.mjtGeom.mjGEOM_SPHERE)
 
 
+@pytest.mark.full
 def test_a_hundred_objects_come_and_go_without_a_trace(live):
     now, xml = live, live.plan.spec.to_xml()
     for number in range(100):

@@ -116,6 +116,7 @@ def axial(simulation):
             state.effort[[name.endswith('lift') for name in names].index(True)])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('case', OF_TOOL)
 def test_what_pulls_at_a_tool_is_what_bends_the_servo_at_rest(tmp_path, case):
     simulation = simulation_of(tmp_path, case)
@@ -132,6 +133,7 @@ def test_what_pulls_at_a_tool_is_what_bends_the_servo_at_rest(tmp_path, case):
     assert effort == pytest.approx(WEIGHT - felt, abs=0.01 + 0.002 * abs(felt))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('case', OF_TOOL)
 def test_effort_and_external_force_are_what_moves_the_lift(tmp_path, case):
     simulation = simulation_of(tmp_path, case)
@@ -252,6 +254,7 @@ def test_what_mujoco_does_not_collect_is_what_it_projects_on_a_free_tool(actuato
     assert np.abs(data.qfrc_fluid[:3]).max() > 0.01
 
 
+@pytest.mark.full
 def test_many_worlds_feel_what_one_does_to_the_last_bit(tmp_path):
     for case in ('winch', 'thruster', 'suction', 'wind'):
         one = simulation_of(tmp_path, case)

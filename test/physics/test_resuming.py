@@ -64,6 +64,7 @@ def count(monkeypatch):
     return parts
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 @pytest.mark.parametrize('integrator', ['EULER', 'IMPLICITFAST'])
 def test_the_states_are_those_of_whole_steps_to_the_last_bit(
@@ -77,6 +78,7 @@ def test_the_states_are_those_of_whole_steps_to_the_last_bit(
     assert np.array_equal(resumed, whole)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['Panda', 'Baxter', 'PandaOmron'])
 @pytest.mark.parametrize('integrator, part', [
     ('EULER', 'mj_Euler'), ('IMPLICITFAST', 'mj_implicit')])

@@ -221,6 +221,7 @@ CASES = {'exact': ({}, {}), 'late': ({}, {'state': 0.2}),
          'both': ({'noise.joint_position': 0.01}, {'state': 0.13})}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('case', CASES)
 def test_each_row_has_what_the_policy_was_given_and_what_is_true(renderer, case, tmp_path):
     noise, latency = CASES[case]

@@ -66,6 +66,7 @@ def readable_messages(path):
     return count
 
 
+@pytest.mark.full
 def test_a_killed_writer_leaves_a_record_that_is_read_and_verified_up_to_there(tmp_path, capsys):
     path = tmp_path / 'killed.mcap'
     with subprocess.Popen([sys.executable, '-c', WRITER, str(path)], stdout=subprocess.PIPE,
@@ -85,6 +86,7 @@ def test_a_killed_writer_leaves_a_record_that_is_read_and_verified_up_to_there(t
         f'{len(episodes)} of {len(episodes)} equal\n')
 
 
+@pytest.mark.full
 def test_a_full_disk_is_one_line_and_leaves_whole_chunks(tmp_path, capsys):
     path = tmp_path / 'full.mcap'
     done = subprocess.run(
@@ -102,6 +104,7 @@ def test_a_full_disk_is_one_line_and_leaves_whole_chunks(tmp_path, capsys):
     assert f'\n{len(episodes)} of {len(episodes)} equal\n' in capsys.readouterr().out
 
 
+@pytest.mark.full
 @pytest.mark.skipif(os.geteuid() != 0, reason='only root can mount a small file system')
 def test_a_file_system_that_is_full_is_the_same(tmp_path):
     if subprocess.run(['mount', '-t', 'tmpfs', '-o', 'size=60k', 'tmpfs', str(tmp_path)],
@@ -136,6 +139,7 @@ def test_every_cut_is_read_up_to_there(recording, tmp_path):
     assert seen == {0, 1, 2}
 
 
+@pytest.mark.full
 @settings(max_examples=60, deadline=None,
           suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(flips=st.lists(st.tuples(st.integers(0, 2**20), st.integers(0, 255)), min_size=1,
@@ -221,6 +225,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_not_unpacked(tmp_path):
     tracemalloc.stop()
 
 
+@pytest.mark.full
 def test_an_interrupted_command_ends_without_a_traceback(recording, tmp_path):
     files = [str(recording)] * 200
     with subprocess.Popen([sys.executable, '-m', 'manip_sim.cli', 'convert', *files, '--to',

@@ -105,6 +105,7 @@ def verify(capsys, tmp_path):
     return run
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', robot_names())
 def test_the_commands_of_every_robot_are_repeated(robot, session, verify):
     node = session(robot=robot, arena='table')
@@ -126,6 +127,7 @@ def trajectory(node, seconds=0.5):
                           node.simulation.time_ns)
 
 
+@pytest.mark.full
 def test_goals_operations_and_restored_states_are_repeated(session, verify):
     node = session(robot='Panda', arena='table')
     thread, simulation, name = node.thread, node.simulation, node.simulation.robot.name
@@ -333,6 +335,7 @@ def scrambled(value, random):
     return odd[int(random.integers(len(odd)))]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', range(60))
 def test_scrambled_journals_end_in_lines_and_without_a_traceback(
         seed, recorded, verify, tmp_path):
@@ -348,6 +351,7 @@ def test_scrambled_journals_end_in_lines_and_without_a_traceback(
     assert not any('Traceback' in line or len(line) > 700 for line in lines)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('given', [
     {'robots': ['left', 'right'], 'left.robot': 'UR5e', 'right.robot': 'Panda'},
     {'robot': 'PandaOmron', 'seed': 3, 'initialization_noise.magnitude': 0.02}
@@ -375,6 +379,7 @@ BOX = """<mujoco><worldbody><body name="box" pos="0 0 1"><freejoint/>
 YAML = '{name: ball, shape: sphere, size: [0.03], mass: 0.2}'
 
 
+@pytest.mark.full
 def test_objects_that_come_and_go_are_repeated(session, verify):
     node = session(robot='UR5e', arena='table')
     turn = [1.0, 0.0, 0.0, 0.0]

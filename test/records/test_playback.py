@@ -148,6 +148,7 @@ def test_images_are_those_of_the_period(player, frames):
         np.testing.assert_array_equal(player._images['front'].image, wanted[period])
 
 
+@pytest.mark.full
 def test_it_runs_without_ros_and_ends_with_a_signal(recording):
     with subprocess.Popen(
             [sys.executable, '-c', WITHOUT_ROS, '--record', str(recording.parent), '--port', '0'],
@@ -161,6 +162,7 @@ def test_it_runs_without_ros_and_ends_with_a_signal(recording):
         assert (viewer.returncode, errors) == (0, '')
 
 
+@pytest.mark.full
 def test_a_file_that_is_no_record_is_one_line(tmp_path):
     path = tmp_path / 'a.mcap'
     path.write_text('no record')
@@ -286,6 +288,7 @@ def test_the_wrench_at_an_end_effector_and_its_pose_are_plotted(show, tmp_path):
     assert plots['cell right position'].values.tolist() == [[1.0, 0.2, 0.3], [2.0, 0.2, 0.3]]
 
 
+@pytest.mark.full
 def test_browsers_look_at_the_robot_of_the_record_that_is_shown(show, tmp_path, monkeypatch):
     for robot in ('Panda', 'GR1'):
         record = NodeRecord(tmp_path / f'{robot}.mcap', compose(robot).to_archive())

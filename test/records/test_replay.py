@@ -151,6 +151,7 @@ def test_a_file_that_is_not_there_is_one_line(tmp_path, capsys):
     assert 'this folder has no *.mcap file' in capsys.readouterr().err
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind', ['joint_position', 'joint_velocity', 'joint_effort'])
 def test_actions_of_joints_with_latency_are_repeated_to_the_last_bit(tmp_path, kind):
     task = create_task('push_cube', 'UR5e', initialization_noise=None)

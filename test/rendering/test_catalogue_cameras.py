@@ -45,6 +45,7 @@ def changed_by(renderer, simulation, camera, geoms):
     return int((before != after).any(axis=-1).sum())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 def test_every_eye_in_hand_sees_its_fingers_and_the_cube_and_each_view_the_cube(name, gl):
     simulation = Simulation(compose(name, arena='table', cube=True), visual=True)

@@ -79,6 +79,7 @@ REJECTED = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('topic', REJECTED)
 def test_bad_messages_change_nothing_and_are_explained(topic, serve, client):
     log = client.log()
@@ -98,6 +99,7 @@ def test_bad_messages_change_nothing_and_are_explained(topic, serve, client):
     assert statistics.accepted == 0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('topic, message', [
     ('arm/command', action(*[1e308] * 7)),
     ('right/gripper/command', action(1e308)),

@@ -79,6 +79,7 @@ def listen(client, topic):
     return client.listen(kind[topic.split('/')[-1]], topic, qos_profile_sensor_data)
 
 
+@pytest.mark.full
 def test_a_ball_is_where_its_image_its_depth_and_the_intrinsics_say(serve_seen, client):
     serve_seen(objects=[BALL], cameras=[FRONT], start_paused=True)
     color, depth, info = (listen(client, f'front/{topic}') for topic in (
@@ -239,6 +240,7 @@ def test_labels_are_the_bodies_of_the_model_that_is_published_beside_their_names
     client.spin_until(lambda: ball not in pixels(labels[-1]))
 
 
+@pytest.mark.full
 def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen, client):
     # A busy machine without a graphics card renders five images a second or a few more.
     serve_seen(cameras=[FRONT], camera__front__rate=25.0, real_time_factor=0.25, **SMALL)
@@ -296,6 +298,7 @@ def test_in_lockstep_images_are_of_due_states_only(serve_seen, client):
     assert {nanoseconds(message) // 10_000_000 for message in color} == {1, 2, 4, 6}
 
 
+@pytest.mark.full
 def test_cameras_of_several_robots_have_their_names(serve_seen, client):
     serve_seen(robots=['left', 'right'], cameras=['left_eye_in_hand', 'right_eye_in_hand'],
                **{f'camera__{side}_eye_in_hand__{edge}': 64
@@ -306,6 +309,7 @@ def test_cameras_of_several_robots_have_their_names(serve_seen, client):
         assert color[0].header.frame_id == f'{side}_eye_in_hand_optical_frame'
 
 
+@pytest.mark.full
 def test_diagnostics_tell_rate_and_cost(serve_seen, client):
     serve_seen(cameras=[FRONT], **SMALL)
     listen(client, 'front/color/image_raw')
@@ -426,6 +430,7 @@ def in_lockstep(client, periods, *topics):
             for images in heard]
 
 
+@pytest.mark.full
 def test_late_images_show_what_was_there_beside_the_present_ones(serve_seen, client):
     serve_seen(latency__image=0.04, **LATE)
     late, present = in_lockstep(
@@ -436,6 +441,7 @@ def test_late_images_show_what_was_there_beside_the_present_ones(serve_seen, cli
     assert (present[14] != present[10]).any()
 
 
+@pytest.mark.full
 def test_the_first_image_of_a_reader_that_comes_later_is_as_late_as_others(serve_seen, client):
     serve_seen(latency__image=0.04, **LATE)
     exact = listen(client, 'truth/front/color/image_raw')

@@ -67,6 +67,7 @@ def test_in_lockstep_a_cartesian_command_is_the_command_of_its_arm(serve, client
     assert node.simulation.robot.state().position.tobytes() == state
 
 
+@pytest.mark.full
 def test_in_lockstep_the_same_commands_give_the_same_bits():
     states = []
     for _ in range(2):
@@ -90,6 +91,7 @@ def policy():
     process.wait(timeout=300.0)
 
 
+@pytest.mark.full
 def test_the_policy_of_the_document_lifts_the_end_effector(serve, client, request):
     serve(arena='table', publish_rate=20.0, control_mode__arm='effort', stepping='lockstep',
           lockstep_parts=['arm', 'right/gripper'])

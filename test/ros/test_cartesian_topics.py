@@ -137,6 +137,7 @@ def test_what_is_rejected_changes_nothing_and_is_told(topic, message, what, arm,
     arm.client.spin_until(lambda: any(what in line and topic in line for line in arm.log))
 
 
+@pytest.mark.full
 def test_clamps_and_targets_out_of_reach_are_counted_and_told(arm, served):
     clamped = served.commands[0].statistics['arm'].clamped
     arm.client.publish('right/target_twist', twist(x=3.0))

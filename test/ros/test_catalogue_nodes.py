@@ -15,6 +15,7 @@ OTHER_PARTS = {'PandaOmron': {'base', 'torso'}, 'Tiago': {'base', 'torso', 'head
                'GR1': {'torso', 'head', 'legs'}}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ROBOTS)
 def test_a_robot_is_served_with_the_topics_of_its_parts(name, serve, client):
     serve(robot=name)
@@ -43,6 +44,7 @@ def place(client):
     return np.array(client.state('base/joint_states').position[:2])
 
 
+@pytest.mark.full
 def test_a_mobile_base_drives_along_its_own_axes(serve, client):
     node = serve(robot='PandaOmron', command_timeout__base=0.0)
     turn = Twist()

@@ -108,6 +108,7 @@ def test_after_the_end_of_the_context_waits_are_short_and_nothing_is_raised(node
     assert took_s(lambda: inbox.wait(600.0)) < 300.0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('known', ['7.1.', 'another'])
 @pytest.mark.parametrize('stepping', ['lockstep', 'realtime'])
 def test_commands_are_used_whoever_takes_them(serve, client, monkeypatch, stepping, known):

@@ -236,6 +236,7 @@ def wanted(message):
     return {name: getattr(message, name) for name in names}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('message', [
     JointState(), JointState(name=ARM), JointState(name=ARM, position=[math.nan] * 7),
     JointState(position=[math.nan])], ids=['empty', 'names', 'NaN', 'NaN of none'])

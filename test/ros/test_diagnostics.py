@@ -42,6 +42,7 @@ def test_commands_are_counted_by_part(serve, client):
     assert gripper['age'] == 'never'
 
 
+@pytest.mark.full
 def test_every_key_is_in_the_table_of_the_documentation(serve, client, renderer):
     page = Path(__file__).parents[2] / 'docs' / 'reference' / 'topics.md'
     section = page.read_text().split('## Diagnostics')[1].split('\n## ')[0]
@@ -67,6 +68,7 @@ def factor_of(array):
     return float(values(array.status[0])['real_time_factor'])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('factor', [0.5, 2.0])
 def test_the_real_time_factor_that_is_asked_for_is_measured(factor, serve, client):
     serve(real_time_factor=factor)

@@ -69,6 +69,7 @@ def call(client, name, kind=Trigger, request=None):
     return done.result()
 
 
+@pytest.mark.full
 def test_episodes_are_drawn_from_the_seed_and_can_be_repeated_from_what_was_told(
         serve, client, episodes, randomization):
     node = serve(task='pick_cube', seed=4, start_paused=True, randomization=randomization)
@@ -114,6 +115,7 @@ def test_each_episode_has_the_stamp_of_its_first_states(serve, client, episodes)
     assert stamps == [10_000_000, 30_000_000, 50_000_000, 70_000_000]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('parameters', [
     {}, {'control_mode.arm': 'effort'},
     {'robot': 'PandaOmron', 'control_mode.base': 'position', 'stream_interval.arm': 0.2}])

@@ -107,6 +107,7 @@ def swinger(served, client):
     client.spin_until(served.actions._timer.is_canceled)
 
 
+@pytest.mark.full
 def test_goal_succeeds_and_its_client_hears_of_it_twenty_times_a_second(swinger):
     assert swinger.run(10) == SUCCEEDED
     assert 10 <= len(swinger.told) <= 26
@@ -191,6 +192,7 @@ def test_clients_are_told_when_the_node_ends(served, swinger):
     served.end_goals()
 
 
+@pytest.mark.full
 def test_client_that_waits_for_its_goal_in_lockstep_gets_there(client, monkeypatch):
     monkeypatch.setattr(sim_node, 'offer_actions', offer)
     # Another node may serve the action of the same name, and would answer too.
@@ -204,6 +206,7 @@ def test_client_that_waits_for_its_goal_in_lockstep_gets_there(client, monkeypat
     node.close()
 
 
+@pytest.mark.full
 def test_a_node_that_is_gone_leaves_nothing_behind(served, client, monkeypatch):
     monkeypatch.setattr(sim_node, 'offer_actions', offer)
 

@@ -18,6 +18,7 @@ def simulation_values(array):
     return {pair.key: pair.value for pair in array.status[0].values}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('service_type, name', [
     (SetParameters, 'set_parameters'), (SetParametersAtomically, 'set_parameters_atomically')])
 def test_a_parameter_of_an_unknown_type_is_survived_told_and_counted(service_type, name,

@@ -30,6 +30,7 @@ def as_seen(name):
     return name if name.startswith('/') else f'/{name}'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('parameters', [
     {}, {'gripper': 'none'}, {'arena': 'table'}, {'robot': 'PandaOmron'}, {'robot': 'GR1'},
     {'robot': 'UR5e', 'gripper': 'WipingGripper'},

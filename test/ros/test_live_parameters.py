@@ -61,6 +61,7 @@ def number_of(node):
             and not name.startswith('control_mode')]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', ['Panda', 'Baxter', 'PandaOmron'])
 def test_get_and_what_acts_agree_for_every_live_parameter(robot, serve):
     node = serve(robot=robot, start_paused=True)
@@ -162,6 +163,7 @@ def test_what_is_drawn_is_what_get_says(serve, tmp_path):
     assert node.declared.value('noise.joint_position') == values[-1]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', ['Panda', 'Baxter', 'PandaOmron'])
 def test_a_dump_starts_an_identical_node(robot, serve):
     first = serve(robot=robot, start_paused=True)
@@ -200,6 +202,7 @@ def all_values(node):
             if parameter.value is not None}
 
 
+@pytest.mark.full
 def test_objects_that_came_and_went_leave_nothing_and_dumps_start_identical_nodes(
         serve, client, tmp_path):
     node = serve(robot='UR5e', arena='table', start_paused=True)
@@ -265,6 +268,7 @@ def test_a_dump_starts_a_node_after_noise_was_switched_off(serve):
     assert second.declared.values == first.declared.values
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('text', ['{robot: UR5e}', '{robot: PandaOmron}'])
 def test_a_dump_with_a_spawned_robot_starts_an_identical_node_without_it(
         text, serve, client, tmp_path):

@@ -219,6 +219,7 @@ def test_a_late_client_sees_a_paused_state(serve, client):
     assert nanoseconds(client.state()) == 10_000_000
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('position', [[], [math.nan]])
 def test_names_without_a_number_answer_for_their_part_and_it_goes_on(position, serve, client):
     node = serve(stepping='lockstep', lockstep_parts=['arm', 'right/gripper'])

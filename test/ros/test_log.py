@@ -79,6 +79,7 @@ def test_failures_are_counted(log, lines):
                            'cannot be read as a message of its type']
 
 
+@pytest.mark.full
 def test_names_with_apostrophes_do_not_flood_the_log(sim_process, client):
     log = client.log()
     sim_process()
@@ -96,6 +97,7 @@ def test_names_with_apostrophes_do_not_flood_the_log(sim_process, client):
     assert 1 <= len(rejections) <= elapsed_s + 2
 
 
+@pytest.mark.full
 def test_a_joint_name_cannot_forge_a_line_of_the_log(sim_process, client):
     node = sim_process()
     client.state()

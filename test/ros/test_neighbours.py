@@ -50,6 +50,7 @@ rclpy.shutdown()
 """
 
 
+@pytest.mark.full
 def test_two_clients_may_control_the_simulation_at_once(serve, client):
     node = serve()
     client.state()
@@ -235,6 +236,7 @@ CALLED_BY_MISTAKE = [
     (Trigger, 'manip_sim/pause', "/manip_sim/pause is SetBool; '/client' calls it as Trigger")]
 
 
+@pytest.mark.full
 def test_what_does_not_match_the_node_is_reported_once_while_it_lasts(serve, client):
     log = client.log()
     serve(robot='PandaOmron')
@@ -264,6 +266,7 @@ def test_what_does_not_match_the_node_is_reported_once_while_it_lasts(serve, cli
         'manip_sim: other nodes': 'no conflict'})
 
 
+@pytest.mark.full
 def test_what_matches_the_node_is_not_reported(serve, client):
     serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')

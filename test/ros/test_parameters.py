@@ -74,6 +74,7 @@ def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, r
     assert hint in lines[0]
 
 
+@pytest.mark.full
 def test_a_process_of_its_own_ends_as_those_that_are_started_together(sim_process, rejected):
     parameter = REJECTED[0][0]
     node = sim_process(parameter)
@@ -81,6 +82,7 @@ def test_a_process_of_its_own_ends_as_those_that_are_started_together(sim_proces
     assert (node.returncode, output, errors) == rejected[parameter]
 
 
+@pytest.mark.full
 def test_ros_arguments_that_make_no_sense_end_the_start_with_one_line(process):
     node = process('--ros-args', '--nonsense')
     _, errors = node.communicate(timeout=300.0)
@@ -182,6 +184,7 @@ def test_use_sim_time_is_answered_with_a_warning(serve, client):
     client.state()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('told, parameters', [
     (True, {'ros2_control_tag': True, 'stepping': 'lockstep'}),
     (False, {'ros2_control_tag': True, 'stepping': 'lockstep',

@@ -44,6 +44,7 @@ def test_an_expression_finds_what_grep_finds(pattern):
     assert ours(pattern) == grep(pattern)
 
 
+@pytest.mark.full
 def test_random_expressions_find_what_grep_finds():
     rng = random.Random(3)
     pieces = ['a', 'b', '.', '[ab]', '[^a]', '(a|b)', '(ab|b)', '(a*b|)', '^', '$', '|', '1', '_']

@@ -161,6 +161,7 @@ sys.exit(__main__.main())
 """
 
 
+@pytest.mark.full
 def test_the_first_state_waits_for_no_description_and_one_that_fails_ends_the_node():
     done = subprocess.run([sys.executable, '-c', DESCRIBES], text=True, capture_output=True,
                           timeout=300.0)

@@ -86,6 +86,7 @@ def test_a_message_that_is_larger_than_any_command_is_rejected():
             read_command(type(message), data)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('points, names, told', [
     (100_000, ['joint'], 'a trajectory may have at most 10000 points, got 100000'),
     (10_001, [], 'a trajectory may have at most 10000 points, got 10001'),

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 
+import pytest
 from rclpy.qos import QoSDurabilityPolicy
 
 from manip_sim.interface.topics import ACTIONS
@@ -109,6 +110,7 @@ def test_the_model_is_latched(serve, client):
     assert info.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
 
 
+@pytest.mark.full
 def test_the_pasted_controller_moves_the_robot(serve, client):
     serve()
     example = next(block for block in re.findall(

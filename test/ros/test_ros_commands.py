@@ -124,6 +124,7 @@ def graph(monkeypatch):
         yield graph
 
 
+@pytest.mark.full
 def test_each_verb_prints_what_ros2_prints(serve, graph, capsys):
     serve(arena='table', start_paused=True)
     for line, text in DONE:
@@ -132,6 +133,7 @@ def test_each_verb_prints_what_ros2_prints(serve, graph, capsys):
         assert re.search(text, printed), (line, printed)
 
 
+@pytest.mark.full
 def test_what_is_wrong_is_said_in_one_line_with_the_nearest_names(
         serve, graph, capsys, monkeypatch):
     serve()
@@ -182,6 +184,7 @@ def test_an_echo_matches_the_quality_of_service_of_the_publisher(client, graph, 
     assert printed in (['data: before\n---\n'] if latched else []) + ['data: later\n---\n']
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('line, begins', [
     ('topic echo /joint_states', b'header:'), ('topic hz /joint_states', b'average rate: '),
     ('topic pub -r 50 /joint_command sensor_msgs/msg/JointState', b'publisher: beginning loop'),
@@ -197,6 +200,7 @@ def test_ctrl_c_ends_what_has_no_end_with_code_zero_and_no_traceback(serve, line
     assert b'Traceback' not in errors and errors.count(b'\n') == ('nobody' in line)
 
 
+@pytest.mark.full
 def test_an_echo_ends_with_the_reader_of_its_output(serve):
     serve()
     read, write = os.pipe()

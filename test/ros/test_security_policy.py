@@ -78,6 +78,7 @@ def graph():
     return names
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind, permission', [
     ('topic', 'publish'), ('topic', 'subscribe'), ('service', 'reply'), ('action', 'execute')])
 def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
@@ -150,6 +151,7 @@ def test_a_controller_may_command_and_observe_but_not_change_parameters():
         '/manip_sim/set_parameters', '/manip_sim/set_parameters_atomically'}
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not list(importlib.metadata.distributions(name='ros-fastrtps')),
                     reason='ROS 2 does not come from wheels')
 @pytest.mark.parametrize('strategy', ['Enforce', 'Permissive'])

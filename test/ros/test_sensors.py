@@ -44,6 +44,7 @@ def package(package_on_path):
         'manip_sim.sensors', name, code, dict(zip(points, points)))
 
 
+@pytest.mark.full
 def test_an_installed_imu_measures_gravity_and_turning_with_its_noise(
         install_example, monkeypatch, serve, client):
     monkeypatch.syspath_prepend(install_example('end_effector_imu'))
@@ -77,6 +78,7 @@ def test_an_installed_imu_measures_gravity_and_turning_with_its_noise(
     np.testing.assert_allclose(force.std(axis=0), ACCELEROMETER, rtol=0.3)
 
 
+@pytest.mark.full
 def test_an_installed_topic_is_latched_and_published_when_it_changes(
         install_example, monkeypatch, serve, client):
     monkeypatch.syspath_prepend(install_example('touched_bodies'))

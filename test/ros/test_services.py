@@ -52,6 +52,7 @@ def trigger(client, name):
     return client.call(Trigger, f'manip_sim/{name}')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('stepping', ['realtime', 'free', 'lockstep'])
 def test_pause_is_idempotent_and_step_advances_by_one_period(stepping, serve, client):
     serve(stepping=stepping)
@@ -115,6 +116,7 @@ def test_commands_that_wait_are_dropped_by_a_reset(serve, client):
     assert abs(node.simulation.robot.state().position[0]) < 1e-4
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind, name', [
     (Trigger, 'reset'), (Trigger, 'save_state'), (SetBool, 'pause')])
 def test_a_command_that_came_before_a_call_takes_effect_before_it(serve, client, kind, name):
@@ -203,6 +205,7 @@ def test_tare_lets_the_external_wrench_read_zero(serve, client):
     client.spin_until(lambda: norm(wrenches[-1]) < 0.05)
 
 
+@pytest.mark.full
 def test_without_simulation_interfaces_only_its_services_are_missing():
     done = subprocess.run([sys.executable, '-c', WITHOUT], capture_output=True, text=True,
                           check=True, timeout=300.0)
@@ -236,6 +239,7 @@ def test_a_call_to_a_simulation_that_has_ended_is_rejected(serve, client):
     assert trigger(client, 'reset').message == 'the simulation has ended'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('stepping', ['realtime', 'lockstep'])
 def test_a_reflex_stops_an_arm_which_refuses_commands_until_it_is_reset(stepping, serve, client):
     log = client.log()

@@ -126,6 +126,7 @@ def test_parameters_that_cannot_be_are_rejected(serve, parameters, what):
         serve(robots=['left', 'right'], **parameters)
 
 
+@pytest.mark.full
 def test_the_command_line_exports_what_the_node_serves(process, client, tmp_path):
     from manip_sim.cli.main import main
     from manip_sim.resources import share_directory

@@ -94,6 +94,7 @@ def test_what_cannot_be_is_told_on_one_line(given, what, served):
     assert '\n' not in str(error.value)
 
 
+@pytest.mark.full
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.text(max_size=20) | st.builds(
     '{{name: {}, rate: {}, noise: {}}}'.format, st.sampled_from([HAND, FOOT, 'x', '~', '[1]']),

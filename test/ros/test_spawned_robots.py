@@ -111,6 +111,7 @@ def test_a_robot_comes_is_commanded_and_goes(spawning, client):
     client.spin_until(lambda: len(own) > count + 3)
 
 
+@pytest.mark.full
 def test_it_has_parameters_a_description_and_is_in_the_model(spawning, client):
     spawning()
     urdfs = []
@@ -187,6 +188,7 @@ def test_many_come_and_go_and_leave_nothing_behind(spawning, client):
     assert sizes[-1] <= sizes[1] + 20
 
 
+@pytest.mark.full
 def test_a_reset_keeps_it_and_a_saved_state_wants_the_same_robots(spawning, client):
     node = spawning()
     save, restore = 'manip_sim/save_state', 'manip_sim/restore_state'
@@ -346,6 +348,7 @@ def test_a_goal_of_a_robot_ends_with_it_and_its_client_hears_why(spawning, clien
     assert {**after, 'threads': 0} == {**before, 'threads': 0}
 
 
+@pytest.mark.full
 def test_the_viewer_sees_both_robots_apart(spawning, client):
     node = spawning()
     name, space = node.get_name(), node.get_namespace()
@@ -365,6 +368,7 @@ def test_the_viewer_sees_both_robots_apart(spawning, client):
     client.spin_until(lambda: seen() == (alone,))
 
 
+@pytest.mark.full
 def test_odometry_and_markers_follow_a_mobile_robot(spawning, client):
     spawning()
     markers = client.listen(MarkerArray, 'manip_sim/markers')

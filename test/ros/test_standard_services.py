@@ -371,6 +371,7 @@ def test_a_uri_of_another_kind_is_rejected(standard, uri):
     assert result.result == SpawnCode.UNSUPPORTED_FORMAT and "uri '" in result.error_message
 
 
+@pytest.mark.full
 def test_a_mesh_of_a_file_is_in_the_archive(standard, tmp_path):
     corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
     text = ''.join(f'v {x} {y} {z}\n' for x, y, z in corners) + (

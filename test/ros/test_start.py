@@ -77,6 +77,7 @@ def test_a_parameters_file_that_ros_cannot_read_is_explained(content, line, tmp_
     assert errors.startswith(f"sim_node: bad ROS arguments: '{file}'{line}"), errors
 
 
+@pytest.mark.full
 def test_a_home_that_cannot_be_written_is_named(process, monkeypatch):
     monkeypatch.setenv('HOME', '/proc/nobody')
     monkeypatch.delenv('ROS_LOG_DIR', raising=False)

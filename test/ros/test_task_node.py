@@ -125,6 +125,7 @@ def test_what_an_environment_over_topics_cannot_do_is_said(given, text):
         NodeEnv('reach', domain_id=DOMAIN, **given)
 
 
+@pytest.mark.full
 def test_images_of_another_size_than_the_nodes_are_said(serve, gl):
     serve(task='reach', lockstep_parts=['arm', 'right/gripper'], cameras=['agentview'], **LOCKSTEP)
     # An image may come while it connects, or only when it observes.

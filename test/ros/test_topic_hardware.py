@@ -222,6 +222,7 @@ def test_fingers_have_the_prefix_of_the_robot(serve, connect, until):
     until(hardware, reaches(hardware, goal, FINGER_TOLERANCE))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('base_first', [False, True])
 def test_arm_positions_and_base_velocities_come_in_one_message(base_first, serve, connect, until):
     node = serve(robot='PandaOmron', prefix='panda_')
@@ -286,6 +287,7 @@ def test_an_infinite_command_is_rejected_as_a_whole(infinity, serve, client, con
     assert reaches(hardware, start, FINGER_TOLERANCE)()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('names, position', [
     (ARM[:3], [0.0] * 4), ([], [0.0]), (ARM[:1], [0.0, 0.0])])
 def test_a_message_that_cannot_be_matched_is_rejected(names, position, serve, client):
@@ -315,6 +317,7 @@ def controlled(sim_node):
     return make
 
 
+@pytest.mark.full
 def test_with_the_threshold_of_the_tag_a_constant_velocity_is_kept(controlled):
     (threshold,) = (float(p.text) for p in ElementTree.fromstring(urdf_of(
         compose('Panda'), hardware=Hardware({})).xml).iter('param')
@@ -350,6 +353,7 @@ def test_an_arm_stops_when_the_controller_manager_dies(kind, command, controlled
     assert np.abs(velocity[-20:]).max() < 2e-3
 
 
+@pytest.mark.full
 def test_an_arm_in_position_mode_keeps_its_goal_when_the_controller_manager_dies(controlled):
     sim, hardware, loop = controlled('position', threshold=-1.0)
     goal = shifted(hardware, ARM, 0.1)
@@ -405,6 +409,7 @@ def stamp(message):
     return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
 
 
+@pytest.mark.full
 def test_the_shipped_configuration_fits_the_hardware_as_it_is(process, connect, until):
     process('--ros-args', '--params-file', str(CONFIG), '-r',
             'joint_states:=robot_joint_states', '-r', 'joint_command:=robot_joint_commands')

@@ -170,6 +170,7 @@ def wait_for(thread, condition):
     raise AssertionError('timed out')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('tf_rate', 'period_ms', 'told'), [
     (50.0, 20, None), (30.0, 30, '33.3333 Hz'), (1000.0, 10, '100 Hz')])
 def test_frames_come_with_the_nearest_rate_there_is(serve, records, tf_rate, period_ms, told):
@@ -248,6 +249,7 @@ ODOM_LIDAR = '{name: odom, position: [0.5, 0.0, 2.0], samples: 4}'
 ODOM_BOX = '{name: odom, shape: box, size: [0.1, 0.1, 0.1], mass: 0.1, position: [3.0, 1.0, 0.1]}'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('given', 'frame', 'other', 'other_place'), [
     ({}, 'odom', 'world', [0.0, 0.0, 0.0]),
     ({'robot': 'arm.xml', 'base': 'OmronMobileBase', 'prefix': 'left_'},

@@ -98,6 +98,7 @@ def test_control_modes_are_those_of_the_node_and_are_switched(client, serve):
     assert told[0].startswith('set_parameters: ') and 'efort' in told[0]
 
 
+@pytest.mark.full
 def test_a_record_of_the_node_is_written_until_it_is_ended(client, serve, tmp_path):
     serve()
     told = []

@@ -61,6 +61,7 @@ def names_at_the_viewer(names_and_types_by_node):
         return set()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('options', [['--no-commands'], []], ids=['watch', 'drive'])
 def test_a_page_that_only_watches_can_send_nothing(client, options):
     hostile = HostileNode(lambda what: what)

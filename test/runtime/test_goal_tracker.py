@@ -210,6 +210,7 @@ def goal_of(kind, running, part):
         start_ns=now_ns + 300_000_000 if kind == 'deferred' else 0, goal_tolerance=never), now_ns)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('how', ['reset', 'restore'])
 @pytest.mark.parametrize('kind', ['trajectory', 'deferred', 'done', 'gripper'])
 @pytest.mark.parametrize('robot, part', [('Panda', 'arm'), ('PandaOmron', 'torso')])

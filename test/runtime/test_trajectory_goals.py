@@ -351,6 +351,7 @@ def explode(panda):
     panda.simulation.data.qvel[0] = 1e6
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('prepare', [lambda panda: panda.start(), held_at_the_end],
                          ids=['on the way', 'after the end'])
 @pytest.mark.parametrize(('interfere', 'reason'), [
@@ -507,6 +508,7 @@ def test_last_point_a_little_beyond_the_range_is_met_at_its_end(panda):
     assert ended(goal) == SUCCESS and goal.command.clamped == 1
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', ['UR5e', 'Baxter', 'PandaOmron', 'GR1'])
 def test_goals_for_all_parts_of_a_robot_succeed_with_the_default_tolerances(operator_of, robot):
     actor = Actor(operator_of(robot))

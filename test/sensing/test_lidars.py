@@ -152,6 +152,7 @@ VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_s
     st.floats(), max_size=4)
 
 
+@pytest.mark.full
 @settings(max_examples=300, deadline=None)
 @given(st.dictionaries(st.sampled_from([
     'name', 'body', 'position', 'rpy', 'quat_xyzw', 'samples', 'rings', 'angle_min', 'angle_max',

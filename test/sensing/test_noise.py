@@ -56,6 +56,7 @@ def test_white_noise_has_the_moments_of_a_normal_distribution_and_no_memory():
     assert np.abs(correlation - np.diag(np.diag(correlation))).max() < error
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('length', [1, 10, 100, 1000])
 def test_allan_variance_of_white_noise_falls_with_the_length(length):
     noise = samples(channel_with(WrenchChannel, 6, noise__wrench_force=1.0))[:, :3]
@@ -66,6 +67,7 @@ def test_allan_variance_of_white_noise_falls_with_the_length(length):
                                rtol=ERRORS * np.sqrt(3.0 / clusters))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('length', [10, 100, 1000])
 def test_allan_variance_of_drift_rises_with_the_length(length):
     drift = samples(channel_with(WrenchChannel, 6, noise__wrench_drift=3.0))

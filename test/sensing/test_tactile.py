@@ -121,6 +121,7 @@ def test_a_ball_that_slides_is_felt_along_both_tangents_of_the_pad(velocity):
     assert second[depths > 0] == pytest.approx(abs(velocity[2]), abs=1e-6)
 
 
+@pytest.mark.full
 def test_a_grasp_is_felt_and_is_to_the_bit_the_same_without_tactile_sensors():
     states = []
     for composition in ({}, {'tactile': True}):

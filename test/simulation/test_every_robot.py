@@ -52,6 +52,7 @@ def full_stroke_s(gripper):
     return max(3.0, 2.0 / (20.0 * gripper.speed) + 0.1 if gripper.speed else 0.0)
 
 
+@pytest.mark.full
 def test_grippers_close_after_one_message(simulation, run):
     for part, gripper in simulation.robot.grippers.items():
         ids, goal = gripper.part.actuator_ids, np.ones(gripper.dof)

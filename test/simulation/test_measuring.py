@@ -307,6 +307,7 @@ def test_worlds_have_the_noise_of_their_seeds():
                                       single.robot.state().position)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('late_steps', [1, 7, 24, 25, 26, 51])
 def test_a_late_command_takes_effect_in_its_timestep(late_steps):
     late, by_hand = (Simulation(compose('UR5e')) for _ in range(2))

@@ -217,6 +217,7 @@ def test_a_pose_that_a_task_draws_gets_the_offset_too():
     assert simulation.randomized.drawn['bodies/cube/position'] == poses[1][:3].tolist()
 
 
+@pytest.mark.full
 def test_distributions_have_the_moments_that_they_say():
     def draws(spec, count=20_000):
         rule, = Randomization({'bodies': {'*': {'mass': spec}}}).rules
@@ -307,6 +308,7 @@ def test_any_mapping_is_either_distributions_or_an_error_in_one_line(simulation,
         assert np.isfinite(rule.draw(1, 'a')).all()
 
 
+@pytest.mark.full
 def test_another_process_draws_the_same(tmp_path, simulation):
     simulation.reset(21)
     code = ('import json, sys\n'

@@ -66,6 +66,7 @@ def numbers(robot):
 # ---------------------------------------------------------------------- what comes
 
 
+@pytest.mark.full
 def test_a_spawned_robot_makes_the_world_that_it_would_have_been_in_from_the_start():
     simulation = Simulation(World([compose_robot('Panda')], create_arena('table')))
     spawned = simulation.spawn_robot(robot_at('left', 2.0))
@@ -92,6 +93,7 @@ def test_a_spawned_robot_makes_the_world_that_it_would_have_been_in_from_the_sta
     assert spawned is simulation.robots['robotleft']
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind', robot_names())
 def test_each_robot_can_come_rest_move_and_go(kind):
     simulation = Simulation(World([], create_arena('empty')))
@@ -174,6 +176,7 @@ def all_that_is_published(changes):
     return np.array(told)
 
 
+@pytest.mark.full
 def test_what_is_there_moves_on_bit_for_bit_when_robots_come_and_go():
     def go(name):
         return lambda simulation: simulation.delete_robot(name)
@@ -227,10 +230,12 @@ def later_robot(deletes):
     return np.array(told)
 
 
+@pytest.mark.full
 def test_a_later_robot_goes_on_when_one_before_it_is_deleted():
     np.testing.assert_array_equal(later_robot(True), later_robot(False))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('kind', ['SO101', 'Panda'])
 def test_a_later_gripper_goes_on_when_one_before_it_is_deleted_after_a_restored_state(kind):
     digests = []
@@ -292,6 +297,7 @@ def test_commands_of_a_deleted_robot_are_aborted_with_the_reason():
     assert not [name for name in names if name.startswith('robotleft')]
 
 
+@pytest.mark.full
 def test_nothing_keeps_a_deleted_robot_in_memory():
     simulation = with_cubes()
     for _ in range(3):

@@ -100,6 +100,7 @@ def panda():
     return Simulation(compose('Panda', arena='table', initialization_noise=NOISE, seed=1))
 
 
+@pytest.mark.full
 @given(before=st.lists(st.sampled_from(SCRIPT), max_size=8),
        between=st.lists(st.sampled_from(SCRIPT), max_size=5),
        after=st.lists(st.sampled_from(SCRIPT), min_size=2, max_size=8))
@@ -129,6 +130,7 @@ def test_commands_on_their_way_are_the_same_after_restoring(panda, kind):
     panda.robot.sensing.set('latency.command', 0.0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ROBOTS.names())
 def test_every_robot_continues_and_starts_again_to_the_last_bit(name):
     simulation = Simulation(compose(name, arena='table'))
@@ -143,6 +145,7 @@ def test_every_robot_continues_and_starts_again_to_the_last_bit(name):
     assert run(simulation, SCRIPT[:5]) == first
 
 
+@pytest.mark.full
 def test_a_state_goes_on_in_another_process(panda, tmp_path):
     anew(panda, 3)
     run(panda, SCRIPT[:5])
@@ -298,6 +301,7 @@ def test_states_are_restored_after_objects_came_and_went_during_a_command():
     assert simulation.digest() == at_rest
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ['Panda', 'PandaOmron', 'GR1'])
 def test_what_commands_bring_along_is_no_fixed_place_of_states(name):
     simulation = Simulation(compose(name, arena='table'))

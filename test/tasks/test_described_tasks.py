@@ -149,6 +149,7 @@ def test_an_object_that_is_held_counts_as_in_the_tasks_by_classes():
     assert episode.simulation.data.body('cube').xpos[2] > 0.92 and episode.periods > 10
 
 
+@pytest.mark.full
 def test_a_task_of_a_file_runs_from_the_command_line_and_is_repeated_without_the_file(
         file, tmp_path, capsys):
     pytest.importorskip('pyarrow', reason='pyarrow is not installed')
@@ -268,6 +269,7 @@ def spoilt(data, value):
     return data.draw(ANYTHING)
 
 
+@pytest.mark.full
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_no_description_raises_anything_but_one_line(data):

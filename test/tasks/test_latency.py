@@ -66,6 +66,7 @@ def test_commands_that_are_late_by_a_part_of_a_period_take_effect_within_it():
     assert begins[0.06] == begins[0.0] + 30
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('state_s', [0.05, 0.12, 0.15, 0.048])
 def test_an_observation_is_as_old_as_the_latency_of_states(state_s):
     given = actions()
@@ -94,6 +95,7 @@ def test_the_age_of_states_does_not_change_what_happens():
     np.testing.assert_array_equal(positions({'state': 0.1}, given), positions(0.0, given))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', ['Panda', 'UR5e'])
 @pytest.mark.parametrize('rate_hz', [20, 10])
 @pytest.mark.parametrize('action', ACTIONS)
@@ -133,6 +135,7 @@ def test_a_reset_forgets_commands_that_are_under_way():
     np.testing.assert_allclose(episode.simulation.data.qpos[:7], start, atol=1e-4)
 
 
+@pytest.mark.full
 def test_success_falls_with_latency():
     successes = []
     for latency in (0.0, 0.3):

@@ -268,6 +268,7 @@ def test_a_bar_is_handed_over_only_when_the_second_gripper_alone_holds_it():
     assert not episode.success
 
 
+@pytest.mark.full
 def test_a_robot_with_two_arms_hands_over_alone():
     episode = episode_of('hand_over', 'Baxter')
     assert len(episode.simulation.robots) == 1

@@ -32,6 +32,7 @@ from manip_sim.testing import simulation_under_test  # noqa: E402
 from manip_sim.testing.simulation_under_test import SimulationStalled  # noqa: E402
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('as_process', [False, True])
 def test_time_passes_only_while_the_test_lets_it(sim_node, as_process):
     sim = sim_node(robot='UR5e', as_process=as_process)
@@ -89,6 +90,7 @@ def ros(monkeypatch):
     rclpy.try_shutdown()
 
 
+@pytest.mark.full
 def test_a_controller_in_lock_step_gives_the_same_states_to_the_last_bit(sim_node, ros):
     def run():
         sim = sim_node(stepping='lockstep')
@@ -150,6 +152,7 @@ def fail_in_a_process(sim):
                'raise RuntimeError("in a process")'])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('fail, error', [
     (lambda sim: sim.spin(Raises()), (ZeroDivisionError, 'a defect of the controller')),
     (spin_in_own_thread, (ZeroDivisionError, 'a defect of the controller')),
@@ -236,6 +239,7 @@ UNKNOWN = [
     (lambda sim: sim.call(Trigger, 'manip_sim/pause'), 'has the type std_srvs/srv/SetBool')]
 
 
+@pytest.mark.full
 def test_names_that_nobody_has_are_unknown_after_three_seconds(sim_node, monkeypatch):
     sim = sim_node(patience=250.0)
     begin_s = time.monotonic()
@@ -280,6 +284,7 @@ def processes_with(mark):
     return found
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGTERM])
 def test_processes_of_a_fixture_end_with_a_killed_pytest(tmp_path, number):
     (tmp_path / 'test_of_mine.py').write_text(STARTS_A_NODE % STARTS_ANOTHER)
@@ -392,6 +397,7 @@ def test_a_question_whose_answer_is_lost_is_asked_again(sim_node, monkeypatch):
     assert answer.success and asked.count('manip_sim/tare_wrench') >= 2
 
 
+@pytest.mark.full
 def test_a_node_that_crashes_comes_back_and_what_was_recorded_begins_anew(sim_node):
     sim = sim_node(as_process=True, control_mode__arm='velocity')
     command = JointState(name=['robot0_joint1'], velocity=[0.2])

@@ -62,6 +62,7 @@ def press(page, what):
     page.events.run()
 
 
+@pytest.mark.full
 def test_a_person_scrubs_back_while_the_node_goes_on_and_returns_to_the_present(page):
     live(page, 0.0, 40.0)
     press(page, 'Last minute')
@@ -80,6 +81,7 @@ def test_a_person_scrubs_back_while_the_node_goes_on_and_returns_to_the_present(
     assert not slider.visible
 
 
+@pytest.mark.full
 def test_it_goes_back_a_minute_and_takes_no_more_memory_in_an_hour(page):
     for rate, first_s, last_s in ((2.0, 0.0, 3600.0), (500.0, 3600.0, 3700.0)):
         live(page, first_s, first_s + 0.01)
@@ -110,6 +112,7 @@ def test_it_plays_what_it_keeps(page):
     assert not timeline._play.value
 
 
+@pytest.mark.full
 def test_another_world_begins_it_again_and_shows_the_present(page, models):
     live(page, 0.0, 20.0)
     press(page, 'Last minute')

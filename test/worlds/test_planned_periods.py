@@ -88,6 +88,7 @@ class Followers:
                 assert self.wrenches[-1].tolist() == wrench(self.alone).tolist()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 @pytest.mark.parametrize('integrator', ['EULER', 'IMPLICITFAST', 'RK4'])
 def test_planned_periods_in_one_call_are_those_of_a_simulation(name, integrator, at_once):

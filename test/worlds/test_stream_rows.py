@@ -153,6 +153,7 @@ def diverge(simulation):
     simulation.data.qvel[0] = 1e7
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('act', [
     reset, restore, change_mode, command_a_joint, command_late, close_the_gripper,
     plan_a_trajectory, set_a_timeout, arm_a_reflex, change_what_a_stream_is, push_a_joint,
@@ -221,6 +222,7 @@ def test_worlds_that_are_reset_leave_the_others_in_rows(streams):
     streams.check_equal()
 
 
+@pytest.mark.full
 def test_streams_end_as_in_simulations_when_nothing_comes(streams):
     for _ in range(60):
         streams.advance()

@@ -337,6 +337,7 @@ def test_goals_for_joints_that_are_not_side_by_side_pass_in_all_worlds(pair):
     pair.check_equal()
 
 
+@pytest.mark.full
 def test_worlds_with_other_objects_or_with_several_robots_go_on_together():
     def world():
         return World([compose_robot('Panda', idn=0), compose_robot('UR5e', idn=1)],
