@@ -38,6 +38,8 @@ _LOOK_S = 0.05
 _AGAIN_S = 2.0
 #: How long until a name that nobody has is unknown; discovery takes less [s].
 _UNKNOWN_S = 3.0
+#: How long a node that was killed counts as present in DDS [s].
+_LEASE_S = 30.0
 
 
 class SimulationStalled(ManipSimError):
@@ -167,9 +169,10 @@ class SimulationUnderTest:
     def _advance(self, periods: int) -> None:
         end_ns = self._now_ns + periods * round(self.period_s * 1e9)
         for topic, publisher in self._publishers.items():
-            if not publisher.wait_for_all_acked(Duration(seconds=min(self._patience_s, 1e9))):
+            limit_s = min(max(self._patience_s, _LEASE_S), 1e9)
+            if not publisher.wait_for_all_acked(Duration(seconds=limit_s)):
                 raise SimulationStalled(f'a subscriber of {topic} has not acknowledged what was '
-                                        f'published within {self._patience_s:g} s')
+                                        f'published within {limit_s:g} s')
         self.set_parameter('pause_at', end_ns * 1e-9)
         self._recorded.last_new_s = time.monotonic()
         # What counts is that time passes: DDS may lose the answer.
