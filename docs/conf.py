@@ -44,7 +44,8 @@ nitpicky = True
 # Types of other packages, and of the standard library, are not linked: builds need no network.
 nitpick_ignore_regex = [
     ('py:.*', r'(gymnasium|mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
-    ('py:.*', r'(Any|ArrayLike|Callable|FloatArray|Iterable|Mapping|Path|PathLike|Sequence)'),
+    ('py:.*', r'(Any|ArrayLike|(Bool|Float)Array|Callable|Iterable|Mapping|Path|PathLike)'),
+    ('py:.*', 'Sequence'),
     ('py:.*', 'Union'),
     ('py:.*', r'(abc\..*|C|P|T|GripperT|.*\.[CPT]|.*\.GripperT|(.*\.)?Sent)'),
     # Fields of instances are part of the text of their class.
