@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Whether arms that press on their pedestal, their body or a table come to rest: a table.
+Measure the rest of arms that press on their pedestal, their body or a table; print a table.
 
     python3 benchmark/resting.py [ROBOT ...] [--modes MODE ...] [--timesteps-ms MS ...]
 
@@ -62,7 +62,7 @@ class Outcome:
 
     @property
     def rests(self) -> bool:
-        """Whether the joints rest."""
+        """True if the joints rest."""
         return self.speed < REST
 
 

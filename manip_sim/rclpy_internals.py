@@ -24,7 +24,7 @@ from manip_sim.quoting import one_line
 __all__ = ['endpoint_counts', 'forget_parameters', 'InUse', 'parameter_overrides',
            'publish_bytes', 'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet']
 
-#: What rclpy says if it cannot write its log.
+#: Text of rclpy's error if it cannot write its log.
 _LOG = re.compile(r'log directory|log file|Failed opening file .*\.log')
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the workflows of CI may do, and that what they run is what was looked at."""
+"""Permissions of the workflows of CI, and pinned versions of the actions that they run."""
 
 from pathlib import Path
 import re

@@ -131,7 +131,7 @@ class Bare:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a call takes, of wall time and of CPU time in all threads [s]."""
+    """Cost of a call: wall time, and CPU time of all threads [s]."""
 
     wall_s: float
     cpu_s: float

@@ -45,9 +45,9 @@ from manip_sim.rclpy_internals import RCLError
 _UNKNOWN_S, _SETTLED_S, _ANSWER_S = 3.0, 1.0, 10.0
 #: How long to wait for messages at once; signals are looked at in between [s].
 _LOOK_S = 0.05
-#: How much of an array or a text is printed.
+#: Longest printed part of an array or a text.
 _PRINTED = 128
-#: How a value of a type is introduced, by the number of rcl_interfaces/msg/ParameterType.
+#: Label of a value by its type, a number of rcl_interfaces/msg/ParameterType.
 _LABELS = ('Parameter not set.', 'Boolean value is:', 'Integer value is:', 'Double value is:',
            'String value is:', 'Byte values are:', 'Boolean values are:', 'Integer values are:',
            'Double values are:', 'String values are:')

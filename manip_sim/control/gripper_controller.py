@@ -100,7 +100,7 @@ class GripperController:
 
     @property
     def _centres(self) -> bool:
-        """Whether two fingers press against each other, and are kept equally open."""
+        """True if two fingers press against each other, and are kept equally open."""
         return self._actuators.is_pair and bool(self._pressing.all())
 
     @property

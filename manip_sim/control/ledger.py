@@ -16,7 +16,7 @@ from manip_sim.control.commands import (
     Command, CommandHandle, GripperCommand, JointTrajectory, Status, STOPPED, TrajectoryStop)
 
 C = TypeVar('C', bound=Command)
-#: How many trajectories may wait for their start; clients may send any number, each later.
+#: Largest number of trajectories that wait for their start; clients may send any number.
 _MOST_WAITING = 1000
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 
-#: What gains that have to be lowered use of the range in which they are stable.
+#: Share of the stable range of gains that lowered gains use.
 _SHARE = 0.75
 #: Upper bound of damping x timestep / inertia of gains that are upper bounds themselves.
 _EXPLICIT_DAMPING = 1.5

@@ -238,7 +238,7 @@ class TouchWatch:
 
     @property
     def pushed(self) -> bool:
-        """Whether something but contacts may act on a tool."""
+        """True if forces other than contacts may act on a tool."""
         for push, none in self._pushes:
             if push.tobytes() != none:
                 return True

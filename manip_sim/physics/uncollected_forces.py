@@ -88,12 +88,12 @@ class UncollectedForces:
 
     @property
     def pulls(self) -> bool:
-        """Whether something may pull at the tool that is no contact, nor the fluid."""
+        """True if forces other than contacts and the fluid may act on the tool."""
         return self.tendons or bool(self.sites or self.cranks)
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing but the fluid can act that is not in ``cfrc_ext``."""
+        """True if the fluid is the only force that ``cfrc_ext`` lacks."""
         return not (self.sites or self.cranks or self.adhesions)
 
     def wrench(self, model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
@@ -129,7 +129,7 @@ class UncollectedForces:
         root = np.sqrt(square) if square > 0.0 else np.inf
         force = data.actuator_force[actuator] * model.actuator_gear[actuator, 0] * (
             axis * (1.0 - along / root) + way / root)
-        # What acts on the body of the slider is the opposite, through the pin of the crank too.
+        # The opposite acts on the body of the slider, through the pin of the crank too.
         has_crank = self.first <= model.site_bodyid[crank] < self.end
         _add(wrench, force if has_crank else -force, data.site_xpos[crank])
 

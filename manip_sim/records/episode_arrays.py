@@ -42,7 +42,7 @@ class Columns:
 @dataclass
 class Quantities:
     """
-    What is known of robots and objects at the start and after each control period.
+    Measured quantities of robots and objects at the start and after each control period.
 
     :ivar positions: joint positions by robot [rad or m]
     :ivar velocities: joint velocities by robot [rad/s or m/s]

@@ -172,7 +172,7 @@ class EpisodeRecorder:
             self.close()
 
 
-#: What reads numbers of an observation, or of the present instant.
+#: Reader of numbers of an observation, or of the present instant.
 _Read = Callable[[Observation], FloatArray]
 #: What makes the content of a message of a stamp and numbers.
 _Make = Callable[[dict[str, int], FloatArray], Any]

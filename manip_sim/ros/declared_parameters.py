@@ -46,7 +46,7 @@ class Parameters:
         #: Timeouts that the user has set, and those that follow the modes in the present change.
         self._set_timeouts: set[str] = set()
         self._following: set[str] = set()
-        #: Whether a present change is what acts already.
+        #: True while parameters are changed to the settings that act already.
         self.showing = False
         node.add_pre_set_parameters_callback(lambda parameters: self._with_timeouts(
             self._with_coupled([self._as_declared(parameter) for parameter in parameters])))

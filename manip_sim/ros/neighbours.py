@@ -20,7 +20,7 @@ from manip_sim.rclpy_internals import endpoint_counts
 
 #: Programs of this package; what they publish may outlive a node by a moment.
 _OWN_PROGRAMS = ('sim_view', 'pick_cube', 'hand_over')
-#: How similar the name of a topic with one end must be to one of the node that has the other.
+#: Least similarity of a topic with one end to a topic of the node with the other end.
 _SIMILAR = 0.8
 #: The packages of services that every node has, so that a call of one may be for any other node.
 _OF_EVERY_NODE = ('rcl_interfaces', 'type_description_interfaces')

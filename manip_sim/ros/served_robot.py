@@ -65,19 +65,19 @@ class ServedRobot:
                     change, 'cartesian', robot.name, arm, setting)
         for name, acting in self.robot.settings.items():
             given = scope.parameter(name)
-            # What randomization has drawn stays, unless the user gives something else.
+            # Values that randomization has drawn stay, unless the user sets others.
             if given in self._declared.names and value(given) != acting and (
                     value(given) or name not in QUANTITIES):
                 self._use(given, value(given))
 
     @property
     def acting(self) -> dict[str, Any]:
-        """What acts of the live parameters of the robot, but for those that follow from them."""
+        """Acting values of the robot's live parameters, without those that follow from them."""
         return {self.scope.parameter(name): value for name, value in self.robot.settings.items()}
 
     @property
     def timeouts(self) -> dict[str, bool]:
-        """Whether the timeout of each atomic part was set, as far as that makes a difference."""
+        """Atomic parts whose timeout was set to another value than the default of their mode."""
         begin, joints = self.scope.parameter('command_timeout.'), self.robot.joints
         return {name: joints.ends_targets(name.removeprefix(begin))
                 for name, value in self.acting.items() if name.startswith(begin) and value}

@@ -72,7 +72,7 @@ class SimNode(Node):
     """
 
     actions: ActionServers | None = None
-    #: Whether all is there that there is at the start.
+    #: True once everything is declared that belongs to the start.
     is_built = False
 
     def __init__(self, **arguments: Any) -> None:

@@ -73,9 +73,9 @@ class ControlPeriods:
         #: When the intervals of a control period end, by its number of steps: the last one used.
         self._ends_of: dict[int, FloatArray] = {}
         self._cuts: dict[int, tuple[int, ...]] = {}
-        #: How many steps have yet to be run until a late command takes effect, or of the period.
+        #: Steps left until a late command takes effect, or until the end of the period.
         self._left = 0
-        #: How many steps of the period follow then.
+        #: Steps of the period after that.
         self._later = 0
 
     def look_at_robots(self) -> None:

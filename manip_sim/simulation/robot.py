@@ -277,7 +277,7 @@ class SimulatedRobot:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What can be set and acts at present, by the name of the parameter of the node."""
+        """Acting settings, by the name of the parameter of the node."""
         found: dict[str, Any] = {}
         for part, limits in self.reflexes.limits.items():
             values = self.joints.settings(part)
@@ -347,7 +347,7 @@ class SimulatedRobot:
 
     @property
     def has_late_commands(self) -> bool:
-        """Whether commands are on their way."""
+        """True if delayed commands have not yet taken effect."""
         return bool(self._late)
 
     def next_arrival(self, count: int) -> int | None:

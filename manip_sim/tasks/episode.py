@@ -170,7 +170,7 @@ class Episode:
 
     @property
     def observes_exactly(self) -> bool:
-        """Whether observations are exact and of the present instant: no noise and no latency."""
+        """True if observations have neither noise nor latency."""
         return not self._states_late and not any(
             robot.sensing.settings.measures or robot.sensing.settings.measures_images
             for robot in self.simulation.robots.values())

@@ -22,9 +22,9 @@ from rclpy.node import Node
 
 from manip_sim.errors import ManipSimError
 
-#: How long the callback of a controller is given to return at the end [s].
+#: Longest wait for the callback of a controller to return at the end [s].
 _END_S = 3.0
-#: How many lines of what a process wrote to standard error are part of an error message.
+#: Lines of a process's standard error in an error message.
 _LINES = 5
 #: Kills its argument, a process or with a minus a group, when its standard input ends.
 _GUARD = ['sh', '-c', 'read _; kill -s KILL -- "$0"']

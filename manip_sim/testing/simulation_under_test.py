@@ -36,9 +36,9 @@ _AT_ONCE = 5
 _LOOK_S = 0.05
 #: How long until a question that has no answer is asked again; DDS may lose it [s].
 _AGAIN_S = 2.0
-#: How long until a name that nobody has is unknown; discovery takes less [s].
+#: Time after which a name without any owner counts as unknown; discovery takes less [s].
 _UNKNOWN_S = 3.0
-#: How long a node that was killed counts as present in DDS [s].
+#: Time for which DDS counts a killed node as present [s].
 _LEASE_S = 30.0
 
 

@@ -306,7 +306,7 @@ def _entries_of(path: Path) -> list[Entry]:
             entries.append(Entry(path, found.number, found.seed,
                                  None if found.result is None else found.success))
         else:
-            ShownWorld(found)  # What it lacks is said here, not on the page.
+            ShownWorld(found)  # Reports what it lacks here, not on the page.
             entries.append(Entry(path, number, node=found.node or '?'))
     return entries
 

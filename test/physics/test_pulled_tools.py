@@ -56,7 +56,7 @@ CUP = ('<body name="cup" pos="0 0 -0.05">'
        '<geom name="cup" type="cylinder" size="0.02 0.01" mass="0" margin="0.002"/></body>')
 SUCTION = '<adhesion name="pull" body="cup" ctrlrange="0 1" gain="50"/>'
 POST = '<site name="post" pos="0.02 0 0.94"/>'
-#: What is in the file, the control of the actuator ``pull``, the least that the tool feels [N].
+#: MJCF, control of the actuator ``pull``, least force on the tool [N].
 CASES = {
     'spring cable': ({'tendon': f'<spatial stiffness="20" springlength="0.1">{CABLE}</spatial>'},
                      None, 5.0),

@@ -95,7 +95,7 @@ def test_in_one_change_the_parameter_of_fewer_parts_acts_and_then_the_last_one(s
         assert [baxter.declared.value(f'control_mode.{part}') for part in ('right', 'left')] == [
             'velocity', 'effort']
         assert_agree(baxter)
-    # What both arms have is what the part of both has.
+    # The part of both arms has the values that the arms share.
     set_live(baxter, reflex__right__velocity=0.5)
     assert baxter.declared.value('reflex.arm.velocity') == 0.0
     set_live(baxter, reflex__left__velocity=0.5)
@@ -155,7 +155,7 @@ def test_what_is_drawn_is_what_get_says(serve, tmp_path):
         assert values[-1] == drawn
         node.thread.change('save')
     assert len(set(values)) == 3 and max(values) <= 0.01
-    # What is set by hand replaces what was drawn, until the next draw.
+    # A value that is set by hand replaces a drawn one until the next draw.
     set_live(node, noise__joint_position=0.2, seed=9)
     assert node.simulation.randomized.drawn['parameters/noise.joint_position'] == 0.2
     node.thread.restore()

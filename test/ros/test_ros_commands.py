@@ -62,7 +62,7 @@ DONE = [
     ('service call /manip_sim/reset std_srvs/srv/Trigger',
      r"^requester: making request: std_srvs\.srv\.Trigger_Request\(\)\n\nresponse:\n"
      r"std_srvs\.srv\.Trigger_Response\(success=True, message='back at the start'\)\n\n$")]
-#: What is wrong, the exit code, and the message.
+#: Wrong command, exit code and message.
 WRONG = [
     ('topic echo /joint_stats', 1, "unknown published topic '/joint_stats': did you mean "
      "'/joint_states'"),

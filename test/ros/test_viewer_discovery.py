@@ -120,7 +120,7 @@ def test_a_record_of_the_node_is_written_until_it_is_ended(client, serve, tmp_pa
     (file,) = tmp_path.glob('manip_sim_*.mcap')
     assert written and file.name in text, told
     assert file.read_bytes()[-8:] == b'\x89MCAP0\r\n'  # It is complete.
-    # What ends the page ends the record too; what cannot be written is told.
+    # The end of the page ends the record too; errors of writing are reported.
     recording.record(True)
     recording.close()
     assert not recording.is_running

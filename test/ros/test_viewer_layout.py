@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a browser lays out: nothing is cut, covered or wrapped, on a desktop and on a phone."""
+"""Layout in a browser: nothing is cut, covered or wrapped, on a desktop and on a phone."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def fail_in_a_thread(sim):
 
 
 def fail_in_a_process(sim):
-    # What it has started keeps its standard error open.
+    # Its own child processes keep its standard error open.
     sim.start([sys.executable, '-c', 'import subprocess; subprocess.Popen(["sleep", "1000"]); '
                'raise RuntimeError("in a process")'])
 

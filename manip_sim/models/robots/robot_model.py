@@ -54,7 +54,7 @@ class RobotModel(Subsystems, ABC):
     #: Point that stands on a base or the floor, in the frame of the root [m]; None: it is the
     #: origin of the file's world.
     _foot_offset: tuple[float, float, float] | None = None
-    #: Whether the gains of servos are upper bounds, to be lowered to what suits the timestep. If
+    #: True if the gains of servos are upper bounds, to be lowered to what suits the timestep. If
     #: not, they are kept, except where the servo would not be stable.
     gains_are_highest = False
 

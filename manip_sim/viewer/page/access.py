@@ -127,7 +127,7 @@ def _is_of_interest(record: logging.LogRecord) -> bool:
     """
     Return whether to log: whoever sends what is no request must not fill the log.
 
-    What else fails while a browser is served becomes a line.
+    Other errors while a browser is served become a line.
     """
     if record.getMessage() == 'opening handshake failed':
         return False

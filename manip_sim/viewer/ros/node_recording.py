@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 
-#: How long a record may take to be completed when the viewer ends [s].
+#: Longest wait for a record to be completed when the viewer ends [s].
 _CLOSING_S = 10.0
 
 
