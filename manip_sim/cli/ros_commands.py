@@ -40,10 +40,10 @@ from manip_sim.errors import ManipSimError, MessageError, UnknownNameError
 from manip_sim.quoting import one_line, quoted
 from manip_sim.rclpy_internals import RCLError
 
-#: How long until a name that nobody has is unknown, how long the graph must not change until it is
-#: listed, and how long an answer may take [s].
+#: Time after which a name without any owner counts as unknown, time without changes of the graph
+#: before it is listed, and longest wait for an answer [s].
 _UNKNOWN_S, _SETTLED_S, _ANSWER_S = 3.0, 1.0, 10.0
-#: How long to wait for messages at once; signals are looked at in between [s].
+#: Longest wait for messages at once; signals are handled in between [s].
 _LOOK_S = 0.05
 #: Longest printed part of an array or a text.
 _PRINTED = 128

@@ -77,7 +77,7 @@ class ServedRobot:
 
     @property
     def timeouts(self) -> dict[str, bool]:
-        """Atomic parts whose timeout was set to another value than the default of their mode."""
+        """True if a part's timeout ends Cartesian targets too, by the name of its parameter."""
         begin, joints = self.scope.parameter('command_timeout.'), self.robot.joints
         return {name: joints.ends_targets(name.removeprefix(begin))
                 for name, value in self.acting.items() if name.startswith(begin) and value}
