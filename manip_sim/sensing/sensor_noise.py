@@ -23,8 +23,9 @@ from manip_sim.sensing.settings import SensingSettings, TORQUE_PER_FORCE_M
 _WRENCH_SCALE = np.repeat([1.0, TORQUE_PER_FORCE_M], 3)
 #: By type of sensor: the quantity whose standard deviation it has, for sensors that stand alone.
 _ALONE = {'jointpos': 'joint_position', 'jointvel': 'joint_velocity',
-          'jointactuatorfrc': 'joint_effort', 'force': 'wrench_force', 'torque': 'wrench_torque',
-          'framequat': '', 'ballquat': ''}
+          'jointactfrc': 'joint_effort', 'force': 'wrench_force',
+          'torque': 'wrench_torque'}
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 class Channel:
@@ -136,14 +137,17 @@ class InstrumentChannel(Channel):
     """
     What an instrument of the model reads.
 
-    :param of_file: the attribute ``noise`` of its sensors, shape (length,)
+    :param model: the ``mujoco.MjModel``
     :param own_sd: standard deviation that each of its numbers has in any case, in its unit
     """
 
-    def __init__(self, found: Instrument, of_file: FloatArray, own_sd: float = 0.0) -> None:
-        self._kind, self._types, self._of_file = found.kind, found.types, of_file
-        self._reach = found.reach
-        self._own_sd = np.zeros(found.length)
+    def __init__(self, found: Instrument, model: mujoco.MjModel, own_sd: float = 0.0) -> None:
+        self._kind, self._types, self._reach = found.kind, found.types, found.reach
+        sensors = np.repeat(np.arange(model.nsensor), model.sensor_dim)[found.sources]
+        self._quantity = _quantity(found, model, int(sensors[0]))
+        #: The attribute ``noise`` of the sensors in the file.
+        self._of_file, self._own_sd = np.zeros((2, found.length))
+        self._of_file[found.targets] = model.sensor_noise[sensors]
         self._own_sd[found.targets] = own_sd
         self.is_noisy = own_sd > 0.0
         super().__init__(found.name, found.length)
@@ -162,10 +166,8 @@ class InstrumentChannel(Channel):
         elif self._kind == WRENCH:
             white, self.bias, self.drift = _wrench_noise(settings)
             self.sd += white
-        else:
-            name = 'range' if self._kind == RANGE else _ALONE.get(self._types[0])
-            if name:
-                self.sd += settings[f'noise.{name}']
+        elif self._quantity:
+            self.sd += settings[f'noise.{self._quantity}']
 
     def measure(self, exact: FloatArray, count: int, timestep_s: float) -> FloatArray:
         """Return what the instrument makes of exact numbers, as :meth:`Channel.measure`."""
@@ -194,9 +196,11 @@ def _turned(quat_xyzw: FloatArray, by: FloatArray) -> FloatArray:
     return wxyz_to_xyzw(product)
 
 
-def file_noise(model: mujoco.MjModel, found: Instrument) -> FloatArray:
-    """Return the attribute ``noise`` of the sensors of an instrument, shape (length,)."""
-    values = np.zeros(found.length)
-    owner = np.repeat(model.sensor_noise, model.sensor_dim)
-    values[found.targets] = owner[found.sources]
-    return values
+def _quantity(found: Instrument, model: mujoco.MjModel, sensor: int) -> str:
+    """Return the quantity whose noise a sensor has that stands alone; empty if there is none."""
+    if found.kind == RANGE:
+        return 'range'
+    name = _ALONE.get(found.types[0], '')
+    if name.startswith('joint') and model.jnt_type[model.sensor_objid[sensor]] == _SLIDE:
+        return name.replace('joint', 'slide')
+    return name

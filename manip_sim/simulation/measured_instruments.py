@@ -12,7 +12,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.physics.physics import Physics
 from manip_sim.sensing.instruments import Instrument, Sensors
 from manip_sim.sensing.robot_sensing import RobotSensing
-from manip_sim.sensing.sensor_noise import file_noise, InstrumentChannel
+from manip_sim.sensing.sensor_noise import InstrumentChannel
 from manip_sim.simulation.robot import SimulatedRobot
 
 #: What the names of the channels of instruments begin with.
@@ -48,7 +48,7 @@ class MeasuredInstruments:
             owner = owners.get(found.sensors[0], robots[0])
             sensing = self._sensing[found.name] = owner.sensing
             sensing.add(_CHANNELS + found.name, partial(self._exact, found.name),
-                        InstrumentChannel(found, file_noise(self._physics.model, found),
+                        InstrumentChannel(found, self._physics.model,
                                           self._noise.get(found.name, 0.0)))
 
     def set_noise(self, noise: Mapping[str, float]) -> None:

@@ -166,8 +166,24 @@ def test_own_noise_is_only_where_an_instrument_has_a_sensor():
         <mujoco><worldbody><body><geom size="0.1"/><site name="imu"/></body></worldbody>
         <sensor><accelerometer site="imu"/></sensor></mujoco>""")
     (found,) = find_instruments(model)
-    channel = InstrumentChannel(found, np.zeros(10), 0.5)
+    channel = InstrumentChannel(found, model, 0.5)
     channel.adapt(SensingSettings())
     measured = channel.measure(np.zeros(10), 3, 0.002)
     assert not measured[:7].any()
     assert measured[7:].all()
+
+
+@pytest.mark.parametrize('sensor, quantity', [
+    ('jointpos', 'position'), ('jointvel', 'velocity'), ('jointactuatorfrc', 'effort')])
+@pytest.mark.parametrize('joint, kind', [('hinge', 'joint'), ('slide', 'slide')])
+def test_a_sensor_of_a_joint_has_the_noise_of_joints_of_its_kind(sensor, quantity, joint, kind):
+    model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco><worldbody><body><geom size="0.1"/><joint name="hinge"/></body>
+        <body><geom size="0.1"/><joint name="slide" type="slide"/></body></worldbody>
+        <sensor><clock/><{sensor} joint="{joint}"/></sensor></mujoco>""")
+    channel = InstrumentChannel(find_instruments(model)[1], model)
+    settings = SensingSettings()
+    for number, other in enumerate(('joint', 'slide'), start=1):
+        settings.set(f'noise.{other}_{quantity}', 0.1 * number)
+    channel.adapt(settings)
+    assert channel.sd.tolist() == [0.1 if kind == 'joint' else 0.2]
