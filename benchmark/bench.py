@@ -68,8 +68,8 @@ def read_arguments() -> argparse.Namespace:
     parser.add_argument('--quick', action='store_true',
                         help='three short rounds, to look; figures are less certain')
     parser.add_argument('--smoke', action='store_true',
-                        help='one round of a fraction of a second: whether the rows run; the '
-                        'figures mean nothing')
+                        help='one round, of a fraction of a second, of the first figure of each '
+                        'row: whether it runs; the figures mean nothing')
     parser.add_argument('--rounds', type=int, default=0,
                         help='of each figure (5; quick: 3; smoke: 1)')
     parser.add_argument('--hours', type=float, default=0.0,
@@ -132,6 +132,8 @@ class Results:
                     for figure in row(settings):
                         self.figures.append(figure)
                         self.write()
+                        if settings.smoke:
+                            break
             except Exception as error:  # The other rows are measured all the same.
                 self.failed = True
                 self._miss(name, f'failed: {type(error).__name__}: {error}', settings)
@@ -215,7 +217,7 @@ def main() -> int:
 
     def progress(what: str) -> None:
         print(f'{time.time() - begin:5.0f} s  {what}', file=sys.stderr, flush=True)
-    settings = Settings(about['rounds'], scale, arguments.hours, progress)
+    settings = Settings(about['rounds'], scale, arguments.hours, progress, arguments.smoke)
     results = Results(folder / 'bench.json', about, settings.series)
     try:
         results.measure(arguments.only, settings)

@@ -28,6 +28,7 @@ class Settings:
     :ivar scale: of durations; 1 is what the targets are meant for
     :ivar hours: simulated time of the row ``memory``; 0 is what fits
     :ivar report: shows a line of progress
+    :ivar smoke: whether the first figure of a row is enough
     :ivar series: data for the pictures, by name
     """
 
@@ -35,6 +36,7 @@ class Settings:
     scale: float
     hours: float
     report: Callable[[str], None]
+    smoke: bool = False
     series: dict[str, Any] = field(default_factory=dict)
 
 
