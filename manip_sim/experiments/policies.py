@@ -12,6 +12,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import os
 from pathlib import Path
 import signal
 import sys
@@ -35,10 +36,8 @@ ROS = 'ros:'
 LIMIT_S, LOCAL_LIMIT_S = 10.0, 600.0
 _FORMS = ("'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt, FILE.onnx or "
           'ros:/NAMESPACE')
-
-
-#: Longest constant of a source file that may be the path of a file.
-_MOST_OF_PATH = 256
+#: Folders of installed packages, also of those of Debian, and of files that the kernel makes.
+_INSTALLED, _KERNEL = ('site-packages', 'dist-packages'), ('/proc', '/sys')
 
 
 class PolicyFailure(ManipSimError):
@@ -57,25 +56,27 @@ def policy_content(name: str) -> str | None:
     """
     if name == EXPERT or name.startswith(ROS):
         return None
-    where = name if Path(name).is_file() else name.rpartition(':')[0]
-    file = Path(where) if Path(where).is_file() else _source(where, [Path(), *sys.path])
+    where = name if os.path.isfile(name) else name.rpartition(':')[0]
+    file = Path(where) if os.path.isfile(where) else _source(where, [Path(), *sys.path])
+    # Sorted by content: other machines have them in other folders.
+    digests = sorted(map(_digest, set() if file is None else _files(file.resolve())))
+    return hashlib.sha256(b''.join(digests)).hexdigest()
+
+
+def _digest(path: Path) -> bytes:
     digest = hashlib.sha256()
-    for path in sorted(set() if file is None else _files(file.resolve())):
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()
+    with path.open('rb') as file:
+        while block := file.read(2**20):
+            digest.update(block)
+    return digest.digest()
 
 
 def _files(first: Path) -> set[Path]:
     """Return a file and what it imports or names, but no other installed packages."""
-    installed = [Path(sysconfig.get_path(name)) for name in ('stdlib', 'purelib', 'platlib')]
-    own = next((path for path in first.parents if path.parent in installed),
-               first if first.parent in installed else first.parent)
-    found: set[Path] = set()
-    waiting = [first]
+    own, found, waiting = _installed(first), set[Path](), [first]
     while waiting:
         path = waiting.pop()
-        if path in found or path != first and own not in path.parents and any(
-                folder in path.parents for folder in installed):
+        if path in found or _installed(path) not in (None, own):
             continue
         found.add(path)
         if path.suffix == '.py':
@@ -84,6 +85,13 @@ def _files(first: Path) -> set[Path]:
         elif path.suffix == '.onnx':  # Large weights are in files beside it.
             waiting += path.parent.glob(f'{path.name}.*')
     return found
+
+
+def _installed(file: Path) -> Path | None:
+    """Return the installed package or module that a file belongs to; None if it is in none."""
+    standard = Path(sysconfig.get_path('stdlib')).resolve()
+    return next((path for path in (file, *file.parents)
+                 if path.parent.name in _INSTALLED or path.parent == standard), None)
 
 
 def _referred(path: Path, tree: ast.Module) -> Iterator[Path]:
@@ -98,10 +106,11 @@ def _referred(path: Path, tree: ast.Module) -> Iterator[Path]:
                 folders = [path.parents[node.level - 1]]
             parents = [node.module] if node.module else []
             names = [*parents, *('.'.join([*parents, alias.name]) for alias in node.names)]
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and (
-                0 < len(node.value) < _MOST_OF_PATH and '\0' not in node.value):
-            yield from ((base / node.value).resolve() for base in (Path(), path.parent)
-                        if (base / node.value).is_file())
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            # Any text, which os.path.isfile takes: pathlib raises for some.
+            yield from (file.resolve() for file in (Path(node.value), path.parent / node.value)
+                        if os.path.isfile(file) and os.access(file, os.R_OK)
+                        and not any(map(file.is_relative_to, _KERNEL)))
         sources = (_source(name, folders) for name in names)
         yield from (source.resolve() for source in sources if source is not None)
 
@@ -111,7 +120,7 @@ def _source(module: str, folders: Iterable[Path | str]) -> Path | None:
     parts = Path(*module.split('.'))
     candidates = (path for folder in folders for path in (
         Path(folder, f'{parts}.py'), Path(folder, parts, '__init__.py')))
-    return next((path for path in candidates if path.is_file()), None)
+    return next(filter(os.path.isfile, candidates), None)
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 
 """Runs of many seeds: real processes, rows on the disk, resuming, shards, and bad input."""
 
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -377,6 +378,35 @@ def test_modules_packages_and_networks_have_a_content_and_experts_and_nodes_have
     towards_file(tmp_path / 'policy.py', 2.0)
     assert not set(before) & {policy_content(name) for name in names}
     assert policy_content('expert') is policy_content('ros:/policy') is None
+
+
+@pytest.mark.parametrize('line, file', [
+    (f"TEXT = '{'文' * 120}'", None),  # Longer than the name of a file may be.
+    ("TEXT = '/proc/self/stat'", None), ("TEXT = '/dev/zero'", None), ("TEXT = '.'", None),
+    ('import installed', 'env/lib/python3.11/site-packages/installed.py'),
+    ('import installed', 'env/lib/python3/dist-packages/installed/__init__.py')])
+def test_texts_that_name_no_file_of_the_policy_and_installed_packages_are_no_part_of_it(
+        tmp_path, monkeypatch, line, file):
+    policy = tmp_path / 'policy.py'
+    policy.write_text(line)
+    if file:
+        (tmp_path / file).parent.mkdir(parents=True)
+        (tmp_path / file).write_text('')
+        monkeypatch.syspath_prepend(tmp_path / file.rpartition('/installed')[0])
+    alone = hashlib.sha256(hashlib.sha256(policy.read_bytes()).digest()).hexdigest()
+    assert policy_content(f'{policy}:act') == alone
+
+
+def test_the_content_of_a_policy_is_the_same_in_other_folders(tmp_path, monkeypatch):
+    contents = set()
+    for own, other in (('a', 'b'), ('c', 'a')):
+        for folder in (own, other):
+            (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / own / 'policy.py').write_text("WEIGHTS = 'weights.bin'")
+        (tmp_path / other / 'weights.bin').write_text('1')
+        monkeypatch.chdir(tmp_path / other)
+        contents.add(policy_content(f'{tmp_path / own / "policy.py"}:act'))
+    assert len(contents) == 1
 
 
 @pytest.mark.full
