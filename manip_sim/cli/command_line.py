@@ -350,7 +350,8 @@ def _add_run(commands: Any) -> None:
     parser.add_argument('--record', action='store_true',
                         help='record each episode in DIR/records/SEED.mcap')
     parser.add_argument('--again', action='store_true',
-                        help='remove the rows that DIR has, such as those of an older policy')
+                        help='remove the rows and records that DIR has, such as those of an older '
+                             'policy')
     parser.add_argument('--retry-errors', action='store_true',
                         help='run episodes again whose rows have an error')
 

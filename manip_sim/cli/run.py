@@ -23,7 +23,7 @@ from manip_sim.experiments import (
 from manip_sim.experiments.on_ray import run_on_ray
 from manip_sim.experiments.policies import ROS
 from manip_sim.experiments.processes import run_in_processes
-from manip_sim.experiments.run_folder import read_json, RUN, Shard
+from manip_sim.experiments.run_folder import read_json, RECORDS, RUN, Shard
 from manip_sim.experiments.summary import Row
 from manip_sim.interface.parameter_files import read_parameters
 from manip_sim.models.randomization import Randomization
@@ -135,7 +135,7 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
         latency, tuple(options.cameras or ()), options.image_size,
         {} if options.randomization is None else {
             'randomization': Randomization(options.randomization)}, options.noise)
-    records = out / 'records' if options.record else None
+    records = out / RECORDS if options.record else None
     experiment = Experiment(setting, options.policy, records, options.policy_limit)
     # What cannot be used is said here, before anything is written.
     folder_before = Path.cwd()

@@ -18,8 +18,8 @@ from manip_sim.experiments.seeds import parse_seeds
 from manip_sim.experiments.summary import Row, summarize
 from manip_sim.quoting import shown
 
-#: Files in the folder; the first says what the run is.
-RUN, EPISODES, SUMMARY = 'run.json', 'episodes.parquet', 'summary.json'
+#: Files in the folder; the first says what the run is. The last is a folder.
+RUN, EPISODES, SUMMARY, RECORDS = 'run.json', 'episodes.parquet', 'summary.json', 'records'
 _ROWS = 'rows-{}-of-{}.jsonl'
 
 
@@ -31,7 +31,7 @@ class RunFolder:
     :param description: what the rows depend on, as JSON can hold it
     :param seeds: of the whole run; those that the folder does not have yet are added to it
     :param period_s: length of a control period [s]
-    :param again: forget the rows of an earlier run, whatever it was
+    :param again: remove the rows and records of an earlier run, whatever it was
     :raises ManipSimError: if the folder has files, but not of this run, or has other seeds too
     """
 
@@ -51,13 +51,15 @@ class RunFolder:
         return tuple(self._seeds)
 
     def _forget(self) -> None:
-        """Remove the rows, unless a process adds some; the others keep off meanwhile."""
+        """Remove rows and records, unless a process adds some; others keep off meanwhile."""
         files = [*self.path.glob('rows-*.jsonl')]
         with ExitStack() as stack:
             for file in files:
                 _lock(stack.enter_context(file.open('a+')), file)
-            for file in [*files, *(self.path / name for name in (EPISODES, SUMMARY, RUN))]:
+            for file in [*files, self.path / EPISODES, self.path / SUMMARY,
+                         *(self.path / RECORDS).glob('*.mcap')]:
                 file.unlink(missing_ok=True)
+            self._write_run()
 
     def _claim(self) -> None:
         """Write what the run is, or check that the folder is of this run."""
@@ -69,7 +71,7 @@ class RunFolder:
                 raise ModelError(f'{self.path} is not the folder of a run, but has {others[0]}: '
                                  'choose another one')
             # Shards may begin at the same time: the first one wins, and all write the same.
-            _replace(file, json.dumps(self._run, indent=2).encode())
+            self._write_run()
         there = read_json(file)
         if there.get('policy_content') != self._run.get('policy_content') and (
                 there.get('policy') == self._run.get('policy')):
@@ -92,7 +94,10 @@ class RunFolder:
         self._seeds = [*there, *(seed for seed in self._seeds if seed not in had)]
         if len(self._seeds) > len(there):
             self._run['seeds'] = spans(self._seeds)
-            _replace(self.path / RUN, json.dumps(self._run, indent=2).encode())
+            self._write_run()
+
+    def _write_run(self) -> None:
+        _replace(self.path / RUN, json.dumps(self._run, indent=2).encode())
 
     @contextmanager
     def shard(self, number: int, count: int, retry_errors: bool = False) -> Iterator[Shard]:

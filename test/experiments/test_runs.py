@@ -454,6 +454,16 @@ def test_a_policy_may_be_a_function_or_need_no_seed(whole, tmp_path, policy):
 
 
 @pytest.mark.full
+def test_a_run_again_leaves_no_rows_or_records_of_the_run_before_and_other_files(tmp_path):
+    out = tmp_path / 'out'
+    assert run(out, '--record', seeds='0:2', worlds='1') == 0
+    (out / 'notes.txt').touch()
+    assert run(out, '--again', '--record', policy='expert', seeds='1:2', worlds='1') == 0
+    assert [row['seed'] for row in rows(out)] == [1] and (out / 'notes.txt').exists()
+    assert [file.name for file in (out / 'records').iterdir()] == ['1.mcap']
+
+
+@pytest.mark.full
 def test_a_run_can_record_its_episodes(tmp_path):
     pytest.importorskip('mcap', reason='mcap is not installed')
     assert run(tmp_path / 'recorded', '--record', seeds='3:5', worlds='1') == 0
