@@ -22,7 +22,8 @@ import websockets  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.viewer.page import access  # noqa: E402
-from manip_sim.viewer.page.access import Access, guarding, is_of_page, TOKEN_VARIABLE  # noqa: E402
+from manip_sim.viewer.page.access import (  # noqa: E402
+    Access, guarding, page_message, TOKEN_VARIABLE)
 from manip_sim.viewer.page.server import close_server, open_server, page_address  # noqa: E402
 
 TOKEN = 'a-token-of-this-test'
@@ -218,17 +219,25 @@ def test_what_else_fails_for_a_browser_is_logged_in_a_line(server, caplog, logge
         st.sampled_from(['type', 'updates', 'value', 'image_width']) | st.text(max_size=2), inner,
         max_size=4), max_leaves=8).map(msgspec.msgpack.encode))
 def test_any_bytes_are_taken_or_ignored(data):
-    assert is_of_page(data) in (True, False)
+    page_message(data)
 
 
-@pytest.mark.parametrize(('message', 'taken'), [
-    ({'image_width': 0}, False), ({'image_width': 1, 'position': [0.0, 1.0]}, True),
-    ({'position': [float('inf')]}, False), ({'updates': {'value': 'x' * 201}}, False),
-    ({'updates': {'value': 'Pause'}}, True), ({'updates': []}, False), ({'updates': {}}, False),
-    ({'type': 'ViewerCameraMessage', 'fov': 1e30}, False), ({'type': ['x']}, False)])
-def test_a_message_of_a_browser_has_plain_values(message, taken):
-    data = msgspec.msgpack.encode({'type': 'GuiUpdateMessage', **message})
-    assert is_of_page(data) == taken
+@pytest.mark.parametrize(('change', 'taken'), [
+    ({}, True), ({'image_width': 0}, False), ({'image_width': 1}, True),
+    ({'position': [0.0, 1.0]}, False), ({'position': [float('inf'), 0.0, 0.0]}, False),
+    ({'fov': 1e30}, False), ({'fov': 1}, True), ({'far': '1'}, False), ({'unknown': 1}, False),
+    ({'type': ['x']}, False), ({'type': 'ShareUrlRequest'}, False)])
+def test_a_camera_of_a_browser_is_complete_and_plain(change, taken):
+    data = msgspec.msgpack.encode({'type': 'ViewerCameraMessage', **CAMERA, **change})
+    assert (page_message(data) is not None) == taken
+
+
+@pytest.mark.parametrize(('updates', 'taken'), [
+    ({'value': 'Pause'}, True), ({'value': 'x' * 201}, False), ([], False), ({}, False),
+    ({'value': 1, 'removed': True}, False), ({'value': [[[[[1]]]]]}, False)])
+def test_an_update_of_a_browser_is_of_a_plain_value(updates, taken):
+    data = msgspec.msgpack.encode({'type': 'GuiUpdateMessage', 'uuid': 'x', 'updates': updates})
+    assert (page_message(data) is not None) == taken
 
 
 def test_a_token_is_new_each_time_or_that_of_the_environment():

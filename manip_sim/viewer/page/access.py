@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 import hmac
 from http import HTTPStatus
 import ipaddress
@@ -206,8 +206,9 @@ class CheckedConnection(ServerConnection):
         """Return the next message that the page may have sent."""
         while True:
             data = await super().recv(decode)
-            if isinstance(data, bytes) and is_of_page(data) and _is_complete(data):
-                if _is_possible(self.gui, data):
+            message = page_message(data) if isinstance(data, bytes) else None
+            if message is not None:
+                if _is_possible(self.gui, message):
                     return data
             elif not self._reported:
                 self._reported = True
@@ -215,53 +216,39 @@ class CheckedConnection(ServerConnection):
                                 self.remote_address[0])
 
 
-def _is_complete(data: bytes) -> bool:
-    """Return whether a message has the fields that viser reads, of their types, and no others."""
+def page_message(data: bytes) -> Any:
+    """
+    Return a message that the page may have sent, as viser reads it, or None.
+
+    viser would also share the page with the whole internet, take files, and change any attribute
+    of an element for all browsers.
+    """
     from viser import _messages
-    message = msgspec.msgpack.decode(data)
-    kind = getattr(_messages, message.pop('type'))
     try:
-        msgspec.convert(message, kind)
-    except msgspec.ValidationError:
-        return False
-    return set(message) <= {field.name for field in fields(kind)}
+        content = msgspec.msgpack.decode(data, type=dict[str, Any])
+        kind = content.pop('type', None)
+        if kind not in _TAKEN or not _is_plain(content, _MAX_DEPTH):
+            return None
+        message = msgspec.convert(content, getattr(_messages, kind))
+    except (msgspec.DecodeError, UnicodeDecodeError, TypeError, RecursionError):
+        return None
+    possible = (content.keys() <= vars(message).keys()
+                and getattr(message, 'updates', {'value': 0}).keys() == {'value'}
+                and min(getattr(message, side, 1) for side in ('image_width', 'image_height')) > 0)
+    return message if possible else None
 
 
-def _is_possible(gui: Any, data: bytes) -> bool:
+def _is_possible(gui: Any, message: Any) -> bool:
     """Return whether an input may have the value that a message gives it, if it gives any."""
-    message = msgspec.msgpack.decode(data)
-    handle = getattr(gui, '_gui_input_handle_from_uuid', {}).get(message.get('uuid'))
-    if handle is None or 'updates' not in message:
+    handle = getattr(gui, '_gui_input_handle_from_uuid', {}).get(getattr(message, 'uuid', None))
+    if handle is None:
         return True
-    value, present = message['updates']['value'], handle.value
+    value, present = message.updates['value'], handle.value
     if isinstance(present, bool) or isinstance(value, bool):
         return type(value) is type(present)
     if isinstance(present, (int, float)):
         return isinstance(value, (int, float))
     return isinstance(value, str) and value in getattr(handle, 'options', (value,))
-
-
-def is_of_page(data: bytes) -> bool:
-    """
-    Return whether the page may have sent a message: values of inputs, cameras and targets.
-
-    viser would also share the page with the whole internet, take files, and change any attribute
-    of an element for all browsers.
-    """
-    try:
-        message = msgspec.msgpack.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, TypeError, RecursionError):
-        return False
-    kind = message.get('type') if isinstance(message, dict) else None
-    if not isinstance(kind, str) or kind not in _TAKEN:
-        return False
-    if 'updates' in message and (not isinstance(message['updates'], dict)
-                                 or message['updates'].keys() != {'value'}):
-        return False
-    if any(message.get(key, 1) < 1 for key in ('image_width', 'image_height')
-           if isinstance(message.get(key, 1), int)):
-        return False
-    return _is_plain(message, _MAX_DEPTH)
 
 
 def _is_plain(value: Any, depth: int) -> bool:
