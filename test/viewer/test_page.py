@@ -24,6 +24,7 @@ from manip_sim.viewer.page.latest import Latest, PoseInWorld, RealTimeFactor  # 
 from manip_sim.viewer.page.model_scene import first_view  # noqa: E402
 from manip_sim.viewer.page.page import _UNFOLDED, Page  # noqa: E402
 from manip_sim.viewer.page.page_commands import Events, Following  # noqa: E402
+from manip_sim.viewer.page.panels import DrivePanel, JointPanel  # noqa: E402
 from manip_sim.viewer.page.plain_text import Line  # noqa: E402
 from manip_sim.viewer.page.plots import History  # noqa: E402
 from manip_sim.viewer.page.robots import (  # noqa: E402
@@ -397,8 +398,6 @@ def test_panels_have_the_order_of_the_parts_and_all_but_the_first_ones_are_folde
     made = []
 
     class Panel:
-        field, mode = 'position', SimpleNamespace(modes=())
-
         def __init__(self, gui, robot, part, field, commands, events, folded, order):
             made.append((robot.space, part.name, folded, order))
 
@@ -441,19 +440,19 @@ def test_a_base_is_driven_by_its_velocity_and_has_sliders_in_another_mode(server
         page.show_diagnostics([ShownStatus(0, part, '', {'command_interface': mode}) for part, mode
                                in (('arm', 'velocity'), ('base', field), ('zip', 'velocity'))])
         page.update(now_s, Latest(), False)
-        return [page._drives.get('/'), *(page._joints.get(('/', part))
-                                         for part in ('arm', 'base', 'zip'))]
-    drive, arm, base, other = panels('velocity', 1.0)
-    assert drive is not None and base is None and None not in (arm, other)
-    assert panels('velocity', 2.0) == [drive, arm, None, other]
-    gone, same, base, _ = panels('position', 3.0)
-    assert gone is None and same is arm and base.field == 'position'
-    assert panels('position', 4.0) == [None, arm, base, other]
-    again, _, gone, _ = panels('velocity', 5.0)
-    assert again not in (None, drive) and gone is None
+        return [page._panels['/', part][1] for part in ('arm', 'base', 'zip')]
+    arm, drive, other = panels('velocity', 1.0)
+    assert isinstance(drive, DrivePanel) and isinstance(arm, JointPanel)
+    assert panels('velocity', 2.0) == [arm, drive, other]
+    same, base, _ = panels('position', 3.0)
+    assert same is arm and isinstance(base, JointPanel) and base.field == 'position'
+    assert panels('position', 4.0) == [arm, base, other]
+    _, again, _ = panels('velocity', 5.0)
+    assert isinstance(again, DrivePanel) and again is not drive
     assert drive.folder._impl.removed and base.folder._impl.removed
     # The node says later what modes it has.
     page._commands.switchable = {'arm', 'base'}
-    drive, with_modes, _, same = panels('velocity', 6.0)
-    assert drive.mode.modes == with_modes.mode.modes == ('position', 'velocity')
-    assert drive is not again and with_modes is not arm and same is other
+    with_modes, drive, same = panels('velocity', 6.0)
+    assert list(with_modes.mode._choice.options) == ['position', 'velocity']
+    assert list(drive.mode._choice.options) == ['position', 'velocity']
+    assert arm.folder._impl.removed and again.folder._impl.removed and same is other

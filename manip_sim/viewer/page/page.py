@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+import itertools
 from typing import Any
 
 import mujoco
@@ -84,8 +85,8 @@ class Page:
                                self.events)
         self._forget()
         tabs = gui.add_tab_group()
-        self._joints: dict[tuple[str, str], JointPanel] = {}
-        self._drives: dict[str, DrivePanel] = {}
+        #: By namespace and part: what the panel was made for, and the panel.
+        self._panels: dict[tuple[str, str], tuple[Any, JointPanel | DrivePanel]] = {}
         self._targets: dict[tuple[str, str], EndEffectorTarget] = {}
         self._poses: PosePanel | None = None
         if self._commands is not None:
@@ -179,10 +180,8 @@ class Page:
         if self._poses is not None:
             self._poses.update(latest, self._fields)
         self.events.run()
-        for panel in self._joints.values():
+        for _, panel in self._panels.values():
             panel.send(now_s)
-        for drive in self._drives.values():
-            drive.send(now_s)
         for key, target in self._targets.items():
             target.send()
             if key in latest.end_effectors:
@@ -234,48 +233,34 @@ class Page:
     def _follow(self, now_s: float, latest: Latest, paused: bool) -> None:
         if not self._fields or self._commands is None:  # Sliders depend on them.
             return
-        number = 0
+        numbers = itertools.count()
         for robot in self._robots:
             states = latest.joints.get(robot.space)
             for part in robot.parts:
-                panel = self._panel(self._commands, robot, part, number)
-                number += 1
-                drive = self._drives.get(robot.space) if part.name == 'base' else None
-                shown, mode = panel or drive, self._modes.get(_status_name(robot, part))
-                if shown is not None and mode is not None:
-                    shown.mode.show(now_s, mode)
-                if states is not None and panel is not None:
+                name = f'{robot.title}/{part.name}'.lstrip('/')
+                panel = self._panel(self._commands, robot, part,
+                                    self._fields.get(name, _POSITION), next(numbers))
+                if name in self._modes:
+                    panel.mode.show(now_s, self._modes[name])
+                if states is not None and isinstance(panel, JointPanel):
                     panel.show(now_s, dict(zip(states.names, states.position)),
                                dict(zip(states.names, states.velocity)), paused)
 
-    def _panel(self, commands: PageCommands, robot: Robot, part: ShownPart, number: int
-               ) -> JointPanel | None:
-        """Return the panel of a part for its present commands; None if it needs none."""
-        field = self._fields.get(_status_name(robot, part), _POSITION)
-        drives = part.name == 'base' and robot.twist is not None and field == 'velocity'
-        modes = tuple(commands.modes(robot.space, part.name))
-        if part.name == 'base':
-            drive = self._drives.get(robot.space)
-            if drive is not None and (not drives or drive.mode.modes != modes):
-                self._drives.pop(robot.space).remove()
-            if drives and robot.space not in self._drives:
-                with self._control:
-                    self._drives[robot.space] = DrivePanel(
-                        self._server.gui, robot, commands, self.events)
+    def _panel(self, commands: PageCommands, robot: Robot, part: ShownPart, field: str, number: int
+               ) -> JointPanel | DrivePanel:
+        """Return the panel of a part for its present commands and control modes."""
         key = robot.space, part.name
-        found = self._joints.get(key)
-        if found is not None and (found.field != field or found.mode.modes != modes or drives):
-            self._joints.pop(key).remove()
-            found = None
-        if found is None and not drives:
-            folded = len(part.joints) > _MANY_JOINTS or number >= _UNFOLDED
-            with self._control:
-                found = self._joints[key] = JointPanel(
-                    self._server.gui, robot, part, field, commands, self.events, folded,
-                    order=float(number))
-        return found
-
-
-def _status_name(robot: Robot, part: ShownPart) -> str:
-    """Return the name of the diagnostics of a part."""
-    return f'{robot.title}/{part.name}'.lstrip('/')
+        drives = part.name == 'base' and robot.twist is not None and field == 'velocity'
+        needs = field, drives, tuple(commands.modes(*key))
+        made_for, panel = self._panels.get(key, (None, None))
+        if panel is not None and made_for == needs:
+            return panel
+        if panel is not None:
+            panel.remove()
+        gui = self._server.gui
+        with self._control:
+            panel = DrivePanel(gui, robot, commands, self.events) if drives else JointPanel(
+                gui, robot, part, field, commands, self.events, order=float(number),
+                folded=len(part.joints) > _MANY_JOINTS or number >= _UNFOLDED)
+        self._panels[key] = needs, panel
+        return panel

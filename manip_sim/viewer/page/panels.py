@@ -237,15 +237,14 @@ class ModeChoice:
     A list of the control modes of a part; there is none if the part has no choice.
 
     :param robot: that has the part
-    :ivar modes: those that the node offers
     """
 
     def __init__(self, gui: Any, robot: Robot, part: str, commands: PageCommands, events: Events
                  ) -> None:
-        self.modes = tuple(commands.modes(robot.space, part))
+        modes = commands.modes(robot.space, part)
         self._choice = None
-        if len(self.modes) > 1:
-            self._choice = choice = gui.add_dropdown('Mode', self.modes)
+        if len(modes) > 1:
+            self._choice = choice = gui.add_dropdown('Mode', tuple(modes))
             self._following = Following()
 
             def chosen(event: Any) -> None:
