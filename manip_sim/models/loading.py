@@ -10,7 +10,6 @@ import logging
 from pathlib import Path
 from typing import Any
 import warnings
-from xml.etree.ElementTree import Element
 
 import mujoco
 import numpy as np
@@ -127,19 +126,8 @@ def load_spec(file: Path, missing: dict[str, MissingMeshError] | None = None) ->
     except _ERRORS as error:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
     resolve_files(spec, file, model, missing)
-    _mark_given_tolerance(spec, model.tree)
     _apply_total_mass(spec, file)
     return spec
-
-
-def _mark_given_tolerance(spec: mujoco.MjSpec, tree: Element) -> None:
-    """
-    Let a ``ccd_tolerance`` that a file sets differ from MuJoCo's default, even if it is the same.
-
-    :param tree: the root element of the file, with what it includes
-    """
-    if any('ccd_tolerance' in option.attrib for option in tree.iter('option')):
-        spec.option.ccd_tolerance = np.nextafter(spec.option.ccd_tolerance, 1.0)
 
 
 def _apply_total_mass(spec: mujoco.MjSpec, file: Path) -> None:

@@ -181,7 +181,11 @@ class World:
         return spec
 
     def _set_contact_options(self, spec: mujoco.MjSpec) -> None:
-        """Let contacts rest and friction hold, unless the file of a part has options for that."""
+        """
+        Let contacts rest and friction hold, unless the file of a part has options for that.
+
+        The defaults of MuJoCo count as no options.
+        """
         options = [part._spec.option for part in self._parts()]
         slip = max(options, key=lambda option: option.noslip_iterations)
         if slip.noslip_iterations == 0:
@@ -192,8 +196,7 @@ class World:
             spec.option.noslip_tolerance = slip.noslip_tolerance
         tolerances = {option.ccd_tolerance for option in options}
         tolerances.discard(mujoco.MjSpec().option.ccd_tolerance)
-        # Rounded, because of what loading adds to one that is given.
-        spec.option.ccd_tolerance = float(f'{min(tolerances, default=_CCD_TOLERANCE):.12g}')
+        spec.option.ccd_tolerance = min(tolerances, default=_CCD_TOLERANCE)
 
     def _parts(self) -> Iterator[Arena | MujocoXMLModel | ObjectModel]:
         """Yield what the world is made of."""
