@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -27,7 +27,27 @@ from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 #: Parameters of parts whose values are those of the parts that a part consists of.
 _COUPLED = ('control_mode.{}', 'command_timeout.{}', 'stream_interval.{}', 'stream_hold.{}',
             *(f'reflex.{{}}.{field.name}' for field in fields(ReflexLimits)))
-_MODE, _TIMEOUT = _COUPLED[:2]
+
+
+@dataclass(frozen=True)
+class PartParameter:
+    """
+    A parameter of a part.
+
+    :ivar scope: of the robot
+    :ivar group: the name without the part, such as ``reflex.velocity``
+    :ivar part: name
+    :ivar is_atomic: true if it acts; others only set the parameters of atomic parts
+    :ivar atomic: names of the parameters of the parts that the part consists of, mostly its own
+    :ivar same: names of the parameters of all parts without other joints, with its own
+    """
+
+    scope: Scope
+    group: str
+    part: str
+    is_atomic: bool
+    atomic: tuple[str, ...]
+    same: tuple[str, ...]
 
 
 class Parameters:
@@ -40,16 +60,14 @@ class Parameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._specs: dict[str, ParameterSpec] = {}
-        self._parts: dict[Scope, Mapping[str, Part]] = {}
-        #: Scope, one of :data:`_COUPLED`, and part of the parameters of parts.
-        self._of_part: dict[str, tuple[Scope, str, str]] = {}
+        #: By name.
+        self.of_parts: dict[str, PartParameter] = {}
         #: Timeouts that the user has set, and those that follow the modes in the present change.
         self._set_timeouts: set[str] = set()
         self._following: set[str] = set()
         #: True while parameters are changed to the settings that act already.
         self.showing = False
-        node.add_pre_set_parameters_callback(lambda parameters: self._with_timeouts(
-            self._with_coupled([self._as_declared(parameter) for parameter in parameters])))
+        node.add_pre_set_parameters_callback(self._complete)
         node.add_on_set_parameters_callback(self._validate)
 
     def declare(self, specs: Sequence[ParameterSpec]) -> None:
@@ -71,8 +89,8 @@ class Parameters:
     def undeclare(self, scope: Scope) -> None:
         """Remove all parameters of a robot that came while the node ran."""
         begin = scope.parameter('')
-        self._parts.pop(scope, None)
-        self._of_part = {name: found for name, found in self._of_part.items() if found[0] != scope}
+        self.of_parts = {name: found for name, found in self.of_parts.items()
+                         if found.scope != scope}
         self._set_timeouts = {name for name in self._set_timeouts if not name.startswith(begin)}
         self._specs = {name: spec for name, spec in self._specs.items()
                        if not name.startswith(begin)}
@@ -112,32 +130,25 @@ class Parameters:
         At the start, a value given for one arm overrides one given for both, and a timeout that
         is the default of the control mode follows it.
         """
-        self._parts[scope] = parts
         given = parameter_overrides(self._node)
+        found = {}
         for pattern in _COUPLED:
-            names = {scope.parameter(pattern.format(part)): part for part in parts}
-            names = {name: part for name, part in names.items() if name in self._specs}
-            self._of_part.update({name: (scope, pattern, part) for name, part in names.items()})
-            for whole in (True, False):
-                for name, part in names.items():
-                    if name in given and whole == (parts[part].atomic != (part,)):
-                        self._node.set_parameters([given[name]])
-        for name in [*self._set_timeouts]:
-            its, _, part = self._of_part[name]
-            mode = self.value(its.parameter(_MODE.format(part)))
-            if self.value(name) == default_timeout(part, mode):
-                self._set_timeouts.discard(name)
-
-    def of_atomic_part(self, name: str) -> tuple[Scope, str, str] | None:
-        """
-        Return the scope, the group and the part of a parameter that acts on an atomic part.
-
-        Those of other parts, and None, have no effect but on the parameters of atomic parts.
-        """
-        scope, pattern, part = self._of_part.get(name, (None, '', ''))
-        if scope is None or self._parts[scope][part].atomic != (part,):
-            return None
-        return scope, pattern.replace('.{}', ''), part
+            names = {part: name for part in parts
+                     if (name := scope.parameter(pattern.format(part))) in self._specs}
+            for part, name in names.items():
+                atomic = parts[part].atomic
+                found[name] = PartParameter(
+                    scope, pattern.replace('.{}', ''), part, atomic == (part,),
+                    tuple(names[one] for one in atomic),
+                    tuple(names[one] for one in names if {*parts[one].atomic} <= {*atomic}))
+        self.of_parts.update(found)
+        self._node.set_parameters([given[name] for name in sorted(
+            found, key=lambda name: found[name].is_atomic) if name in given])
+        for part in parts:
+            mode, timeout = (scope.parameter(pattern.format(part)) for pattern in _COUPLED[:2])
+            if timeout in self._set_timeouts and self.value(timeout) == default_timeout(
+                    part, self.value(mode)):
+                self._set_timeouts.discard(timeout)
 
     def show(self, values: Mapping[str, Any], timeouts: Mapping[str, bool]) -> None:
         """
@@ -153,63 +164,42 @@ class Parameters:
             self._node.set_parameters(changed)
         finally:
             self.showing = False
-        for name, is_set in timeouts.items():
-            scope, pattern, part = self._of_part[name]
-            names = {name, *(scope.parameter(pattern.format(other))
-                             for other in _coupled_parts(self._parts[scope], part))}
-            if is_set:
-                self._set_timeouts |= names
-            else:
-                self._set_timeouts -= names
+        self._set_timeouts -= timeouts.keys()
+        self._set_timeouts.update(name for name, is_set in timeouts.items() if is_set)
 
-    def _with_coupled(self, parameters: list[Parameter]) -> list[Parameter]:
+    def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
         """
-        Add the parameters of the same joints.
+        Add the parameters of the same joints, and timeouts that follow the control mode.
 
         Of several in one change, that of fewer parts acts, and of equal parts the last one.
         """
-        values = {parameter.name: parameter for parameter in parameters}
-        coupled = [(parameter, *self._of_part[parameter.name]) for parameter in parameters
-                   if parameter.name in self._of_part]
-        for parameter, scope, pattern, part in sorted(
-                coupled, key=lambda found: -len(self._parts[found[1]][found[3]].atomic)):
-            for other in (part, *_coupled_parts(self._parts[scope], part)):
-                name = scope.parameter(pattern.format(other))
-                if name in self._specs:
-                    values[name] = Parameter(name, parameter.type_, parameter.value)
-        for scope, pattern in {found[1:3]: None for found in coupled}:
-            self._join(scope, pattern, values)
+        values = {given.name: self._as_declared(given) for given in parameters}
+        known = self.of_parts
+        for given in sorted([given for given in values.values() if given.name in known],
+                            key=lambda given: -len(known[given.name].atomic)):
+            for name in known[given.name].same:
+                values[name] = Parameter(name, given.type_, given.value)
+        self._following = set()
+        for given in () if self.showing else [*values.values()]:
+            found = known.get(given.name)
+            if found is None or found.group != 'control_mode' or given.value not in [*MODES]:
+                continue
+            timeout = found.scope.parameter(f'command_timeout.{found.part}')
+            if found.is_atomic and timeout not in {*values, *self._set_timeouts}:
+                self._following.update(known[timeout].same)
+                values.update({name: Parameter(
+                    name, value=default_timeout(found.part, given.value))
+                    for name in known[timeout].same})
+        # Parts that consist of several have the values in which these agree.
+        for name, found in known.items():
+            if len(found.atomic) > 1 and name not in values and {*found.atomic} & {*values}:
+                ones = [values.get(one) or self._node.get_parameter(one) for one in found.atomic]
+                if all(one.value == ones[0].value for one in ones):
+                    values[name] = Parameter(name, ones[0].type_, ones[0].value)
         return [*values.values()]
 
-    def _join(self, scope: Scope, pattern: str, values: dict[str, Parameter]) -> None:
-        """Add the parameters of parts that consist of several, where these agree."""
-        for name, (its, own, part) in self._of_part.items():
-            atomic = self._parts[its][part].atomic
-            if (its, own) != (scope, pattern) or len(atomic) < 2:
-                continue
-            names = [scope.parameter(pattern.format(other)) for other in atomic]
-            parts = [values.get(n) or self._node.get_parameter(n) for n in names]
-            if name not in values and any(n in values for n in names) and all(
-                    one.value == parts[0].value for one in parts):
-                values[name] = Parameter(name, parts[0].type_, parts[0].value)
-
-    def _with_timeouts(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Add the timeouts of parts whose control mode is set, unless the user has set them."""
-        known = {parameter.name for parameter in parameters} | self._set_timeouts
-        self._following = set()
-        for parameter in () if self.showing else list(parameters):
-            scope, pattern, part = self._of_part.get(parameter.name, (None, '', ''))
-            if scope is None or pattern != _MODE or parameter.value not in [*MODES]:
-                continue
-            name = scope.parameter(_TIMEOUT.format(part))
-            if name not in known:
-                self._following.add(name)
-                parameters.append(Parameter(
-                    name, Parameter.Type.DOUBLE, default_timeout(part, parameter.value)))
-        return parameters
-
     def is_set(self, name: str) -> bool:
-        """Return whether the user has set a timeout, or it follows the control mode."""
+        """Return whether the user has set a timeout; else it follows the control mode."""
         return name in self._set_timeouts
 
     @property
@@ -238,22 +228,15 @@ class Parameters:
             if problem:
                 return SetParametersResult(successful=False, reason=problem)
         if not self.showing:
-            self._set_timeouts.update(
-                parameter.name for parameter in parameters if parameter.name not in self._following
-                and self._of_part.get(parameter.name, ('', '', ''))[1] == _TIMEOUT)
+            names = {parameter.name for parameter in parameters} & self.of_parts.keys()
+            self._set_timeouts.update(name for name in names - self._following
+                                      if self.of_parts[name].group == 'command_timeout')
         return SetParametersResult(successful=True)
 
 
 def _problem(spec: ParameterSpec, given: Parameter) -> str | None:
     return (spec.type_problem(given.type_.name.lower(), given.value)
             or spec.problem_with(given.value))
-
-
-def _coupled_parts(parts: Mapping[str, Part], part: str) -> list[str]:
-    """Return the parts that a part consists of, and its other name."""
-    own = set(parts[part].atomic)
-    return [name for name, other in parts.items() if name != part
-            and other.gripper is None and set(other.atomic) <= own]
 
 
 def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:

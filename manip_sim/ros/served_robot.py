@@ -93,16 +93,17 @@ class ServedRobot:
     def _use(self, name: str, value: Any) -> None:
         if name in self._uses:
             self._uses[name](value)
-        scope, group, part = self._declared.of_atomic_part(name) or (None, '', '')
-        if scope != self.scope:
+        found = self._declared.of_parts.get(name)
+        if found is None or found.scope != self.scope or not found.is_atomic:
             return
-        robot, change = self.robot.name, self._thread.change
+        robot, part, change = self.robot.name, found.part, self._thread.change
+        group, _, quantity = found.group.partition('.')
         if group == 'control_mode':
             change('mode', robot, part, value)
         elif group == 'command_timeout':
             # A Cartesian target comes to rest by itself: only a timeout that was set ends it.
             change('timeout', robot, part, self._declared.value(name), self._declared.is_set(name))
-        elif group.startswith('reflex'):
-            change('reflex', robot, part, group.removeprefix('reflex.'), value)
+        elif group == 'reflex':
+            change('reflex', robot, part, quantity, value)
         else:
             change(group, robot, part, value)

@@ -268,6 +268,22 @@ def test_a_dump_starts_a_node_after_noise_was_switched_off(serve):
     assert second.declared.values == first.declared.values
 
 
+def come(node, folder):
+    """Let a robot with the name left come."""
+    SpawnedRobots(node).come('left', plan_with_robot(node.simulation, RequestedRobot(
+        {'robot': 'Panda'}, 'here', FilesBelow([folder], 'here')).create('left', Pose(
+            np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])))))
+
+
+def test_a_timeout_that_was_set_to_its_default_stays_when_a_robot_comes(serve, tmp_path):
+    node = serve(robot='UR5e', start_paused=True)
+    set_live(node, control_mode__arm='velocity')
+    set_live(node, command_timeout__arm=0.2)
+    come(node, tmp_path)
+    set_live(node, control_mode__arm='position')
+    assert node.declared.value('command_timeout.arm') == 0.2
+
+
 @pytest.mark.full
 @pytest.mark.parametrize('text', ['{robot: UR5e}', '{robot: PandaOmron}'])
 def test_a_dump_with_a_spawned_robot_starts_an_identical_node_without_it(
@@ -291,9 +307,7 @@ def test_a_dump_with_a_spawned_robot_starts_an_identical_node_without_it(
     assert ask(client, 'delete_entity', entity='left').successful
     assert all_values(node) == before
     # A robot of that name that comes to the new node has settings of its own.
-    SpawnedRobots(again).come('left', plan_with_robot(again.simulation, RequestedRobot(
-        {'robot': 'Panda'}, 'here', FilesBelow([tmp_path], 'here')).create('left', Pose(
-            np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])))))
+    come(again, tmp_path)
     assert again.declared.value('left.control_mode.arm') == 'position'
 
 
