@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 import json
 from pathlib import Path
@@ -26,7 +26,7 @@ from manip_sim.records.definitions import definition, encoder, full_name
 from manip_sim.records.record_file import RecordFile
 from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
 from manip_sim.resources import package_version
-from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation import Simulation
 from manip_sim.tasks import Episode
 from manip_sim.tasks.observation import IMAGE, Observation
 
@@ -44,6 +44,7 @@ ACTION, STATE, GOAL, REWARD, SUCCESS, DIGEST = (
 STATE_PARTS = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
                   | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 _WORLD = 'world'
+_ARRAY, _POSE = 'std_msgs/Float64MultiArray', 'geometry_msgs/PoseStamped'
 
 
 class EpisodeRecorder:
@@ -172,12 +173,10 @@ class EpisodeRecorder:
             self.close()
 
 
-#: Reader of numbers of an observation, or of the present instant.
-_Read = Callable[[Observation], FloatArray]
 #: What makes the content of a message of a stamp and numbers.
 _Make = Callable[[dict[str, int], FloatArray], Any]
-#: A topic, its type, its messages and what reads their numbers.
-_Numbers = tuple[str, str, PatchedBytes, _Read]
+#: Scope, topic, type and content of a quantity, its observed numbers and what reads exact ones.
+_Quantity = tuple[Scope, str, str, _Make, FloatArray, Callable[[], FloatArray]]
 
 
 class _Topics:
@@ -186,59 +185,12 @@ class _Topics:
     def __init__(self, file: RecordFile, episode: Episode) -> None:
         self._file = file
         self._episode = episode
-        self._simulation = simulation = episode.simulation
+        self._simulation = episode.simulation
         self._channels: dict[str, int] = {}
-        self._always: list[_Numbers] = []
-        self._truths: list[_Numbers] = []
-        self._action: tuple[int, PatchedBytes] | None = None
-        self._seen = episode.observer.read()
-        self._add(self._always, '/clock', 'rosgraph_msgs/Clock',
-                  lambda stamp, _: {'clock': stamp}, lambda _: np.empty(0))
-        self._add(self._always, STATE, 'std_msgs/Float64MultiArray', _array('qpos, qvel, mocap'),
-                  lambda _: physics_state(simulation))
-        if 'goal' in self._seen:
-            self._add(self._always, GOAL, 'std_msgs/Float64MultiArray', _array('goal'),
-                      lambda seen: np.asarray(seen['goal'], dtype=np.float64))
-        several, joint, arm = len(simulation.robots) > 1, 0, 0
-        for name, robot in simulation.robots.items():
-            self._add_robot(robot, Scope(name if several else ''), joint, arm)
-            joint, arm = joint + len(robot.joint_names), arm + len(robot.end_effectors)
-        for index, name in enumerate(simulation.entities.free_names):
-            self._add_both(Scope(''), f'objects/{name}/pose', 'geometry_msgs/PoseStamped', _pose,
-                           partial(_row, 'object_pose', index), _object_pose(simulation, name))
-
-    def _add_robot(self, robot: SimulatedRobot, scope: Scope, joint: int, arm: int) -> None:
-        """Add the topics of a robot whose joints and arms begin at some rows of observations."""
-        joints, exact = slice(joint, joint + len(robot.joint_names)), robot.sensing.exact
-        self._add_both(scope, 'joint_states', 'sensor_msgs/JointState',
-                       _joint_state(robot.joint_names),
-                       lambda seen: np.concatenate([seen[f'joint_{kind}'][joints] for kind in (
-                           'position', 'velocity', 'effort')]), lambda: exact('joints'))
-        for row, (name, reader) in enumerate(robot.end_effectors.items(), arm):
-            make, kind = _wrench(reader.wrench_frame), 'geometry_msgs/WrenchStamped'
-            # No part of observations.
-            self._add_both(scope, f'{name}/wrench', kind, make,
-                           _present(partial(robot.sensing.measured, f'{name}/wrench')),
-                           partial(exact, f'{name}/wrench'))
-            self._add_both(scope, f'{name}/external_wrench', kind, make,
-                           partial(_row, 'external_wrench', row),
-                           partial(exact, f'{name}/external_wrench'))
-            self._add_both(scope, f'{name}/eef_pose', 'geometry_msgs/PoseStamped', _pose,
-                           partial(_row, 'eef_pose', row), partial(exact, f'{name}/pose'))
-
-    def _add_both(self, scope: Scope, topic: str, kind: str, make: _Make, read: _Read,
-                  exact: Callable[[], FloatArray]) -> None:
-        """Add what is observed, and beside it what is true."""
-        self._add(self._always, f'/{scope.topic(topic)}', kind, make, read)
-        self._add(self._truths, f'/{scope.topic(f"truth/{topic}")}', kind, make, _present(exact))
-
-    def _add(self, numbers: list[_Numbers], topic: str, kind: str, make: _Make, read: _Read
-             ) -> None:
-        numbers.append((topic, kind, self._patched(kind, make, len(read(self._seen))), read))
-
-    def _patched(self, kind: str, make: _Make, count: int) -> PatchedBytes:
-        encode = encoder(kind)
-        return PatchedBytes(lambda time_ns, numbers: encode(make(_stamp(time_ns), numbers)), count)
+        self._patched: dict[str, PatchedBytes] = {}
+        model = self._simulation.model
+        names = [str(model.camera(number).name) for number in range(model.ncam)]
+        self._frames = dict(zip(names, FrameNames(model).opticals))
 
     def _channel(self, topic: str, kind: str) -> int:
         if topic not in self._channels:
@@ -248,23 +200,57 @@ class _Topics:
     def write(self, observation: Observation | None,
               images: Mapping[str, NDArray[np.uint8]] | None) -> None:
         """Write what is observed at the present instant, and where it differs what is true."""
-        time_ns, seen = self._simulation.time_ns, observation or self._episode.observation
-        truths = [] if self._episode.observes_exactly else self._truths
-        for topic, kind, patched, read in (*self._always, *truths):
-            self._file.write(self._channel(topic, kind), time_ns,
-                             patched.at(time_ns, read(seen)))
+        seen = observation or self._episode.observation
+        self._write('/clock', 'rosgraph_msgs/Clock', lambda stamp, _: {'clock': stamp},
+                    np.empty(0))
+        self._write(STATE, _ARRAY, _array('qpos, qvel, mocap'), physics_state(self._simulation))
+        if 'goal' in seen:
+            self._write(GOAL, _ARRAY, _array('goal'), np.asarray(seen['goal'], dtype=np.float64))
+        exactly = self._episode.observes_exactly
+        for scope, topic, kind, make, numbers, exact in self._quantities(seen):
+            self._write(f'/{scope.topic(topic)}', kind, make, numbers)
+            if not exactly:
+                self._write(f'/{scope.topic(f"truth/{topic}")}', kind, make, exact())
         self._write_images({key.removeprefix(IMAGE): value for key, value in seen.items()
                             if key.startswith(IMAGE)} if images is None else images)
 
+    def _quantities(self, seen: Observation) -> Iterator[_Quantity]:
+        simulation, joint, row = self._simulation, 0, 0
+        for robot_name, robot in simulation.robots.items():
+            scope = Scope(robot_name if len(simulation.robots) > 1 else '')
+            exact, joints = robot.sensing.exact, slice(joint, joint + len(robot.joint_names))
+            yield (scope, 'joint_states', 'sensor_msgs/JointState',
+                   _joint_state(robot.joint_names),
+                   np.concatenate([seen[f'joint_{kind}'][joints] for kind in (
+                       'position', 'velocity', 'effort')]), partial(exact, 'joints'))
+            joint = joints.stop
+            for arm, reader in robot.end_effectors.items():
+                make, kind = _wrench(reader.wrench_frame), 'geometry_msgs/WrenchStamped'
+                wrench, external = f'{arm}/wrench', f'{arm}/external_wrench'
+                # No part of observations.
+                yield (scope, wrench, kind, make, robot.sensing.measured(wrench),
+                       partial(exact, wrench))
+                yield (scope, external, kind, make, seen['external_wrench'][row],
+                       partial(exact, external))
+                yield (scope, f'{arm}/eef_pose', _POSE, _pose, seen['eef_pose'][row],
+                       partial(exact, f'{arm}/pose'))
+                row += 1
+        for index, name in enumerate(simulation.entities.free_names):
+            yield (Scope(''), f'objects/{name}/pose', _POSE, _pose, seen['object_pose'][index],
+                   partial(simulation.entities.pose, simulation.data, name))
+
     def write_action(self, action: FloatArray) -> None:
         """Write an action, shape (n,)."""
-        if self._action is None:
-            kind = 'std_msgs/Float64MultiArray'
-            self._action = (self._channel(ACTION, kind),
-                            self._patched(kind, _array('action'), len(action)))
-        channel, patched = self._action
+        self._write(ACTION, _ARRAY, _array('action'), action)
+
+    def _write(self, topic: str, kind: str, make: _Make, numbers: FloatArray) -> None:
+        if topic not in self._patched:
+            encode = encoder(kind)
+            self._patched[topic] = PatchedBytes(
+                lambda time_ns, numbers: encode(make(_stamp(time_ns), numbers)), len(numbers))
         time_ns = self._simulation.time_ns
-        self._file.write(channel, time_ns, patched.at(time_ns, action))
+        self._file.write(self._channel(topic, kind), time_ns,
+                         self._patched[topic].at(time_ns, numbers))
 
     def write_value(self, topic: str, value: str | float | bool) -> None:
         """Write a text, a number or whether something is so."""
@@ -276,14 +262,11 @@ class _Topics:
     def _write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         """Write images by camera as JPEG; the topics are those of cameras of the node."""
         kind, time_ns = 'sensor_msgs/CompressedImage', self._simulation.time_ns
-        model = self._simulation.model
-        names = [str(model.camera(number).name) for number in range(model.ncam)]
-        frames = dict(zip(names, FrameNames(model).opticals))
         for camera, rgb in images.items():
             self._file.write(
                 self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
                 encoder(kind)({
-                    'header': _header(_stamp(time_ns), frames.get(camera, camera + OPTICAL)),
+                    'header': _header(_stamp(time_ns), self._frames.get(camera, camera + OPTICAL)),
                     'format': JPEG_FORMAT, 'data': jpeg_of(rgb)}))
 
 
@@ -344,17 +327,3 @@ def _wrench(frame: str) -> _Make:
 def _pose(stamp: dict[str, int], numbers: FloatArray) -> Any:
     return {'header': _header(stamp, _WORLD), 'pose': {
         'position': _vector(numbers[:3].tolist()), 'orientation': _vector(numbers[3:].tolist())}}
-
-
-def _present(read: Callable[[], FloatArray]) -> _Read:
-    """Return what reads the present instant, whatever is observed."""
-    return lambda _: read()
-
-
-def _row(key: str, index: int, seen: Observation) -> FloatArray:
-    row: FloatArray = seen[key][index]
-    return row
-
-
-def _object_pose(simulation: Simulation, name: str) -> Callable[[], FloatArray]:
-    return lambda: simulation.entities.pose(simulation.data, name)
