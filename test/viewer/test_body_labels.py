@@ -12,6 +12,7 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 pytest.importorskip('hypothesis', reason='needs hypothesis')
 
 from hypothesis import given, strategies as st  # noqa: E402
+import mujoco  # noqa: E402
 
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.viewer.page.body_labels import _LINE, arrange, BodyLabels  # noqa: E402
@@ -47,25 +48,30 @@ class Label(SimpleNamespace):
         self.removed = True
 
 
+def look(camera, position, look_at):
+    """Aim a camera, with the rotation that viser gives it."""
+    forward = look_at - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    camera.rotation = np.stack([right, np.cross(forward, right), forward])
+    camera.position, camera.wxyz = position, np.empty(4)
+    mujoco.mju_mat2Quat(camera.wxyz, camera.rotation.T.flatten())
+
+
 def client_of(position, look_at):
     labels = []
     scene = SimpleNamespace(add_label=lambda name, text, **_: labels.append(
         Label(text=text)) or labels[-1])
-    return SimpleNamespace(labels=labels, scene=scene, camera=SimpleNamespace(
-        position=position, look_at=look_at, fov=FIELD_OF_VIEW, image_height=HEIGHT,
-        up_direction=np.array([0.0, 0.0, 1.0])))
+    camera = SimpleNamespace(fov=FIELD_OF_VIEW, image_height=HEIGHT)
+    look(camera, position, look_at)
+    return SimpleNamespace(labels=labels, scene=scene, camera=camera)
 
 
 def pixels(client):
     """Return where the labels of a client are in its picture, by a matrix of its camera."""
-    camera = client.camera
-    forward = camera.look_at - camera.position
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, camera.up_direction)
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    seen = np.array([label.position for label in client.labels]) - camera.position
-    x, y, depth = rotation @ seen.T
+    seen = np.array([label.position for label in client.labels]) - client.camera.position
+    x, y, depth = client.camera.rotation @ seen.T
     return np.stack([x, y], axis=1) / depth[:, None] * HEIGHT / (2.0 * np.tan(FIELD_OF_VIEW / 2))
 
 
@@ -85,7 +91,7 @@ def test_names_of_a_robot_do_not_overlap_in_any_browser(robot):
         assert overlapping(places, widths) == []
     # One browser turns its view, another one goes.
     turned = clients[1].labels
-    clients[1].camera.position = home[0] * [1.0, -1.0, 1.5]
+    look(clients[1].camera, home[0] * [1.0, -1.0, 1.5], home[1])
     del clients[2]
     labels.update(2.0, posture)
     assert clients[1].labels is turned

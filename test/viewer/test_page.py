@@ -369,8 +369,8 @@ def test_names_of_bodies_go_with_their_tick(server):
     drawn = []
     scene = SimpleNamespace(add_label=lambda name, text, **_: drawn.append(SimpleNamespace(
         text=text, remove=lambda: drawn.clear())) or drawn[-1])
-    camera = SimpleNamespace(position=np.array([2.0, 0.0, 0.0]), look_at=np.zeros(3), fov=1.0,
-                             up_direction=np.array([0.0, 0.0, 1.0]), image_height=400)
+    camera = SimpleNamespace(position=np.array([2.0, 0.0, 0.0]), fov=1.0, image_height=400,
+                             wxyz=np.array([0.5, -0.5, -0.5, 0.5]))
     server_of_labels = page._labels._server = SimpleNamespace(
         get_clients=lambda: {1: SimpleNamespace(scene=scene, camera=camera)})
     assert server_of_labels

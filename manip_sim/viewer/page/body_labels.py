@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.quaternion import matrix_of
 from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.plain_text import plain
 
@@ -88,17 +89,12 @@ class BodyLabels:
             self._place(number, client.camera, points)
 
     def _place(self, number: int, camera: Any, points: FloatArray) -> None:
-        back = camera.position - camera.look_at
-        back /= max(np.linalg.norm(back), 1e-9)
-        right = np.cross(camera.up_direction, back)
-        right /= max(np.linalg.norm(right), 1e-9)
-        up = np.cross(back, right)
-        depths = (camera.position - points) @ back
-        seen = depths > _NEAREST_M
-        scale = np.where(seen, depths, 1.0) * (
+        axes = matrix_of(camera.wxyz)  # To the right, down, ahead.
+        places = (points - camera.position) @ axes
+        seen = places[:, 2] > _NEAREST_M
+        scale = np.where(seen, places[:, 2], 1.0) * (
             2.0 * math.tan(camera.fov / 2.0) / max(1, camera.image_height))  # [m per pixel]
-        way = points - camera.position
-        corners = np.stack([way @ right, -(way @ up)], axis=1) / scale[:, None]
+        corners = places[:, :2] / scale[:, None]
         labels, before = self._labels[number]
         if np.abs(corners - before).max() < _SAME:
             return
@@ -106,4 +102,4 @@ class BodyLabels:
         self._labels[number] = labels, corners
         for i, label in enumerate(labels):
             label.visible = bool(seen[i])
-            label.position = points[i] + scale[i] * (moved[i, 0] * right - moved[i, 1] * up)
+            label.position = points[i] + scale[i] * (axes[:, :2] @ moved[i])
