@@ -474,6 +474,14 @@ def test_mimics_in_a_circle_are_rejected_with_their_names(tmp_path):
         "'left_finger' follows 'right_finger' follows 'mount' follows 'left_finger'")
 
 
+def test_a_mimic_of_a_joint_whose_own_leader_is_unknown_is_rejected(tmp_path):
+    file = write(tmp_path / 'hand.urdf', hand_with(
+        '<mimic joint="nothing"/>', more='<mimic joint="right_finger"/>').replace(
+        'KIND', 'fixed'))
+    with pytest.raises(ModelError, match="<mimic> of joint 'right_finger' of .* 'nothing'"):
+        load_gripper(file)
+
+
 BALL = '<visual><origin xyz="0 0 0.2"/><geometry><sphere radius="0.03"/></geometry></visual>'
 BOX = ('<collision><origin xyz="0 0 0.2"/><geometry><box size="0.2 0.2 0.2"/></geometry>'
        '</collision>')

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
 from typing import Any
@@ -47,14 +47,13 @@ def check_joints(robot: ElementTree.Element, file: Path) -> list[str]:
     locked, unlimited = [], []
     for name, joint in joints.items():
         limit, kind = joint.find('limit'), joint.get('type')
-        for attribute in ('effort', 'velocity') if limit is not None else ():
-            _number(limit, attribute, 0.0, name, file)
+        _numbers(limit, ('effort', 'velocity'), name, file)
         if kind not in _WITH_RANGE:
             continue
         if limit is None or not {'lower', 'upper'} & set(limit.keys()):
             unlimited.append(name)
             continue
-        lower, upper = (_number(limit, end, 0.0, name, file) for end in ('lower', 'upper'))
+        lower, upper = _numbers(limit, ('lower', 'upper'), name, file)
         if lower > upper:
             raise ModelError(f'{file}: joint {quoted(name)}: lower {lower:g} of its <limit> is '
                              f'above upper {upper:g}; one that is missing is 0')
@@ -62,9 +61,7 @@ def check_joints(robot: ElementTree.Element, file: Path) -> list[str]:
         if lower == upper:
             _fix(joint, lower)
             locked.append(name)
-    for name, joint in joints.items():
-        for mimic in joint.findall('mimic'):
-            _check_mimic(name, mimic, joints, file)
+    _check_mimics(joints, file)
     return [*([f'fixed, as lower and upper of their <limit> are equal: {quoted_names(locked)}']
               if locked else []),
             *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
@@ -72,18 +69,23 @@ def check_joints(robot: ElementTree.Element, file: Path) -> list[str]:
             *(said for joint in robot.findall('joint') for said in _range_notes(joint, joints))]
 
 
-def _number(element: ElementTree.Element | None, attribute: str, default: float, joint: str,
-            file: Path) -> float:
-    given = default if element is None else element.get(attribute, default)
-    try:
-        value = float(given)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        tag = '' if element is None else element.tag
-        raise ModelError(f'{file}: joint {quoted(joint)}: {attribute} of its <{tag}> must be a '
-                         f'finite number, got {quoted(given)}')
-    return value
+def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joint: str,
+             file: Path) -> list[float]:
+    """Return attributes of an element of a joint, 0 for those that are missing."""
+    values: list[float] = []
+    if element is None:
+        return values
+    for attribute in attributes:
+        given = element.get(attribute, '0')
+        try:
+            value = float(given)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise ModelError(f'{file}: joint {quoted(joint)}: {attribute} of its <{element.tag}> '
+                             f'must be a finite number, got {quoted(given)}')
+        values.append(value)
+    return values
 
 
 def _fix(joint: ElementTree.Element, position: float) -> None:
@@ -107,29 +109,29 @@ def _fix(joint: ElementTree.Element, position: float) -> None:
     joint.set('type', 'fixed')
 
 
-def _check_mimic(name: str, mimic: ElementTree.Element,
-                 joints: Mapping[str, ElementTree.Element], file: Path) -> None:
-    where = f'{file}: joint {quoted(name)}: its <mimic>'
-    leader = mimic.get('joint', '')
-    for attribute in ('multiplier', 'offset'):
-        _number(mimic, attribute, 0.0, name, file)
-    if leader not in joints:
-        raise UnknownNameError(f'joint in the <mimic> of joint {quoted(name)} of {file}', leader,
-                               joints)
-    for one, what in ((name, 'is on a joint'), (leader, f'names joint {quoted(leader)},')):
-        kind = joints[one].get('type')
-        if kind not in _MOVES:
-            raise ModelError(f'{where} {what} which is {kind}, not one of {", ".join(_MOVES)}')
-    chain = [name]
-    while leader not in chain:
-        chain.append(leader)
-        further = joints[leader].find('mimic')
-        if further is None:
-            return
-        leader = further.get('joint', '')
-    if leader == name:  # Else it leads to a circle, whose own joints are reported.
-        raise ModelError(f'{where} is a circle, so nothing can drive it: '
-                         f'{" follows ".join(map(quoted, [*chain, leader]))}')
+def _check_mimics(joints: Mapping[str, ElementTree.Element], file: Path) -> None:
+    leaders = {}
+    for name, joint in joints.items():
+        mimic = joint.find('mimic')
+        if mimic is None:
+            continue
+        _numbers(mimic, ('multiplier', 'offset'), name, file)
+        leader = leaders[name] = mimic.get('joint', '')
+        if leader not in joints:
+            raise UnknownNameError(f'joint in the <mimic> of joint {quoted(name)} of {file}',
+                                   leader, joints)
+        for one, what in ((name, 'is on a joint'), (leader, f'names joint {quoted(leader)},')):
+            kind = joints[one].get('type')
+            if kind not in _MOVES:
+                raise ModelError(f'{file}: joint {quoted(name)}: its <mimic> {what} which is '
+                                 f'{kind}, not one of {", ".join(_MOVES)}')
+    for name in leaders:
+        chain = [name]
+        while (following := leaders.get(chain[-1])) is not None and following not in chain:
+            chain.append(following)
+        if following == name:  # Else it may lead to a circle, whose own joints are reported.
+            raise ModelError(f'{file}: joint {quoted(name)}: its <mimic> is a circle, so nothing '
+                             f'can drive it: {" follows ".join(map(quoted, [*chain, name]))}')
 
 
 def _range_notes(joint: ElementTree.Element, joints: Mapping[str, ElementTree.Element]
