@@ -6,52 +6,73 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import takewhile
+from typing import NamedTuple
 
 from manip_sim.control.commands import (
     Command, CommandHandle, GripperCommand, JointTrajectory, Status)
 from manip_sim.sensing.delays import InTransit
 
 
-class DelayedCommands(InTransit[Command]):
+class _Waiting(NamedTuple):
+    """
+    A command and its place among those that arrive at one instant, by number, parts and joints.
+
+    :ivar number: how many commands it has to follow one by one: each for the same gripper as the
+        next, or for some same joints
+    """
+
+    number: int
+    parts: list[str]
+    joints: list[int]
+    command: Command
+
+    def holds_back(self, command: Command) -> bool:
+        """Return whether a later command must not overtake."""
+        if isinstance(command, GripperCommand) or isinstance(self.command, GripperCommand):
+            return command.parts == self.command.parts
+        return not set(command.indices.tolist()).isdisjoint(self.joints)
+
+
+class DelayedCommands(InTransit[_Waiting]):
     """The commands of a robot that are on their way; those that are withdrawn do not arrive."""
 
-    def send_in_order(self, value: Command, arrival: int) -> None:
+    def add(self, command: Command, arrival: int) -> None:
         """
-        Add a command that does not arrive before what was sent before.
+        Add a command that does not arrive before what was added before.
 
-        Of commands that arrive at one instant, those for other joints have an order of their own,
-        as their order of arrival must make no difference.
+        Any order of arrival at one instant in which commands for the same gripper or joints do not
+        overtake each other makes the same order (Foata's normal form).
 
         :param arrival: the earliest one, in steps since the reset
         """
-        super().send_in_order(value, arrival)
-        arrival = self._queue[-1][0]
-        left: list[Command] = []
-        while self._queue and self._queue[-1][0] == arrival:
-            left.insert(0, self._queue.pop()[1])
-        while left:
-            first = min((command for number, command in enumerate(left) if not any(
-                _is_for_same(command, older) for older in left[:number])), key=_order)
-            left.remove(first)
-            self.send(first, arrival)
+        arrival = max(arrival, self._queue[-1][0]) if self._queue else arrival
+        together = [waiting for _, waiting in takewhile(
+            lambda entry: entry[0] == arrival, reversed(self._queue))]
+        new = _Waiting(1 + max((older.number for older in together if older.holds_back(command)),
+                               default=0),
+                       sorted(command.parts), command.indices.tolist(), command)
+        later = sum(older[:3] > new[:3] for older in together)
+        self._queue.insert(len(self._queue) - later, (arrival, new))
 
-    def take(self, count: int) -> Iterator[Command]:
+    def due(self, count: int) -> Iterator[Command]:
         """
         Yield and forget the commands that are due and were not withdrawn.
 
         :param count: steps since the reset
         """
-        return (command for command in super().take(count) if command.handle.is_active)
+        return (waiting.command for waiting in self.take(count)
+                if waiting.command.handle.is_active)
 
     @property
     def busy_parts(self) -> frozenset[str]:
         """The parts for which a trajectory waits."""
-        return frozenset().union(*(command.parts for _, command in self
-                                   if isinstance(command, JointTrajectory)))
+        return frozenset().union(*(waiting.command.parts for _, waiting in self
+                                   if isinstance(waiting.command, JointTrajectory)))
 
     def withdraw(self, handle: CommandHandle, reason: str) -> bool:
         """Abort a command, and return whether it was here."""
-        entry = next((entry for entry in self if entry[1].handle is handle), None)
+        entry = next((entry for entry in self if entry[1].command.handle is handle), None)
         if entry is None:
             return False
         self._queue.remove(entry)
@@ -64,17 +85,6 @@ class DelayedCommands(InTransit[Command]):
 
         :param reason: why, for their handles
         """
-        for _, command in self:
-            command.handle.end(Status.ABORTED, reason)
+        for _, waiting in self:
+            waiting.command.handle.end(Status.ABORTED, reason)
         self.clear()
-
-
-def _is_for_same(command: Command, other: Command) -> bool:
-    """Return whether two commands are for the same gripper, or for some same joints."""
-    if isinstance(command, GripperCommand) or isinstance(other, GripperCommand):
-        return command.parts == other.parts
-    return not set(command.indices.tolist()).isdisjoint(other.indices.tolist())
-
-
-def _order(command: Command) -> tuple[list[str], list[int]]:
-    return sorted(command.parts), command.indices.tolist()

@@ -77,14 +77,6 @@ class InTransit(Generic[Sent]):
         """
         self._queue.append((arrival, value))
 
-    def send_in_order(self, value: Sent, arrival: int) -> None:
-        """
-        Add something that does not arrive before what was sent before.
-
-        :param arrival: the earliest one, in steps since the reset
-        """
-        self.send(value, max(arrival, self._queue[-1][0]) if self._queue else arrival)
-
     @property
     def first_arrival(self) -> int | None:
         """When what was sent first arrives; None if nothing is on its way."""

@@ -140,7 +140,7 @@ class SimulatedRobot:
             if self._late or self.sensing.settings.delays_commands:
                 count = self._clock.control_steps
                 self.joints.take_back()
-                self._late.send_in_order(
+                self._late.add(
                     command, count + self.sensing.delays['command'].steps(count))
             else:
                 self._apply(command)
@@ -359,7 +359,7 @@ class SimulatedRobot:
         return next((arrival for arrival, _ in self._late if arrival > count), None)
 
     def _apply_late(self) -> None:
-        for command in self._late.take(self._clock.control_steps):
+        for command in self._late.due(self._clock.control_steps):
             try:
                 self._apply(command)
             except Exception as error:  # A user's gripper may raise anything.
