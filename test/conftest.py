@@ -58,7 +58,7 @@ MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 #: of them, a long file that comes last keeps one worker busy and the others waiting for it. Those
 #: of processes that wait for each other take turns with those that compute.
 LONGEST = (
-    'ros/test_pick_cube.py', 'ros/test_viewer.py', 'ros/test_documentation.py',
+    'test_bench.py', 'ros/test_pick_cube.py', 'ros/test_viewer.py', 'ros/test_documentation.py',
     'control/test_control_figures.py', 'ros/test_process.py', 'ros/test_hand_over.py',
     'ros/test_spawned_files.py', 'experiments/test_runs.py', 'ros/test_neighbours.py',
     'models/test_catalogue_grasps.py', 'ros/test_soak.py', 'ros/test_task_node.py',
@@ -70,7 +70,7 @@ LONGEST = (
     'test_contact_bench.py', 'control/test_cartesian_rest.py',
     'control/test_streamed_trajectories.py', 'ros/test_topic_hardware.py',
     'control/test_stream_bounds.py', 'testing/test_plugin.py', 'control/test_cartesian.py',
-    'moveit/test_moveit_package.py', 'test_fast.py', 'control/test_servos.py',
+    'moveit/test_moveit_package.py', 'control/test_servos.py',
     'test_install.py', 'test_gallery.py', 'control/test_setpoints.py', 'cli/test_cli_render.py',
     'physics/test_resuming.py', 'control/test_streams.py',
     'simulation/test_robot_spawning.py', 'ros/test_hostile_viewer.py', 'ros/test_goal_server.py',
@@ -97,7 +97,7 @@ def pytest_collection():
 REPRESENTATIVES = {'Panda', 'Tiago', 'GR1', 'PandaGripper', 'PalGripper', 'InspireRightHand'}
 CATALOGUE = {*ROBOTS.names(), *GRIPPERS.names()}
 #: Of the others it runs as many cases, spread over all.
-MOST_CASES = 6
+MOST_CASES = 4
 #: A test whose cases name at least as many of them is repeated over the catalogue.
 REPEATED = 9
 

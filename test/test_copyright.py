@@ -31,6 +31,7 @@ def test_every_cpp_file_begins_with_the_licence():
                 if not file.read_text().startswith(HEADER.replace('#', '//'))]
 
 
+@pytest.mark.full
 @pytest.mark.skipif(importlib.util.find_spec('reuse') is None, reason='reuse is not installed')
 def test_the_licence_of_every_file_can_be_read_by_reuse():
     done = subprocess.run([sys.executable, '-m', 'reuse', 'lint'], cwd=ROOT, capture_output=True,

@@ -11,6 +11,7 @@ import pkgutil
 import re
 
 import manip_sim
+import pytest
 
 
 SOURCES = sorted((Path(__file__).resolve().parents[1] / 'manip_sim').rglob('*.py'))
@@ -80,6 +81,7 @@ def described(path):
                 yield f'{path.stem}.{node.name}', set(names), there
 
 
+@pytest.mark.full
 def test_every_argument_that_is_described_is_there_in_all_modules():
     found = [entry for path in SOURCES for entry in described(path)]
     assert len(found) > 500

@@ -104,6 +104,7 @@ def test_a_module_that_is_missing_is_named_with_what_installs_it(module, hint):
     assert f"no module '{module.partition('.')[0]}'" in line and hint in line
 
 
+@pytest.mark.full
 def test_a_rclpy_that_cannot_be_used_is_named_with_its_folder(tmp_path):
     # As that of another ROS, whose modules for the C API are for another Python.
     (tmp_path / 'rclpy').mkdir()
@@ -148,6 +149,7 @@ dd if=/dev/zero of=/dev/shm/full bs=4k 2> /dev/null
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('program', [['manip_sim'], ['manip_sim.cli', 'topic', 'list']])
 def test_a_full_shared_memory_is_one_line_that_names_what_killed_nodes_have_left(program):
     pytest.importorskip('rclpy', reason='needs ROS 2')

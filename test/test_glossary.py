@@ -92,6 +92,7 @@ def test_names_avoid_words_that_the_style_replaces(names):
         ('manip_sim/records/record_file.py', 'tell')}
 
 
+@pytest.mark.full
 def test_only_models_have_hands_as_what_is_commanded_is_an_end_effector(names):
     assert {name for file, name in names if {'hand', 'hands'} & set(words_of(name))
             and not file.startswith('manip_sim/models/')} == {

@@ -46,6 +46,7 @@ def told_on_one_line(error):
     assert 0 < len(str(error)) < 1200
 
 
+@pytest.mark.full
 @given(st.text(max_size=40) | st.binary(max_size=40)
        | st.text('{}[]:,-&*!|>\'"#%@` \n\tab01.~<=?', max_size=30))
 def test_any_text_is_read_as_a_mapping_or_rejected_on_one_line(text):

@@ -256,6 +256,7 @@ def test_a_program_begins_and_ends_without_looking_for_garbage():
     assert done.stdout == 'False\nTrue\n'
 
 
+@pytest.mark.full
 def test_a_command_looks_for_garbage_while_it_runs():
     script = ('import gc, sys; sys.argv = ["manip_sim", "list", "bases"]; '
               'from manip_sim.cli.__main__ import run; run(); '

@@ -53,6 +53,7 @@ def test_the_python_examples_of_the_documentation_are_well_typed(found):
     assert [line for line in found[:-1] if not line.startswith('wrong.py:')] == []
 
 
+@pytest.mark.full
 def test_a_wrong_name_or_argument_is_found(found):
     for what in ('has no attribute "Pandda"', 'Argument 1 to "add_gripper"',
                  '"PandaGripper" has no attribute "add_base"'):

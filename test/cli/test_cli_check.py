@@ -14,6 +14,7 @@ LINK = """<body name="root"><geom size="0.05"/><body name="link" pos="0.3 0 0">
 SERVO = '<actuator><position name="s" joint="a" kp="900" kv="20" forcerange="-50 50"/></actuator>'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('arena', NAMES['arenas']())
 @pytest.mark.parametrize('robot', NAMES['robots']())
 def test_nothing_is_wrong_with_a_robot_of_the_catalogue(robot, arena, here):

@@ -64,6 +64,7 @@ def test_masses_are_those_of_the_data_sheets_and_add_up(robot, described):
     assert sum(frames) == pytest.approx(found['mass_kg'])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', robot_names())
 def test_every_robot_is_described_in_numbers_that_json_has(robot, described):
     found = described('--robot', robot)

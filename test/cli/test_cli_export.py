@@ -25,6 +25,7 @@ def loaded(file):
         return mujoco.MjSpec.from_zip(archive).compile()
 
 
+@pytest.mark.full
 def test_of_several_robots_one_is_named(here, rejected, tmp_path):
     world = SOURCE / 'config' / 'hand_over.yaml'
     assert rejected('export', tmp_path / 'out.urdf', '--params-file', world) == (
@@ -150,6 +151,7 @@ def test_the_name_of_a_file_never_becomes_code_of_a_launch_file(
     assert [*tmp_path.iterdir()] == [file]
 
 
+@pytest.mark.full
 def test_a_package_takes_a_name_with_spaces_and_dots(here, tmp_path):
     file = arm(tmp_path / 'my arm-v1.2+b.urdf')
     for option in ('--moveit', '--ros2-control'):

@@ -125,6 +125,7 @@ def test_a_robot_without_arms_has_none_in_the_list(here, robot_class, one_joint_
     assert (row['arms'], row['joints'], row['default_gripper']) == (0, 1, [])
 
 
+@pytest.mark.full
 def test_a_robot_of_another_package_tells_its_package_or_entry_point(
         here, one_joint_arm, tmp_path, monkeypatch):
     class Foreign(type(one_joint_arm())):

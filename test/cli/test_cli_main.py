@@ -161,6 +161,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(arguments, unbuffered, enviro
     assert process.wait(timeout=300.0) == 0
 
 
+@pytest.mark.full
 def test_defects_are_the_exit_code_though_nobody_reads_them(environment):
     process = subprocess.Popen(
         [sys.executable, '-m', 'manip_sim.cli', 'check', '--robot', 'UR5e', '--gripper',
@@ -184,12 +185,14 @@ def test_output_that_cannot_be_written_is_one_line(unbuffered, environment):
     assert done.stderr == 'manip_sim: cannot write the output: No space left on device\n'
 
 
+@pytest.mark.full
 def test_no_output_at_all_is_no_error(environment):
     shell = f'exec {sys.executable} -m manip_sim.cli list arenas >&-'
     done = subprocess.run(['sh', '-c', shell], env=environment, capture_output=True, timeout=300.0)
     assert (done.returncode, done.stderr) == (0, b'')
 
 
+@pytest.mark.full
 def test_characters_that_the_terminal_does_not_have_are_escaped(command, tmp_path):
     done = command('check', tmp_path / 'grün.xml', PYTHONIOENCODING='ascii', PYTHONUTF8='0')
     assert done.returncode == 1 and 'gr\\xfcn.xml' in done.stderr

@@ -78,6 +78,7 @@ def test_a_robot_is_shown_from_two_sides(command, renderer):
         assert max(picture.getpixel((x, 20))) > 60
 
 
+@pytest.mark.full
 def test_one_side_fills_the_picture_and_turns_with_the_azimuth(rendered):
     front = rendered('--size', '200x200', '--azimuth', '180')
     side = rendered('--size', '200x200', '--azimuth', '90')
@@ -89,6 +90,7 @@ def test_one_side_fills_the_picture_and_turns_with_the_azimuth(rendered):
     assert abs(above.getpixel((5, 5))[2] - above.getpixel((5, 5))[0]) < 20
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('arguments', 'black'), [
     (('--gripper', 'Robotiq85Gripper'), 0.1), (('--base', 'RethinkMount'), 0.1),
     (('--arena', 'bins'), 0.0), (('--arena', 'empty'), 0.0)])
@@ -163,6 +165,7 @@ def test_grippers_are_open_where_that_is_asked_for():
     assert width[0] < 0.05
 
 
+@pytest.mark.full
 def test_the_ground_of_the_studio_has_no_material():
     from manip_sim.cli.rendering import prepare_studio
     model = compose('Panda', arena='table').compile()

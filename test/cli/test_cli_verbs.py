@@ -38,6 +38,7 @@ def package(package_on_path):
     return partial(package_on_path, 'manip_sim.commands')
 
 
+@pytest.mark.full
 def test_an_installed_verb_is_listed_and_runs_with_the_options_of_a_composition(
         install_example, command, environment):
     path = f'{install_example("reach_command")}:{environment["PYTHONPATH"]}'

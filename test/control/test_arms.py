@@ -85,6 +85,7 @@ def test_two_controllers_of_one_arm_each_give_what_one_of_both_gives(operator_of
     np.testing.assert_array_equal(*positions)
 
 
+@pytest.mark.full
 def test_arm_reaches_both(op):
     goals = goals_of(op, 'arm')
     (handle,) = op.go(goals, part='arm')
@@ -129,6 +130,7 @@ def test_modes_and_timeouts_are_those_of_each_arm(op):
     assert set(joints.modes_of(joints.indices_of('arm'))) == {'effort'}
 
 
+@pytest.mark.full
 def test_trajectories_of_both_arms_run_side_by_side(op):
     handles, ends = [], {}
     for part in ('right', 'left'):
@@ -142,6 +144,7 @@ def test_trajectories_of_both_arms_run_side_by_side(op):
     np.testing.assert_allclose(op.where(*ends), list(ends.values()), atol=2e-3)
 
 
+@pytest.mark.full
 def test_command_of_the_other_arm_leaves_a_trajectory_alone(op):
     goals = goals_of(op, 'right')
     handle = op.follow('right', list(goals), [1.0], [list(goals.values())]).handle
@@ -152,6 +155,7 @@ def test_command_of_the_other_arm_leaves_a_trajectory_alone(op):
     np.testing.assert_allclose(op.where(*goals), list(goals.values()), atol=2e-3)
 
 
+@pytest.mark.full
 def test_trajectory_gives_up_only_the_joints_that_a_newer_command_names(op):
     goals = goals_of(op, 'arm', 0.2)
     handle = op.follow('arm', list(goals), [1.0], [list(goals.values())]).handle

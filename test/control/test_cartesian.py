@@ -97,6 +97,7 @@ def test_a_target_that_jumps_leaves_the_setpoints_continuous():
     assert (np.abs(np.diff(speeds, axis=0)) <= limit * 0.01 * 1.0001).all()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', MODES)
 def test_a_twist_moves_the_end_effector_at_that_velocity(mode):
     op = operator_of('Panda', mode=mode)
@@ -126,6 +127,7 @@ def test_the_end_effector_of_an_arm_with_one_joint_goes_round_it(one_joint_arm, 
     assert op.simulation.data.joint('robot0_joint1').qvel[0] == pytest.approx(0.3, abs=0.01)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', MODES)
 def test_without_a_fresh_twist_the_end_effector_stops_after_the_timeout(mode):
     op = operator_of('Panda', mode=mode)

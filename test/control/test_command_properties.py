@@ -274,6 +274,7 @@ def test_a_part_is_one_of_the_robot_or_rejected_with_those_that_there_are(part):
 MOVED = whole_robot('Panda')
 
 
+@pytest.mark.full
 @settings(max_examples=60)
 @given(st.lists(st.sampled_from(['action', 'joints', 'trajectory', 'fingers', 'pose']),
                 min_size=1, max_size=3), st.data())

@@ -43,6 +43,7 @@ def test_joints_that_come_fast_to_the_ends_of_their_ranges_stop_there(name, late
     assert np.abs(simulation.data.qvel).max() < 0.5
 
 
+@pytest.mark.full
 def test_joint_rests_at_the_end_of_its_range_while_a_spline_is_beyond_it():
     simulation = whole_robot('Panda')
     robot, arm = simulation.robot, Driven(simulation, 'arm')

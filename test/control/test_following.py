@@ -60,6 +60,7 @@ def test_a_trajectory_begins_while_one_that_came_before_it_still_waits(op):
     assert waiting.status is Status.DONE
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('delay_s', [0.0, -0.003, -0.1, -0.2])
 def test_time_runs_from_the_stamp_also_where_that_is_past(op, delay_s):
     start_ns = op.simulation.time_ns + round(delay_s * 1e9)

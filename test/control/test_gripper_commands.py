@@ -128,6 +128,7 @@ def test_coupled_finger_follows_any_polynomial_both_ways(
     np.testing.assert_allclose(fingers(simulation), expected, atol=2e-4)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('named', [{'left': 0.03}, {'right': 0.03},
                                    {'left': 0.03, 'right': 0.03}])
 def test_fingers_on_a_tendon_follow_joint_commands_at_their_speed(fingers_sim, run, named):
@@ -473,6 +474,7 @@ def test_grippers_of_two_arms_have_arrays_of_their_own(gripper_class, gripper_fi
     np.testing.assert_array_equal(robot.grippers['left'].moved, [0.0])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('bad', [[np.nan, np.nan], [0.0], [[0.0], [0.0]], 'nonsense'])
 def test_bad_return_at_run_time_holds_and_is_counted(fingers_sim, fingers_class, run, bad):
     simulation = fingers_sim(SERVOS)

@@ -310,6 +310,7 @@ def test_a_saved_state_in_impedance_mode_is_continued_bit_by_bit(impedance):
     assert first.digest() == second.digest()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 def test_a_robot_rests_after_a_velocity_command_to_stop(name):
     simulation = Simulation(compose(name, base='none'))

@@ -32,6 +32,7 @@ def settle(op):
     op.run(1.0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('stiffness', 'ratio'), [(150.0, 1.0), (400.0, 1.0), (150.0, 2.0)])
 def test_the_end_effector_moves_as_spring_and_damper_say(stiffness, ratio):
     op = operator_of('Panda', mode='effort', timestep_s=0.001)
@@ -93,6 +94,7 @@ def test_the_weight_is_carried_also_without_gravity_compensation():
     assert max(distance(op.pose, goal)) < 1e-3
 
 
+@pytest.mark.full
 def test_a_redundant_arm_is_drawn_to_its_posture_and_comes_to_rest():
     op = operator_of('Kinova3', mode='effort')
     start = op.robot.state().position[:7]

@@ -47,6 +47,7 @@ def test_a_circle_is_followed_one_and_a_half_intervals_late(
     assert np.ptp(np.array(places)[:, 2]) < 1e-3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_stream_that_stops_goes_on_for_two_intervals_and_ends_at_the_last_pose(mode):
     op = operator_of('Panda', mode=mode)
@@ -75,6 +76,7 @@ def line_speeds(op, interval_s, messages):
     return np.array(speeds)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('longest_s', 'ripple'), [(0.105, 0.15), (0.3, 0.002)])
 def test_slow_poses_are_followed_without_stops_if_they_are_admitted(longest_s, ripple):
     op = operator_of('Panda')
@@ -84,6 +86,7 @@ def test_slow_poses_are_followed_without_stops_if_they_are_admitted(longest_s, r
     assert (np.ptp(speeds) < ripple) == (ripple < 0.1)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('radius', 'slowed'), [(0.03, False), (0.06, True)])
 def test_a_circle_that_asks_for_more_than_the_joints_can_do_is_told(radius, slowed):
     op = operator_of('Panda')
@@ -108,6 +111,7 @@ def test_a_stream_of_poses_goes_on_for_as_long_as_it_is_held(hold_s, expected_s)
     assert slower == pytest.approx(expected_s, abs=0.021)
 
 
+@pytest.mark.full
 def test_a_stream_faster_than_the_limit_of_the_end_effector_is_followed_at_the_limit():
     op = operator_of('Panda')
     op.robot.joints.cartesian.set('right', 'linear_velocity', 0.2)

@@ -85,6 +85,7 @@ def slowest_after_kicks(model, data, dof, step):
     return max(found)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('case', KEPT)
 def test_gains_of_a_file_are_kept_where_mujoco_is_stable_with_them(tmp_path, case):
     servo, kind, armature, (stiffness, damping) = KEPT[case]
@@ -110,6 +111,7 @@ def test_gains_of_a_file_are_kept_where_mujoco_is_stable_with_them(tmp_path, cas
             min(load, 2.0) / stiffness, rel=1e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('case', LOWERED)
 def test_gains_that_are_not_stable_are_lowered_and_a_note_says_from_what_to_what(
         tmp_path, case):

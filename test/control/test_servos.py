@@ -512,6 +512,7 @@ def test_blocked_joint_presses_within_its_limit_and_is_released_without_a_race(n
     assert samples.position[:, joint].max() < start + 1.2
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('name', 'joint', 'most'), [
     ('Panda', 5, 3e-5), ('IIWA', 5, 4e-5), ('UR5e', 2, 1.2e-4)])
 def test_joints_that_swing_hardly_push_one_aside_that_stands(name, joint, most):
@@ -531,6 +532,7 @@ def test_joints_that_swing_hardly_push_one_aside_that_stands(name, joint, most):
     assert max(aside) < most
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('name', 'joint'), [('Panda', 0), ('Kinova3', 5), ('IIWA', 4)])
 def test_blocked_joint_presses_with_all_the_torque_that_it_has(name, joint):
     simulation = whole_robot(name)
@@ -626,6 +628,7 @@ def test_dry_friction_that_a_weak_servo_could_not_overcome_is_overcome(one_joint
     assert sine_error(arm, mode, 0.2) < (0.012 if mode == 'position' else 0.1)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity'])
 def test_dry_friction_of_a_light_joint_is_overcome(one_joint_arm, mode):
     arm = one_joint_arm('<position name="a" joint="joint1" kp="30" kv="0.4"/>')

@@ -194,6 +194,7 @@ def test_stream_that_falls_silent_goes_on_brakes_and_comes_back(hold_s, goes_on_
     assert not setpoints.moving
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('commands', ['positions', 'velocities'])
 def test_a_joint_keeps_its_limit_after_a_fast_stream_though_others_move(commands):
     setpoints = generator(2, low=-1.0, high=1.0)
@@ -226,6 +227,7 @@ def test_stream_beyond_the_end_of_the_range_brakes_and_leaves_within_the_limit(r
     assert way.min() > -1e-4
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('stamped', [False, True])
 @pytest.mark.parametrize('pause_s', [0.5, 4.0])
 def test_a_pause_in_which_the_sender_goes_on_is_only_a_step_of_the_goals(pause_s, stamped):
@@ -359,6 +361,7 @@ def test_velocity_is_reached_and_left_with_the_acceleration_limit():
     assert not setpoints.moving
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('sign', [-1.0, 1.0])
 @pytest.mark.parametrize('interval_s', [0.001, 0.004, 0.02])
 def test_velocity_is_braked_before_the_range_ends(interval_s, sign):

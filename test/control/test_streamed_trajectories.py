@@ -123,6 +123,7 @@ def test_points_that_are_due_later_are_motions_that_end_in_time():
     assert np.abs(np.array(sender.places[700:]) - sender.begin - wanted).max() < 4e-3
 
 
+@pytest.mark.full
 def test_a_single_point_after_a_pause_is_a_motion():
     sender = Sender()
     sender.stream(100, [0.02], False, lasts_s=1.0)
@@ -149,6 +150,7 @@ def test_a_point_after_a_gap_of_a_stream_is_approached_within_the_limits(name, g
     np.testing.assert_allclose(np.array(sender.places[1450:]) - sender.begin, wanted, atol=0.01)
 
 
+@pytest.mark.full
 def test_a_motion_right_after_a_stream_takes_its_time():
     sender = Sender()
     last = sender.stream(100, [0.02], False, lasts_s=1.3)

@@ -24,6 +24,7 @@ def room():
     return Simulation(compose('Panda', arena=str(ROOM))).surroundings
 
 
+@pytest.mark.full
 @settings(max_examples=300)
 @given(NAMES, NUMBERS, NUMBERS, NUMBERS)
 def test_what_is_accepted_is_a_position_of_the_drawer_in_its_range(
@@ -39,6 +40,7 @@ def test_what_is_accepted_is_a_position_of_the_drawer_in_its_range(
     assert not any(math.isfinite(number) for number in [*velocity, *effort])
 
 
+@pytest.mark.full
 @settings(max_examples=300)
 @given(NUMBERS, st.lists(st.floats(), min_size=4, max_size=4) | st.just([0.0, 0.0, 0.0, 1.0]))
 def test_a_mocap_body_is_moved_to_a_pose_or_not_at_all(room, position, quat_xyzw):

@@ -183,6 +183,7 @@ def test_arguments_that_cannot_be_used_are_said(arguments, text):
         manip_sim.env.TaskEnv('reach', **arguments)
 
 
+@pytest.mark.full
 def test_an_episode_whose_physics_diverges_is_truncated(reach):
     reach.reset(seed=1)
     reach.episode.simulation.data.qvel[0] = np.nan

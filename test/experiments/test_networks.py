@@ -44,6 +44,7 @@ def test_a_torch_script_gives_the_rows_of_the_policy_in_python(takes, like, tmp_
     assert_alike(rows_of(tmp_path / 'network.pt'), like)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('takes', ['dictionary', 'array'])
 def test_an_onnx_file_gives_the_rows_of_the_policy_in_python(takes, like, tmp_path):
     pytest.importorskip('onnxruntime', reason='onnxruntime is not installed; it is the extra onnx')

@@ -127,6 +127,7 @@ def episode():
     return made
 
 
+@pytest.mark.full
 @given(data=st.data(), stamps=st.lists(st.integers(-1, 2), max_size=3))
 def test_any_answer_is_an_action_or_an_error_on_one_line(episode, data, stamps):
     names = episode.actions.names

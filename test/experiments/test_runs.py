@@ -151,6 +151,7 @@ class Policy:
 """
 
 
+@pytest.mark.full
 def test_processes_of_a_run_that_was_killed_end_although_a_policy_has_not_answered(tmp_path):
     (tmp_path / 'policy.py').write_text(NEVER_ANSWERS)
     with subprocess.Popen(
@@ -558,6 +559,7 @@ def test_noise_of_a_run_is_that_of_an_environment_with_the_profile(whole, tmp_pa
     assert {row['digest'] for row in rows(out)}.isdisjoint(row['digest'] for row in rows(whole))
 
 
+@pytest.mark.full
 def test_a_folder_of_something_else_is_rejected(whole, tmp_path, capsys):
     before = {file: file.read_bytes() for file in whole.iterdir()}
     assert run(whole, '--latency', '0.1') == 1

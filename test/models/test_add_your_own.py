@@ -60,6 +60,7 @@ def test_the_document_gives_a_model_a_readme_and_a_class_for_each_part():
         'my_models/robots/small_arm/robot.yaml', 'my_models/robots/small_arm/small_arm.xml']
 
 
+@pytest.mark.full
 def test_the_new_parts_are_found_and_mounted(package):
     done = run(package, '-c', """if True:
         from manip_sim.models.grippers import create_gripper, gripper_names

@@ -66,6 +66,7 @@ def test_a_model_that_takes_too_long_is_rejected(monkeypatch):
     assert load_archive(of_mesh(50)).nmesh == 1
 
 
+@pytest.mark.full
 def test_a_model_that_takes_too_much_memory_is_rejected(monkeypatch):
     monkeypatch.setattr(sandbox, 'MAX_MEMORY_BYTES', 1_000_000_000)
     rejected(of_xml(f'<mujoco><size memory="2G"/>{XML[8:]}'),

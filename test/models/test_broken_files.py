@@ -234,6 +234,7 @@ def told(tmp_path_factory):
     return found
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('case', BROKEN)
 def test_a_broken_file_is_told_in_one_line_within_ten_seconds_and_a_gigabyte(case, told):
     message, seconds, kilobytes = told[case]

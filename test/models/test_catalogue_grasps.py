@@ -144,6 +144,7 @@ def lift_of(name):
     return Lift(name, GRASPS['lifted_m'].get(name))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', PINCHING)
 def test_plus_one_closes_and_minus_one_opens(name):
     gaps = stroke_of(name).gaps

@@ -20,6 +20,7 @@ def steps(model, duration_s):
     return round(duration_s / model.opt.timestep)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ROBOTS)
 def test_robots_hold_their_first_pose_against_gravity(name):
     rest = AtRest(name)
@@ -35,6 +36,7 @@ def test_robots_hold_their_first_pose_against_gravity(name):
     assert warnings_of(data) == []
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', ROBOTS)
 def test_robots_stay_stable_under_random_commands(name):
     """

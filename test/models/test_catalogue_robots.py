@@ -65,6 +65,7 @@ def forward_kinematics(chain, qpos):
     return position, rotation
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', WITH_FIGURES)
 def test_end_effectors_are_where_the_reference_has_them(name):
     expected = figures(f'robots/{name}.json')

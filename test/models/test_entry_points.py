@@ -165,6 +165,7 @@ def test_a_module_may_ask_for_names_while_it_is_imported(package):
     assert type(robots.create_robot('Asking')).__name__ == 'Asking'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('more', [[], ['']], ids=['path', 'working directory too'])
 def test_a_damaged_package_is_told_and_hides_no_other(
         package, warnings_of, monkeypatch, tmp_path, more):

@@ -11,6 +11,7 @@ import subprocess
 import sys
 
 import mujoco
+import pytest
 
 LOAD_WITH_LITTLE_MEMORY = """
 import resource
@@ -27,6 +28,7 @@ except ModelError as error:
 """
 
 
+@pytest.mark.full
 def test_a_height_field_that_does_not_fit_into_memory_is_told(mjcf):
     file = mjcf(sections='<asset><hfield name="h" nrow="4000" ncol="4000" size="1 1 1 1"/>'
                          '</asset>')

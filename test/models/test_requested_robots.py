@@ -92,6 +92,7 @@ def test_a_robot_is_the_same_as_for_somebody_who_may_read_everything(name, tmp_p
     same(mine, trusted)
 
 
+@pytest.mark.full
 def test_a_robot_of_a_package_brings_its_meshes_and_its_pairs(roots):
     mine, trusted = (load(roots / 'lab_arm/arm.urdf') for load in (
         lambda file: requested(file, roots), load_robot))
@@ -109,6 +110,7 @@ def test_textures_of_a_urdf_are_not_read(roots, here):
     same(requested(roots / 'lab_arm/arm.urdf', roots), load_robot(roots / 'lab_arm/arm.urdf'))
 
 
+@pytest.mark.full
 def test_a_hand_a_keyframe_and_a_description_of_an_mjcf_file_count(roots):
     (roots / 'hand.yaml').write_text('{start: {turn: 0.5}, velocity_limits: {turn: 1.5}}')
     mine = requested(roots / 'hand.xml', roots)
@@ -226,6 +228,7 @@ def test_a_robot_passes_in_another_process_which_opens_no_file(name, tmp_path):
     requested(tmp_path / name, tmp_path)
 
 
+@pytest.mark.full
 def test_an_error_of_another_kind_is_told_too(roots, monkeypatch):
     monkeypatch.setattr(requested_robot, 'load_held', open)
     reason = rejection(roots / 'hand.xml', roots)

@@ -86,6 +86,7 @@ def test_links_are_where_the_urdf_of_pal_has_them(simulation):
             np.testing.assert_allclose(body.xmat.reshape(3, 3), turn.as_matrix(), atol=1e-9)
 
 
+@pytest.mark.full
 def test_its_base_drives_where_it_looks_and_not_sideways(simulation):
     simulation.reset()
     robot = simulation.robot

@@ -76,6 +76,7 @@ def test_mujoco_reads_the_same_limits_and_masses_from_it(robot):
         sum(model.body(name).mass[0] for name in bodies), rel=1e-12)
 
 
+@pytest.mark.full
 def test_pinocchio_finds_the_same_frames_and_inertia_in_it(robot):
     pinocchio = pytest.importorskip('pinocchio', reason='pin is a tool of the extra test')
     model, urdf = robot

@@ -5,11 +5,13 @@
 
 import mujoco
 import numpy as np
+import pytest
 
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 
 
+@pytest.mark.full
 def test_felt_stays_on_a_table_and_slides_with_its_own_friction():
     simulation = Simulation(compose('Panda', gripper='WipingGripper', arena='table'))
     robot, data = simulation.robot, simulation.data

@@ -31,6 +31,7 @@ def run(tmp_path, script):
     return done.returncode, (done.stdout + done.stderr).splitlines()[-1]
 
 
+@pytest.mark.full
 def test_the_catalogue_works_without_it(tmp_path):
     assert run(tmp_path, WITH_ARENA) == (0, '0.1')
 

@@ -162,6 +162,7 @@ def test_robot_with_a_free_joint_falls_and_does_not_float(one_joint_arm, panda):
     assert other.body_gravcomp[other.body('robot1_link1').id] == 0.0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', [*ROBOTS, 'TwoPandas'])
 def test_the_robot_is_the_first_body_and_its_addresses_are_those_of_any_arena(name):
     pandas = [compose_robot('Panda', idn=idn) for idn in (0, 1)]

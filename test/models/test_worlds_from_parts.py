@@ -338,6 +338,7 @@ def test_turns_are_evenly_distributed_up_to_the_greatest(most):
     assert scipy.stats.kstest(turns, scipy.stats.uniform(-most, 2 * most).cdf).pvalue > 1e-3
 
 
+@pytest.mark.full
 @settings(deadline=None, max_examples=100)
 @given(st.lists(st.floats(0.01, 0.2), min_size=1, max_size=6), st.integers(0, 2**32),
        st.floats(0, 0.05))
@@ -356,6 +357,7 @@ def test_no_two_cylinders_overlap(radii, seed, margin):
                 assert np.linalg.norm(apart) >= one + two + margin - 1e-12
 
 
+@pytest.mark.full
 @settings(deadline=None, max_examples=150)
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(max_size=4) | st.integers(),
                     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(

@@ -127,6 +127,7 @@ def test_everything_that_tells_an_effort_tells_the_same(panda_sim):
     np.testing.assert_array_equal(robot.measured('arm')[14:], effort)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('other', [
     '<adhesion name="cup" body="right_hand" ctrlrange="0 1"/>',
     '<motor name="jet" site="tip" gear="0 1 0 0 0 0"/>'])

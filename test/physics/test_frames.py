@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from manip_sim.frame_names import ROOT
 from manip_sim.models import compose, create_arena
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import robot_tree
-from manip_sim.physics.frame_tree import FrameTree, WORLD
+from manip_sim.physics.frame_tree import FrameTree
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.simulation import Simulation
 
@@ -33,7 +34,7 @@ CAMERAS = """<mujoco>
 
 def in_world(tree, data):
     """Return position and rotation of each frame in world, composed from the root on."""
-    found = {WORLD: (np.zeros(3), Rotation.identity())}
+    found = {ROOT: (np.zeros(3), Rotation.identity())}
     steps = {frame.name: (frame.parent, pose) for frames, poses in (
         (tree.static, tree.static_poses), (tree.moving, tree.moving_poses(data)))
         for frame, pose in zip(frames, poses)}
@@ -151,7 +152,7 @@ def test_the_optical_frame_of_a_camera_sees_a_point_where_its_image_has_it(cart)
 
 def test_a_camera_that_follows_a_body_moves_in_world(cart):
     model, data, tree = cart
-    assert next(f for f in tree.moving if f.name == 'follower').parent == WORLD
+    assert next(f for f in tree.moving if f.name == 'follower').parent == ROOT
     data.qpos[:] = [1.0, 2.0, 3.0, 0.0, 0.6, 0.0, 0.8]
     mujoco.mj_forward(model, data)
     position, rotation = in_world(tree, data)['follower_optical_frame']
@@ -163,7 +164,7 @@ def test_a_camera_that_follows_a_body_moves_in_world(cart):
 def test_names_differ_although_a_site_has_that_of_a_free_body(cart):
     _, _, tree = cart
     assert {f.name: f.parent for f in tree.static} == {
-        'body_2': WORLD, 'cart': 'cart_body', 'eye': 'cart_body', 'eye_optical_frame': 'eye',
+        'body_2': ROOT, 'cart': 'cart_body', 'eye': 'cart_body', 'eye_optical_frame': 'eye',
         'follower_optical_frame': 'follower'}
     # What is placed by hand has no joint and moves all the same.
     assert [frame.name for frame in tree.moving] == ['cart_body', 'body_3', 'follower']

@@ -84,6 +84,7 @@ def test_without_actuation_nothing_changes_and_off_is_off(sim_of):
     assert plain.robot.robot_model.friction_laws == {}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
 def test_a_saved_state_continues_to_the_last_bit(sim_of, mode):
     simulation = sim_of(friction=FRICTION, torque_speed=CURVE)

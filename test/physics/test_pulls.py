@@ -169,6 +169,7 @@ def test_what_cannot_be_pulled_is_an_error_and_changes_nothing(
 NUMBERS = st.lists(st.floats() | st.floats(-2.0, 2.0), min_size=2, max_size=4)
 
 
+@pytest.mark.full
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from([CUBE, 'robot0_link7', 'gripper0_right_leftfinger', 'table', 'x']),
        NUMBERS, NUMBERS, st.integers(-2**31, 2**31 - 1), st.sampled_from([1, 5, 50]))

@@ -125,6 +125,7 @@ def test_positions_and_velocities_that_were_changed_from_outside_are_noticed(mon
     assert np.array_equal(resumed, whole)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', robot_names())
 def test_idle_periods_at_once_are_those_one_by_one_to_the_last_bit(name):
     one_by_one, at_once = (

@@ -163,6 +163,7 @@ def thrown(panda):
     return make
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('moves', [False, True])
 @pytest.mark.parametrize('steps', [1, 5, 50])
 def test_the_external_force_of_each_period_is_the_change_of_momentum_of_a_ball(
@@ -200,6 +201,7 @@ def test_the_torque_of_a_period_is_the_moment_of_a_ball_without_friction(thrown)
     assert touched > 3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('steps', [1, 5, 20])
 def test_the_cutoff_is_that_of_a_low_pass_in_simulated_time(panda_sim, steps):
     take_pose(panda_sim, POSES[0])

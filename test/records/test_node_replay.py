@@ -170,6 +170,7 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
     assert lines[0].startswith('158 control periods repeated, with ')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('setting', [
     ('cartesian', 'robot0', 'right', 'twist_timeout', 1.0),
     ('reflex', 'robot0', 'arm', 'velocity', 0.01)], ids=lambda setting: setting[3])
@@ -234,6 +235,7 @@ def test_a_digit_of_a_state_is_found(recorded, verify, tmp_path):
     assert code == 1 and lines[-1] == '0 of 1 equal'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('value', ['', 'digest'])
 def test_another_digest_is_found(value, session, verify, tmp_path):
     node = session(robot='UR5e')
@@ -416,6 +418,7 @@ def test_an_object_from_a_file_is_told(session, verify):
         '0 of 1 equal'])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('changes', [{'body': 10**7}, {'body': -10**7}, {'site': 10**7}])
 def test_frames_of_no_bodies_are_rejected(changes, session, verify, tmp_path):
     node = session(robot='UR5e')

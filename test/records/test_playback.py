@@ -69,6 +69,7 @@ def end_effector_of(player):
     return data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.site_pos[site]
 
 
+@pytest.mark.full
 def test_the_scene_shows_the_period_of_the_slider(player, frames):
     (poses,) = frames[0].observed.end_effectors.values()
     for period in (0, 5, 2, len(frames[0].actions)):
@@ -82,6 +83,7 @@ def test_the_scene_shows_the_period_of_the_slider(player, frames):
     assert 'reward' not in player._text._shown  # There is none at the start.
 
 
+@pytest.mark.full
 def test_failure_leads_to_the_end_of_the_next_episode_that_failed(player, frames):
     player._jump('Failure')
     player.update(0.0)

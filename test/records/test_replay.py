@@ -42,6 +42,7 @@ def with_action(recorded, period, change):
     return dataclasses.replace(recorded, messages={**messages, ACTION: found})
 
 
+@pytest.mark.full
 def test_episodes_are_repeated_to_the_last_bit_in_any_order(recording):
     episodes = list(Record(recording).episodes())
     replay = Replay()
@@ -123,6 +124,7 @@ def test_a_record_in_the_format_of_another_version_is_one_line(recording, tmp_pa
         f'{FORMAT}\n')
 
 
+@pytest.mark.full
 def test_the_command_verifies_files_and_folders(recording, capsys):
     assert main(['replay', '--verify', str(recording), str(recording.parent)]) == 0
     assert capsys.readouterr().out == '4 of 4 equal\n'

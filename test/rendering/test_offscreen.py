@@ -65,6 +65,7 @@ def middle(mask):
     return columns.mean(), rows.mean()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('optics', OPTICS)
 def test_a_ball_is_seen_where_the_intrinsics_say_in_colour_and_in_depth(optics, gl):
     attributes, width, height = OPTICS[optics]
@@ -88,6 +89,7 @@ def test_the_intrinsics_are_those_of_a_pinhole():
                                [120.0, 120.0, 159.5, 119.5], rtol=1e-6)
 
 
+@pytest.mark.full
 def test_the_depth_of_a_urdf_link_is_that_of_its_visual_shape(tmp_path, gl):
     file = tmp_path / 'shown.urdf'
     file.write_text("""<robot name="shown"><link name="base"/><link name="arm">

@@ -117,6 +117,7 @@ def test_huge_numbers_are_clamped_and_the_state_stays_finite(topic, message, ser
     assert node.simulation.diverged is None
 
 
+@pytest.mark.full
 def test_ten_thousand_messages_in_a_second_are_survived(serve, client):
     log = client.log()
     node = serve()

@@ -104,6 +104,7 @@ def test_a_ball_is_where_its_image_its_depth_and_the_intrinsics_say(serve_seen, 
     assert info[-1].p[2] == k[2]
 
 
+@pytest.mark.full
 def test_images_and_clouds_name_their_own_optical_frame_if_a_link_has_its_usual_name(
         serve_seen, client, tmp_path):
     file = tmp_path / 'arm.xml'
@@ -125,6 +126,7 @@ def test_images_and_clouds_name_their_own_optical_frame_if_a_link_has_its_usual_
     assert parents['robot0_eye_optical_frame'] == 'robot0_arm'
 
 
+@pytest.mark.full
 def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serve_seen, client,
                                                                             renderings):
     serve_seen(cameras=['robot0_eye_in_hand', FRONT], **SMALL)
@@ -163,6 +165,7 @@ def test_of_a_camera_only_the_topic_with_a_reader_is_published(topic, what, serv
     assert node.cameras.failed is None
 
 
+@pytest.mark.full
 def test_a_rendering_that_fails_later_is_told_once_and_intrinsics_and_states_go_on(
         serve_seen, client, monkeypatch):
     fails, render = threading.Event(), OffscreenRenderer.render
@@ -188,6 +191,7 @@ def test_a_rendering_that_fails_later_is_told_once_and_intrinsics_and_states_go_
     assert nanoseconds(client.state()) > before
 
 
+@pytest.mark.full
 def test_a_point_cloud_has_the_ball_where_it_is_in_its_colour(serve_seen, client, renderings):
     serve_seen(start_paused=True, objects=[BALL], cameras=[FRONT], **SMALL)
     clouds = listen(client, 'front/depth/points')
@@ -210,6 +214,7 @@ def test_a_point_cloud_has_the_ball_where_it_is_in_its_colour(serve_seen, client
     assert set(renderings) == {('front', True, True, False)}
 
 
+@pytest.mark.full
 def test_labels_are_the_bodies_of_the_model_that_is_published_beside_their_names(
         serve_seen, client, renderings):
     node = serve_seen(start_paused=True, objects=[BALL], cameras=[FRONT], **SMALL)
@@ -255,6 +260,7 @@ def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen,
     assert len(common) > 10
 
 
+@pytest.mark.full
 def test_a_compressed_image_is_a_jpeg_of_the_same(serve_seen, client):
     serve_seen(cameras=['agentview'], arena='table', start_paused=True,
                camera__agentview__depth=False)
@@ -270,6 +276,7 @@ def test_a_compressed_image_is_a_jpeg_of_the_same(serve_seen, client):
     assert client.node.count_publishers('agentview/depth/image_raw') == 0
 
 
+@pytest.mark.full
 def test_a_pause_shows_the_present_state_again_and_a_step_the_next(serve_seen, client):
     serve_seen(cameras=[FRONT], camera__front__rate=100.0, start_paused=True, **SMALL)
     color = listen(client, 'front/color/image_raw')
@@ -281,6 +288,7 @@ def test_a_pause_shows_the_present_state_again_and_a_step_the_next(serve_seen, c
     client.spin_until(lambda: nanoseconds(color[-1]) == 30_000_000)
 
 
+@pytest.mark.full
 def test_in_lockstep_images_are_of_due_states_only(serve_seen, client):
     serve_seen(cameras=[FRONT], camera__front__rate=50.0, stepping='lockstep', **SMALL)
     color = listen(client, 'front/color/image_raw')
@@ -463,6 +471,7 @@ def test_the_first_image_of_a_reader_that_comes_later_is_as_late_as_others(serve
     assert (present[stamp] != present[stamp - 40_000_000]).any()
 
 
+@pytest.mark.full
 def test_noisy_images_are_the_exact_ones_with_the_noise_of_their_instant(serve_seen, client):
     serve_seen(noise__pixel=8.0, noise__depth=0.005, seed=6, **LATE)
     color, depth, exact_color, exact_depth = in_lockstep(
@@ -476,6 +485,7 @@ def test_noisy_images_are_the_exact_ones_with_the_noise_of_their_instant(serve_s
         assert (color[period] != exact_color[period]).mean() > 0.9
 
 
+@pytest.mark.full
 def test_exact_images_come_when_noise_is_set_and_states_have_none_beside_them(serve_seen, client):
     node = serve_seen(cameras=[FRONT], start_paused=True, **SMALL)
     assert client.node.count_publishers('truth/front/color/image_raw') == 0
@@ -485,6 +495,7 @@ def test_exact_images_come_when_noise_is_set_and_states_have_none_beside_them(se
     assert node.count_publishers('truth/joint_states') == 0
 
 
+@pytest.mark.full
 def test_noise_is_the_same_whatever_the_pace(serve_seen, client):
     serve_seen(noise__pixel=8.0, seed=6, **{**LATE, 'stepping': 'free'})
     color, exact = (listen(client, f'{begin}front/color/image_raw') for begin in ('', 'truth/'))

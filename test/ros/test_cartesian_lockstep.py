@@ -101,6 +101,7 @@ def test_the_policy_of_the_document_lifts_the_end_effector(serve, client, reques
     client.spin_until(lambda: poses[-1].pose.position.z > poses[0].pose.position.z + 0.05)
 
 
+@pytest.mark.full
 def test_the_policy_of_the_document_does_not_answer_before_it_is_heard(client, policy):
     # A client may see states before the publishers of its commands are connected.
     state = PoseStamped()

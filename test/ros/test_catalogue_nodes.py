@@ -67,6 +67,7 @@ def test_a_mobile_base_drives_along_its_own_axes(serve, client):
     assert node.simulation.robot.joints.mode_of('mobilebase0_joint_mobile_yaw') == 'velocity'
 
 
+@pytest.mark.full
 def test_the_base_stops_without_fresh_commands(serve, client):
     serve(robot='PandaOmron')
     ahead = Twist()

@@ -41,6 +41,7 @@ def test_a_message_that_was_written_is_read(message):
     assert str(read_command(type(message), serialize_message(message))) == str(message)
 
 
+@pytest.mark.full
 @settings(max_examples=200)
 @given(MESSAGES, st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=3),
        st.integers(0, 400))

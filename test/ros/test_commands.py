@@ -32,6 +32,7 @@ def test_the_robot_holds_its_start_before_the_first_command(serve, client):
     np.testing.assert_allclose(states[-1].position, start, atol=1e-3)
 
 
+@pytest.mark.full
 def test_an_abstract_action_spans_the_joint_ranges(serve, client):
     serve()
     action = [0.1, 0.2, -0.1, 0.0, 0.1, 0.2, 0.1]
@@ -40,6 +41,7 @@ def test_an_abstract_action_spans_the_joint_ranges(serve, client):
     client.spin_until(lambda: np.abs(arm_position(client) - goal).max() < 2e-3)
 
 
+@pytest.mark.full
 def test_one_gripper_message_closes_fully(serve, client):
     serve()
     client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
@@ -81,6 +83,7 @@ def point(positions, seconds, velocities=()):
         time_from_start=Duration(sec=int(seconds), nanosec=int((seconds % 1) * 1e9)))
 
 
+@pytest.mark.full
 def test_a_trajectory_is_followed_and_replaced_by_a_newer_one(serve, client):
     serve()
     start = arm_position(client)
@@ -148,6 +151,7 @@ def test_a_trajectory_with_a_stamp_of_now_is_followed(serve, client):
     client.spin_until(lambda: abs(arm_position(client)[0] - 0.2) < 1e-3)
 
 
+@pytest.mark.full
 def test_a_trajectory_without_points_ends_the_present_one(serve, client):
     serve()
     client.publish('arm/joint_trajectory', JointTrajectory(
@@ -158,6 +162,7 @@ def test_a_trajectory_without_points_ends_the_present_one(serve, client):
     assert arm_position(client)[0] < 1.0
 
 
+@pytest.mark.full
 def test_a_trajectory_that_is_too_fast_is_slowed_down_and_told(serve, client):
     log = client.log()
     node = serve()
@@ -168,6 +173,7 @@ def test_a_trajectory_that_is_too_fast_is_slowed_down_and_told(serve, client):
     assert node.commands[0].statistics['arm'].slowed == 1
 
 
+@pytest.mark.full
 def test_each_arm_of_two_is_commanded_alone_and_both_together(serve, client):
     serve(robot='Baxter')
     start = client.state('arm/joint_states')
@@ -189,6 +195,7 @@ def test_each_arm_of_two_is_commanded_alone_and_both_together(serve, client):
         name for name in start.name if 'right' in name]
 
 
+@pytest.mark.full
 def test_an_arm_does_not_take_the_joints_of_the_other(serve, client):
     log = client.log()
     node = serve(robot='Baxter')
@@ -197,6 +204,7 @@ def test_an_arm_does_not_take_the_joints_of_the_other(serve, client):
     assert node.commands[0].statistics['right'].rejected == 1
 
 
+@pytest.mark.full
 def test_a_best_effort_publisher_is_heard_and_a_reliable_one_beside_it_once(serve, client):
     node = serve()
     best_effort = client.node.create_publisher(

@@ -77,6 +77,7 @@ def test_the_real_time_factor_that_is_asked_for_is_measured(factor, serve, clien
     client.spin_until(lambda: any(abs(factor_of(a) / factor - 1.0) < 0.01 for a in arrays))
 
 
+@pytest.mark.full
 def test_diagnostics_come_once_a_second(serve, client):
     serve()
     arrays = listen_with_times(client)
@@ -86,6 +87,7 @@ def test_diagnostics_come_once_a_second(serve, client):
     assert 0.9 < sorted(b - a for a, b in zip(times, times[1:]))[2] < 1.1
 
 
+@pytest.mark.full
 def test_a_pause_is_told_and_is_no_lost_time(serve, client):
     node = serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')
@@ -103,6 +105,7 @@ def test_a_pause_is_told_and_is_no_lost_time(serve, client):
     client.spin_until(lambda: seen('running') and factor_of(arrays[-1]) > 0.95)
 
 
+@pytest.mark.full
 def test_the_parts_that_lockstep_waits_for_are_told(serve, client):
     node = serve(robots=['a', 'b'], a__robot='UR5e', b__robot='Panda', stepping='lockstep',
                  a__lockstep_parts=['arm'], b__lockstep_parts=['arm', 'right/gripper'])
@@ -135,6 +138,7 @@ def slowed(node, period_s):
     node.simulation.advance = slow
 
 
+@pytest.mark.full
 def test_a_factor_that_is_not_reached_is_told_also_with_long_periods(serve, client):
     node = serve(publish_rate=5, real_time_factor=0.6)
     arrays = client.listen(DiagnosticArray, '/diagnostics')
@@ -162,6 +166,7 @@ def test_more_than_a_hundredth_of_lost_time_is_warned_of(loss, level, serve, cli
     assert ('too slow' in status.message) == (level == DiagnosticStatus.WARN)
 
 
+@pytest.mark.full
 def test_a_simulation_that_hangs_is_told(serve, client):
     node = serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')
@@ -206,6 +211,7 @@ def test_the_rate_of_commands_is_that_at_which_they_come(serve, client):
         assert 0.5 < lasted_s / passed_s < 2.0
 
 
+@pytest.mark.full
 def test_the_age_of_the_last_command_grows(serve, client):
     node = serve()
     arrays = listen_with_times(client)
@@ -231,6 +237,7 @@ def test_timeouts_of_commands_are_counted(serve, client):
             arrays[-1], 'arm')['timeouts'] == str(n))
 
 
+@pytest.mark.full
 def test_a_gripper_whose_own_code_fails_is_told(serve, client):
     class FailingGripper(PandaGripper):
         fails = False
@@ -272,6 +279,7 @@ def test_the_combined_topic_counts_what_it_accepts(serve, client):
     assert float(part(arrays[-1], 'joint_command')['age']) < time.monotonic() - sent_s
 
 
+@pytest.mark.full
 def test_a_machine_that_cannot_keep_up_is_told(serve, client):
     node = serve(publish_rate=500)
     arrays = client.listen(DiagnosticArray, '/diagnostics')

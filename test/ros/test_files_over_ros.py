@@ -9,6 +9,7 @@ import sys
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+import pytest
 from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -46,6 +47,7 @@ def test_a_reset_goes_to_the_keyframe_that_the_parameter_names(serve, client):
     assert 'high' in answer.reason
 
 
+@pytest.mark.full
 def test_a_drawer_of_the_arena_opens_by_command_and_says_so(serve, client):
     node = serve(stepping='free', arena=str(FILES / 'room.xml'))
     states = client.listen(JointState, 'arena/joint_states')
@@ -153,6 +155,7 @@ def test_what_belongs_to_no_arm_has_topics_of_its_own(serve, client):
     client.spin_until(lambda: abs(states[-1].position[0] - 0.4) < 5e-3)
 
 
+@pytest.mark.full
 def test_no_parameter_that_is_set_later_reads_a_file(serve, client, tmp_path):
     serve(start_paused=True, robot=str(FILES / 'keyframes.xml'), arena=str(FILES / 'room.xml'),
           cameras=['overview'], lidars=['{name: flat}'], randomization='', spawn_roots=[''])

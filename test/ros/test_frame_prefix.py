@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 import pytest
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('prefix', ['cell/', ''])
 def test_commands_take_frames_as_the_messages_of_the_node_call_them(prefix, serve, client):
     serve(robot='UR5e', stepping='free', frame_prefix='cell/')

@@ -168,10 +168,12 @@ def test_reset_aborts_a_goal_also_of_a_client_that_asks_later(swinger):
     assert swinger.result(handle) == ABORTED
 
 
+@pytest.mark.full
 def test_many_goals_in_a_row_all_end(swinger):
     assert {str(swinger.run(1)) for _ in range(10)} == {str(SUCCEEDED)}
 
 
+@pytest.mark.full
 def test_client_that_leaves_does_not_keep_others_from_the_action(served, swinger):
     other = Client()
     leaving = Swinger(other)
@@ -219,6 +221,7 @@ def test_a_node_that_is_gone_leaves_nothing_behind(served, client, monkeypatch):
     client.spin_until(lambda: nodes() == before)
 
 
+@pytest.mark.full
 def test_the_end_waits_until_clients_are_told_and_no_longer(client, monkeypatch):
     monkeypatch.setattr(sim_node, 'offer_actions', offer)
     monkeypatch.setattr(action_servers, '_END_S', 1e4)

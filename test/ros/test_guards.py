@@ -53,6 +53,7 @@ def unreadable():
             good[:4] + b'\xff' * 40]
 
 
+@pytest.mark.full
 def test_messages_that_cannot_be_read_are_counted_and_do_not_stop_their_topic(sim_process, client):
     log = client.log()
     sim_process()

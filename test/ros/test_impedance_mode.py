@@ -44,6 +44,7 @@ class Failing(Position):
         raise RuntimeError('not today')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode, reason', [
     (Unusable, 'the stiffness of servos must be positive'), (Failing, 'not today')])
 def test_a_mode_that_cannot_be_used_is_rejected_with_the_reason(
@@ -58,6 +59,7 @@ def test_a_mode_that_cannot_be_used_is_rejected_with_the_reason(
     assert node.simulation.robot.joints.mode_of(ARM[0]) == 'velocity'
 
 
+@pytest.mark.full
 def test_an_installed_mode_is_a_choice_and_joints_in_it_yield_as_springs(
         installed, serve, client):
     node = serve(start_paused=True, control_mode__arm='impedance')

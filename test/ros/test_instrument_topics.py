@@ -102,6 +102,7 @@ def test_a_rangefinder_sees_nothing_beyond_its_cutoff_with_noise_or_without(prob
     assert all(0.0 < message.range < 5.0 for message in far)
 
 
+@pytest.mark.full
 def test_each_robot_has_its_sensors_in_its_namespace(serve, client):
     node = serve(robots=['a', 'b'], start_paused=True)
     names = {row.name for row in node.table if '/imu' in row.name}

@@ -76,6 +76,7 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
     assert ours == set(given.specs)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('make, direction', [
     (lambda node: node.create_publisher(JointState, 'more', 10), PUBLISHED),
     (lambda node: node.create_subscription(JointState, 'joint_states', print, 10), SUBSCRIBED)])

@@ -86,6 +86,7 @@ def test_get_and_what_acts_agree_for_every_live_parameter(robot, serve):
     assert node.declared.value('control_mode.arm') == 'position'
 
 
+@pytest.mark.full
 def test_in_one_change_the_parameter_of_fewer_parts_acts_and_then_the_last_one(serve):
     baxter = serve(robot='Baxter', start_paused=True)
     for order in (1, -1):
@@ -261,6 +262,7 @@ def test_500_objects_that_came_and_went_leave_nothing(serve, tmp_path):
     assert not [name for name in str(first).split() if 'thing' in name]
 
 
+@pytest.mark.full
 def test_a_dump_starts_a_node_after_noise_was_switched_off(serve):
     first = serve(robot='UR5e', start_paused=True, noise__joint_position=0.1)
     set_live(first, noise__joint_position=0.0)

@@ -81,6 +81,7 @@ def test_the_same_controller_gives_the_same_states_to_the_last_bit(sim_process):
     assert quiet == loaded
 
 
+@pytest.mark.full
 def test_a_state_is_repeated_until_the_command_comes(serve, client):
     serve(stepping='lockstep')
     states = client.listen(JointState, 'joint_states')

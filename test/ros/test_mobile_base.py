@@ -29,6 +29,7 @@ def vector(message):
     return np.array([message.x, message.y, message.z])
 
 
+@pytest.mark.full
 def test_odometry_is_what_the_joints_of_the_base_say(serve, client):
     serve(robot='PandaOmron', position=[1.0, -2.0, 0.3], orientation=[0.0, 0.0, 2.0],
           command_timeout__base=0.0)

@@ -4,6 +4,7 @@
 """ROS takes the parameters of a MoveIt package under the names that MoveIt asks for."""
 
 from harness import DOMAIN
+import pytest
 import rclpy
 import yaml
 
@@ -11,6 +12,7 @@ from manip_sim.models import compose
 from manip_sim.moveit import write_package
 
 
+@pytest.mark.full
 def test_move_group_gets_controllers_with_a_slash_in_their_names(tmp_path):
     write_package(compose('Panda'), tmp_path / 'panda_moveit_config')
     config = tmp_path / 'panda_moveit_config' / 'config'

@@ -67,6 +67,7 @@ def test_the_latched_model_is_published_again_with_objects_that_come_and_go(serv
         assert bodies() - start == difference
 
 
+@pytest.mark.full
 def test_noise_of_the_start_is_that_of_the_seed(serve, client):
     noisy = {'initialization_noise__magnitude': 0.05, 'start_paused': True}
     starts = [np.array(serve(seed=seed, **noisy).simulation.robot.state().position)

@@ -54,6 +54,7 @@ def times(count):
         yield message
 
 
+@pytest.mark.full
 def test_an_output_whose_reader_stops_drops_messages_at_once_and_recovers_with_the_reader(
         client, reader):
     lines, publisher = Lines(), client.node.create_publisher(Clock, 'times', EVERYTHING)

@@ -40,6 +40,7 @@ def steps(node, count):
         node.thread.step()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('compensated', [True, False])
 def test_an_arm_without_effort_falls_unless_gravity_is_compensated(compensated, serve, client):
     node = serve(start_paused=True, control_mode__arm='effort', gravity_compensation=compensated)
@@ -77,6 +78,7 @@ def test_static_friction_holds_a_joint_and_is_reported(serve, client):
     assert velocities[0] < 1e-6 < 0.005 < velocities[1]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('cube', [True, False])
 def test_the_cube_lies_on_the_table_where_it_is_wanted(cube, serve, client):
     serve(arena='table', cube=cube)
@@ -133,6 +135,7 @@ def test_the_cutoff_of_a_wrench_changes_while_the_node_runs(serve, client):
     assert force() == pytest.approx(5.0, abs=1e-6)
 
 
+@pytest.mark.full
 def test_a_command_timeout_changes_while_the_node_runs(serve, client):
     node = serve(start_paused=True, control_mode__arm='velocity', command_timeout__arm=0.0)
     command = JointState(name=ARM[:1], velocity=[0.2])
@@ -179,6 +182,7 @@ def test_a_timeout_that_is_rejected_is_not_set(serve, client):
     assert node.get_parameter('command_timeout.arm').value == 0.2
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['velocity', 'effort'])
 def test_a_part_whose_commands_stop_comes_to_rest_by_default(mode, serve, client):
     node = serve(start_paused=True)
@@ -199,6 +203,7 @@ def test_a_part_whose_commands_stop_comes_to_rest_by_default(mode, serve, client
         assert abs(robot.state().velocity[0]) < 1e-3
 
 
+@pytest.mark.full
 def test_the_default_timeout_does_not_end_a_target_pose_in_effort_mode(serve, client):
     node = serve(start_paused=True, control_mode__arm='effort')
     robot = node.simulation.robot

@@ -199,6 +199,7 @@ def test_a_hardware_component_that_would_stall_lockstep_is_warned_of(told, param
     assert (STALLS in log) == told
 
 
+@pytest.mark.full
 def test_what_is_wrong_with_the_start_is_told(serve, client):
     log = client.log()
     place = {f'{name}__position': [0.0, 0.0, 0.0] for name in ('a', 'b')}
@@ -225,6 +226,7 @@ def test_parameters_may_be_set_before_the_simulation_runs_and_after_it_has_ended
         assert result.successful
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('name', 'value', 'reason'), [
     ('timestep', 0.001, "parameter 'timestep' is read-only: set it at the start"),
     ('control_mode.arms', 'effort', "unknown parameter 'control_mode.arms': did you mean "

@@ -65,6 +65,7 @@ def test_it_works_in_a_namespace_with_any_names(process, client):
     assert 'in left_gripper_ft_frame: ' in output
 
 
+@pytest.mark.full
 def test_without_a_node_the_example_says_how_to_start_one(process):
     controller = process('pick_cube', module='manip_sim.examples')
     _, errors = controller.communicate(timeout=300.0)
@@ -133,6 +134,7 @@ def arm_with_fingers():
     rclpy.shutdown()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('begin', 'silence'), [(0, range(11, 60)), (120, ())])
 def test_fingers_that_are_seen_late_or_commanded_late_are_not_taken_for_still(
         begin, silence, arm_with_fingers):
@@ -148,6 +150,7 @@ def test_fingers_that_creep_on_what_they_hold_are_still(arm_with_fingers):
     assert 1.0 < arm.fingers[0] < 1.03
 
 
+@pytest.mark.full
 def test_fingers_that_need_not_move_are_waited_for_two_seconds_by_both_clocks(arm_with_fingers):
     arm, _ = arm_with_fingers(lambda _: 0.04)
     begin_s, begin = arm._task.now_s, time.monotonic()

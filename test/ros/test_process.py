@@ -64,6 +64,7 @@ def test_a_node_without_standard_streams_serves_until_it_is_ended(client):
         node.wait()
 
 
+@pytest.mark.full
 def test_several_signals_are_as_good_as_one(sim_process, client):
     for _ in range(3):
         node = sim_process()

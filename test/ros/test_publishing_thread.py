@@ -127,6 +127,7 @@ def test_a_publication_that_flushes_does_not_wait_for_itself(thread):
     assert done.wait(300.0)
 
 
+@pytest.mark.full
 def test_other_threads_go_on_while_a_publication_waits_for_its_reader(client, reader):
     publisher = client.node.create_publisher(Clock, 'times', EVERYTHING)
     client.spin_until(lambda: publisher.get_subscription_count() > 0)

@@ -25,6 +25,7 @@ def arrow(*ends, body='cube', **fields):
     return Marker(ns=body, points=[Point(x=x, y=y, z=z) for x, y, z in ends], **fields)
 
 
+@pytest.mark.full
 def test_a_cube_is_lifted_by_the_topic_and_falls_without_it(serve, client):
     node = serve(start_paused=True, arena='table')
     poses = client.listen(PoseStamped, 'objects/cube/pose')
@@ -74,6 +75,7 @@ POINTS = st.lists(st.builds(Point, x=st.floats(), y=st.floats(), z=st.floats(-1.
                   max_size=3)
 
 
+@pytest.mark.full
 def test_what_does_not_fit_is_rejected_counted_and_pulls_nothing(serve, client):
     node = serve(arena='table')
     statuses = client.listen(DiagnosticArray, '/diagnostics')

@@ -51,6 +51,7 @@ def without_control_msgs(kind):
 OF_ROS = {'/rosout', '/parameter_events'}
 
 
+@pytest.mark.full
 def test_topics_are_documented_with_their_types(serve, client):
     robots = [serve(arena='table', cameras=['birdview'],
                     lidars=['{name: flat}', '{name: round, rings: 2}'])]

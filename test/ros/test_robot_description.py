@@ -47,6 +47,7 @@ def scalar(urdf):
             if joint.find('limit') is not None}
 
 
+@pytest.mark.full
 def test_each_robot_has_its_own_and_who_joins_later_gets_it_too(node, client):
     assert description(client, 'left/robot_description').get('name') == 'Panda'
     later = Client()
@@ -59,6 +60,7 @@ def test_each_robot_has_its_own_and_who_joins_later_gets_it_too(node, client):
                for link in urdf.findall('link'))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', ['left', 'right'])
 def test_its_joints_are_those_of_the_joint_states(robot, node, client):
     assert scalar(description(client, f'{robot}/robot_description')) == set(
@@ -98,6 +100,7 @@ def test_the_tag_of_ros2_control_is_that_of_this_node(node, client):
             f'/{robot}/joint_states', f'/{robot}/joint_command'}
 
 
+@pytest.mark.full
 def test_the_tag_for_the_own_plugin_names_parameters_and_sensors_of_this_node(serve, client):
     # Other names than those of the node of this module, which goes on.
     serve(robots=['front', 'back'], stepping='lockstep', ros2_control_tag=True,

@@ -98,6 +98,7 @@ def test_an_installed_topic_is_latched_and_published_when_it_changes(
     assert node.rejections.failed['sensors'] == 0
 
 
+@pytest.mark.full
 def test_packages_that_cannot_be_used_are_named_in_a_line_and_the_node_serves_the_rest(
         package, serve, client):
     lines = client.log()
@@ -119,6 +120,7 @@ def test_packages_that_cannot_be_used_are_named_in_a_line_and_the_node_serves_th
     assert values[0].data == 4.0 and len(client.state().position) == 9
 
 
+@pytest.mark.full
 def test_sensors_that_fail_later_end_and_are_counted_and_the_node_goes_on(
         package, serve, client):
     fails = ['1 / 0', "float('nan')", "'text'"]

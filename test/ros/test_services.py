@@ -93,6 +93,7 @@ def test_a_command_that_came_while_paused_is_used_by_the_next_step(serve, client
     assert node.simulation.robot.state().position[0] > 0.01
 
 
+@pytest.mark.full
 def test_reset_puts_the_robot_back_while_time_goes_on(serve, client):
     node = serve(arena='table')
     start = client.state()
@@ -272,6 +273,7 @@ def test_a_reflex_stops_an_arm_which_refuses_commands_until_it_is_reset(stepping
     send_until(lambda: robot.state().position[0] > 0.5)
 
 
+@pytest.mark.full
 def test_a_saved_state_is_restored_to_the_last_bit_while_time_goes_on(serve, client):
     node = serve(arena='table', start_paused=True)
     states = client.listen(JointState, 'joint_states')

@@ -20,6 +20,7 @@ def states_of(client, robot):
     return client.listen(JointState, f'{robot}/joint_states')
 
 
+@pytest.mark.full
 def test_each_robot_has_its_own_names_topics_and_parameters(serve, client):
     node = serve(**TWO)
     left, right = states_of(client, 'left'), states_of(client, 'right')
@@ -39,6 +40,7 @@ def test_each_robot_has_its_own_names_topics_and_parameters(serve, client):
     assert distance == pytest.approx(1.0)
 
 
+@pytest.mark.full
 def test_a_command_moves_its_robot_and_no_other(serve, client):
     serve(**TWO)
     left, right = states_of(client, 'left'), states_of(client, 'right')
@@ -58,6 +60,7 @@ def test_a_joint_of_another_robot_is_rejected(serve, client):
     client.spin_until(lambda: node.commands[1].statistics['joint_command'].rejected == 1)
 
 
+@pytest.mark.full
 def test_a_parameter_changes_its_robot_and_no_other(serve, client):
     node = serve(**TWO)
     states = states_of(client, 'left')
@@ -72,6 +75,7 @@ def test_a_parameter_changes_its_robot_and_no_other(serve, client):
     assert set(right.joints.modes_of(right.joints.indices_of('arm'))) == {'position'}
 
 
+@pytest.mark.full
 def test_place_and_prefix_are_what_the_user_says(serve, client):
     node = serve(**TWO, left__position=[1.0, -2.0, 0.0], left__prefix='l_',
                  left__orientation=[0.0, 0.0, np.pi / 2.0])
@@ -139,6 +143,7 @@ def test_the_command_line_exports_what_the_node_serves(process, client, tmp_path
     assert (tmp_path / 'world.xml').read_text() == served[0].data
 
 
+@pytest.mark.full
 def test_each_arm_may_have_its_own_gripper(serve, client):
     node = serve(robots=['twin', 'other'], twin__robot='Baxter',
                  twin__gripper='{left: PandaGripper, right: none}')

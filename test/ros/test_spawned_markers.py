@@ -4,12 +4,14 @@
 """Objects that are only seen, spawned while a node runs, and moved by their topic."""
 
 from geometry_msgs.msg import PoseStamped
+import pytest
 from spawning_node import ask, SpawningByParameters
 from std_srvs.srv import Trigger
 
 MARKER = '{shape: sphere, size: 0.02, visual: true}'
 
 
+@pytest.mark.full
 def test_a_marker_that_is_spawned_goes_where_its_topic_says_until_it_is_deleted(
         serve, client, tmp_path):
     node = serve(start_paused=True, arena='table')

@@ -204,6 +204,7 @@ def test_a_reset_keeps_it_and_a_saved_state_wants_the_same_robots(spawning, clie
     assert not client.call(Trigger, restore).success
 
 
+@pytest.mark.full
 def test_lockstep_does_not_wait_for_it(spawning, client):
     node = spawning(stepping='lockstep')
     own = client.listen(JointState, 'joint_states')

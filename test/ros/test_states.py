@@ -6,6 +6,7 @@
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 import mujoco
 import numpy as np
+import pytest
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -39,6 +40,7 @@ def test_each_part_has_its_own_topic(serve, client):
     assert '/head/joint_states' not in topics
 
 
+@pytest.mark.full
 def test_all_messages_of_a_period_carry_the_stamp_of_the_clock(serve, client):
     serve(publish_rate=50.0)
     received = {topic: client.listen(kind, topic) for topic, kind in (

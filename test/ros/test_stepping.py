@@ -69,6 +69,7 @@ def test_the_state_after_a_reset_lasts_a_whole_period(serve, client):
     assert until_next_period(client, ticks, begin_s) > 0.49
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('how', [{'start_paused': True}, {'stepping': 'lockstep'}])
 def test_a_state_is_repeated_ten_times_a_second(how, serve, client):
     node = serve(**how)
@@ -84,6 +85,7 @@ def test_a_state_is_repeated_ten_times_a_second(how, serve, client):
     assert 0.05 < max(waits) <= 0.1
 
 
+@pytest.mark.full
 def test_free_stepping_waits_for_nothing(serve, client):
     node = serve(stepping='free')
     client.listen(JointState, 'joint_states')
@@ -118,6 +120,7 @@ def until(condition):
         time.sleep(0.001)
 
 
+@pytest.mark.full
 def test_a_trajectory_with_a_stamp_ahead_starts_at_that_instant(serve, client):
     node = serve(start_paused=True)
     start = node.simulation.robot.state().position[0]

@@ -65,6 +65,7 @@ def test_an_episode_in_a_node_is_that_in_this_process_to_the_last_bit(pick_cube)
         assert rest[1] and rest[3]['digest'] == here.digest()
 
 
+@pytest.mark.full
 def test_an_episode_with_noise_in_a_node_is_that_in_this_process(serve):
     noise = {'noise.joint_position': 0.001, 'noise.wrench_bias': 0.5}
     serve(task='reach', lockstep_parts=['arm', 'right/gripper'], **noise, **LOCKSTEP)
@@ -155,6 +156,7 @@ def test_actions_of_joints_do_the_same_in_a_node_as_in_this_process(serve, actio
     here.close()
 
 
+@pytest.mark.full
 def test_bad_actions_over_topics_change_nothing(pick_cube):
     over_topics, _ = pick_cube
     with pytest.raises(gymnasium.error.ResetNeeded):

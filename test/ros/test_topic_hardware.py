@@ -146,6 +146,7 @@ def test_an_arm_follows_its_commands_and_the_hardware_falls_silent(serve, connec
     assert rejected(node) == 0
 
 
+@pytest.mark.full
 def test_before_any_controller_is_active_nothing_moves(serve, client, connect, until):
     log = client.log()
     node = serve(prefix='panda_')
@@ -241,6 +242,7 @@ def test_arm_positions_and_base_velocities_come_in_one_message(base_first, serve
     assert rejected(node) == 0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['velocity', 'effort'])
 def test_an_arm_in_another_mode_takes_the_field_of_that_mode(mode, serve, connect, until):
     node = serve(prefix='panda_', control_mode__arm=mode)
@@ -274,6 +276,7 @@ def test_a_velocity_in_position_mode_is_rejected_with_the_reason(serve, client, 
     assert reaches(hardware, start, FINGER_TOLERANCE)()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('infinity', [INF, -INF])
 def test_an_infinite_command_is_rejected_as_a_whole(infinity, serve, client, connect, until):
     log = client.log()

@@ -94,6 +94,7 @@ def assert_bodies_are_there(model, data, found, prefix=''):
         np.testing.assert_allclose(rotation.as_matrix().ravel(), data.xmat[body], atol=1e-9)
 
 
+@pytest.mark.full
 def test_the_messages_make_one_tree_in_which_all_bodies_are_where_they_are(
         serve, client, records):
     node = serve(robot='PandaOmron', arena='table', start_paused=True,

@@ -52,6 +52,7 @@ class Finding:
         return self.until(lambda found: found.layout is not None and found.model is not None)
 
 
+@pytest.mark.full
 def test_robots_and_their_limits_are_those_of_the_node(client, serve):
     node = serve(robots=['left', 'right'], left__robot='UR5e', right__robot='PandaOmron',
                  start_paused=True)
@@ -70,6 +71,7 @@ def test_robots_and_their_limits_are_those_of_the_node(client, serve):
     assert right.twist == pytest.approx(robot.joints.velocity_limits(base))
 
 
+@pytest.mark.full
 def test_control_modes_are_those_of_the_node_and_are_switched(client, serve):
     node = serve(robots=['left', 'right'], left__robot='UR5e', right__robot='PandaOmron')
     told = []

@@ -83,6 +83,7 @@ ODD = {
     'empty world': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=archive('<mujoco/>')))}
 
 
+@pytest.mark.full
 def test_malformed_messages_are_logged_once_a_second_and_the_viewer_goes_on(client):
     """The page of the next test shows that it goes on to show what is right."""
     process, address = start_viewer('--node', NAME)
@@ -129,6 +130,7 @@ def trials(process):
     return found
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason='needs /proc')
 def test_a_model_that_takes_long_is_checked_beside_the_page_and_given_up_at_the_end(client):
     # MuJoCo works for a quarter of a minute on it.

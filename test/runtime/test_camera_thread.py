@@ -65,6 +65,7 @@ def ahead_m(shot):
     return shot.picture.depth[24, 32]
 
 
+@pytest.mark.full
 def test_a_shot_shows_the_instant_of_its_snapshot(cameras, simulation):
     thread, shots, _ = cameras()
     order(thread, simulation)
@@ -114,6 +115,7 @@ def test_the_same_state_is_rendered_once_and_more_of_it_when_more_is_asked_for(c
     assert ahead_m(next_shot()) > ahead_m(before) + 0.5
 
 
+@pytest.mark.full
 def test_objects_that_come_and_go_are_seen(cameras, simulation):
     thread, shots, _ = cameras()
     simulation.change_objects(plan_with(simulation.plan, create_object(

@@ -149,6 +149,7 @@ def test_position_of_another_joint_may_be_given(panda):
     assert (panda.where(), panda.where(OTHER)) == pytest.approx((0.01, -0.01), abs=1e-4)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('max_effort', 'expected'), [(0.0, 70.0), (12.0, 12.0)])
 def test_what_is_held_stalls_the_fingers_with_the_force_that_is_allowed(
         at_a_cube, max_effort, expected):
@@ -293,6 +294,7 @@ def action(panda):
     panda.robot.apply(panda.robot.parse.action(GRIPPER, [-1.0]))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('interfere', 'reason'), [
     (action, 'a newer command has taken over'),
     (lambda panda: panda.simulation.reset(), 'the simulation was reset')],

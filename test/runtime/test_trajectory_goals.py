@@ -142,6 +142,7 @@ def test_way_so_far_is_told_as_desired_and_actual(panda):
     np.testing.assert_array_equal(goal.view.desired, [[0.4, 0.3], [0.0, 0.0], [0.0, 0.0]])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('factor', 'expected'), [(0.9, LATE), (1.1, SUCCESS)])
 def test_joint_that_stays_away_from_the_last_point_is_judged_by_the_goal_tolerance(
         panda, factor, expected):
@@ -158,6 +159,7 @@ def test_joint_that_stays_away_from_the_last_point_is_judged_by_the_goal_toleran
         assert panda.operator.where(J1)[0] == pytest.approx(0.3 - 2.0 * error, rel=0.02)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('goal_time_s', [0.0, -1.0])
 def test_without_a_goal_time_the_goal_waits_as_long_as_it_takes(panda, goal_time_s):
     panda.push(-20.0)
@@ -502,6 +504,7 @@ def test_tolerance_of_a_joint_of_the_part_that_does_not_move_is_left_aside(panda
     assert ended(goal) == SUCCESS
 
 
+@pytest.mark.full
 def test_last_point_a_little_beyond_the_range_is_met_at_its_end(panda):
     goal = panda.start(positions=[[2.9]], times_s=[3.0])
     panda.run(5.0, until=goal)

@@ -41,6 +41,7 @@ def allan_variance(values, length):
     return (np.diff(clusters.mean(axis=1), axis=0)**2).mean(axis=0) / 2.0
 
 
+@pytest.mark.full
 def test_white_noise_has_the_moments_of_a_normal_distribution_and_no_memory():
     noise = samples(channel_with(WrenchChannel, 6, noise__wrench_force=2.0,
                                  noise__wrench_torque=0.1))
@@ -116,6 +117,7 @@ def test_encoders_round_positions_to_steps_and_nothing_else():
     np.testing.assert_allclose(measured, [0.12, -0.12, 0.1234, 0.118, 0.1234, 0.118])
 
 
+@pytest.mark.full
 @given(strategies.sampled_from(sorted(QUANTITIES)), strategies.one_of(
     strategies.floats(), strategies.integers(), strategies.text(), strategies.booleans(),
     strategies.none()))

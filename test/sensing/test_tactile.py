@@ -149,6 +149,7 @@ def test_a_second_call_adds_nothing_and_a_copy_has_the_sensors():
     assert with_ball(twin)[0].nsensor == with_ball(gripper)[0].nsensor
 
 
+@pytest.mark.full
 def test_the_archive_of_a_world_has_the_same_points():
     world = compose('Panda', tactile=True)
     model, again = world.compile(), load_archive(world.to_archive())

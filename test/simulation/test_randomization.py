@@ -107,6 +107,7 @@ def test_weights_that_were_drawn_are_carried_and_felt(simulation):
     assert np.abs(simulation.data.qpos[:7] - before).max() < 1e-3
 
 
+@pytest.mark.full
 def test_controllers_know_damping_and_friction_that_were_drawn(simulation):
     for seed in range(3):
         simulation.reset(seed)
@@ -188,6 +189,7 @@ def test_without_a_file_nothing_differs():
         assert run(plain) == run(empty)
 
 
+@pytest.mark.full
 def test_each_of_many_worlds_has_draws_and_sizes_of_its_own(world):
     seeds = [11, 12, 13]
     with Worlds(world, 3, threads=2) as worlds:
@@ -289,6 +291,7 @@ _LEAVES = st.none() | st.booleans() | st.integers(-3, 3) | st.floats() | st.text
 _LISTS = st.lists(_LEAVES | st.lists(_LEAVES, max_size=4), max_size=4)
 
 
+@pytest.mark.full
 @settings(max_examples=150, deadline=None)
 @given(st.dictionaries(
     st.sampled_from([*GROUPS, 'x']), st.dictionaries(

@@ -74,6 +74,7 @@ def test_a_task_is_what_its_file_says(plate):
     assert plate.task.instruction == 'Put the red cube onto the green disc, and let go of it.'
 
 
+@pytest.mark.full
 def test_starts_are_drawn_evenly_within_the_ranges_and_apart(plate):
     found = []
     for seed in range(100):
@@ -136,6 +137,7 @@ def test_conditions_on_joints_and_boxes(drawer):
     assert drawer.success and drawer.reward == 1.0
 
 
+@pytest.mark.full
 def test_an_object_that_is_held_counts_as_in_the_tasks_by_classes():
     lifted = {'name': 'lift', 'instruction': 'Lift.', 'horizon': 6,
               'objects': [{'name': 'cube', 'shape': 'box', 'size': [0.04] * 3, 'mass': 0.1,

@@ -30,6 +30,7 @@ def actions(count=12):
     return found
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('periods', [1, 3])
 def test_commands_that_are_late_by_whole_periods_are_those_of_later_periods(periods):
     given = actions()
@@ -145,6 +146,7 @@ def test_success_falls_with_latency():
     assert successes[0] == 4 and successes[1] < 4
 
 
+@pytest.mark.full
 def test_jitter_is_drawn_from_the_seed_and_kept_in_order():
     late = {'command': 0.06, 'command_jitter': 0.03, 'state': 0.05, 'state_jitter': 0.03}
 
@@ -177,6 +179,7 @@ def test_jitter_delays_actions_as_the_sensing_of_the_robot_draws_it():
     assert effects == [due for due in expected.tolist() if due < 750 for _ in range(2)]
 
 
+@pytest.mark.full
 def test_a_drawn_latency_acts_to_the_timestep_and_not_besides_a_given_one(tmp_path):
     ways = []
     for seconds in (0.0, 0.002, 0.02, 0.048, 0.052):

@@ -21,6 +21,7 @@ def simulation():
     return Simulation(compose('Panda', arena='table'))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('camera', ['frontview', 'sideview'])
 def test_the_first_image_is_that_of_any_later_moment_and_order_of_cameras(
         renderer, simulation, camera):
@@ -33,6 +34,7 @@ def test_the_first_image_is_that_of_any_later_moment_and_order_of_cameras(
     others.close()
 
 
+@pytest.mark.full
 def test_pictures_that_nobody_closed_leave_those_of_others_alone(renderer, simulation):
     lost = Pictures(simulation, {'agentview': SIZE})
     wanted = lost.take(simulation)['agentview']

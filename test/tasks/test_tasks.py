@@ -34,6 +34,7 @@ def episode_of(name, robot='Panda'):
     return _episodes[name, robot]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', ['UR5e', 'Panda', 'Kinova3', 'Baxter'])
 def test_the_agentview_of_a_handover_shows_both_grippers_from_the_front(robot):
     episode = episode_of('hand_over', robot)
@@ -119,6 +120,7 @@ def test_doing_nothing_is_no_success(name):
         assert 0.0 <= episode.reward < 1.0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name', task_names())
 def test_a_seed_draws_the_same_start_and_another_one_another(name):
     episode = episode_of(name)
@@ -209,6 +211,7 @@ def test_a_peg_beside_the_hole_or_at_its_mouth_is_not_inserted():
         assert episode.success == inserted
 
 
+@pytest.mark.full
 def test_spots_are_wiped_off_only_by_a_gripper_that_presses_on_them():
     episode = episode_of('wipe_table')
     task, simulation = episode.task, episode.simulation
@@ -252,6 +255,7 @@ def test_a_drawer_is_open_by_its_joint():
         assert episode.task.goal(episode.simulation)[-1] == opened_m
 
 
+@pytest.mark.full
 def test_a_bar_is_handed_over_only_when_the_second_gripper_alone_holds_it():
     episode = episode_of('hand_over')
     expert = episode.task.expert(episode.simulation)
@@ -350,6 +354,7 @@ def test_what_cannot_be_used_is_said():
         create_task('reach', 'Pandda')
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('name, robot, text', [
     *((name, 'GR1', f'{name}: GR1 cannot do it, its hands do not reach the middle of the table')
       for name in task_names()),

@@ -52,6 +52,7 @@ def test_time_passes_only_while_the_test_lets_it(sim_node, as_process):
     assert states.position[-1, last] == pytest.approx(0.2, abs=1e-3)
 
 
+@pytest.mark.full
 def test_waiting_ends_in_the_period_in_which_it_becomes_true(sim_node):
     sim = sim_node()
     sim.publish('joint_command', JointState(name=['robot0_joint1'], position=[0.5]))
@@ -185,6 +186,7 @@ def test_an_exception_after_the_last_wait_of_a_test_is_raised_at_its_end(sim_nod
     assert threading.excepthook == hook_before
 
 
+@pytest.mark.full
 def test_a_controller_that_never_returns_is_named_with_the_line_where_it_is(sim_node, ros):
     sim = sim_node(stepping='lockstep', patience=1.0)
     ros()
@@ -205,6 +207,7 @@ def test_a_controller_that_never_returns_is_named_with_the_line_where_it_is(sim_
     never.set()
 
 
+@pytest.mark.full
 def test_an_end_that_the_test_knows_of_is_no_failure_of_a_controller(sim_node):
     sim = sim_node(control_mode__arm='velocity')
     killed = sim.start(['sleep', '1000'])
@@ -251,6 +254,7 @@ def test_names_that_nobody_has_are_unknown_after_three_seconds(sim_node, monkeyp
     assert time.monotonic() - begin_s >= 3.0
 
 
+@pytest.mark.full
 def test_a_topic_or_service_that_keeps_silent_fails_after_the_patience(sim_node, ros):
     sim = sim_node(patience=1.0)
     sim.node.create_publisher(String, 'silent', 1)
@@ -345,6 +349,7 @@ def test_what_a_controller_has_started_ends_with_it(sim_node):
 TELLS_ITS_DOMAIN = "import os; print(os.environ['ROS_DOMAIN_ID'])"
 
 
+@pytest.mark.full
 def test_a_process_is_in_the_domain_of_the_simulation_that_starts_it(sim_node):
     first, second = sim_node(), sim_node()
     for sim in (first, second):
@@ -352,6 +357,7 @@ def test_a_process_is_in_the_domain_of_the_simulation_that_starts_it(sim_node):
             assert int(told.stdout.read()) == sim.domain
 
 
+@pytest.mark.full
 def test_a_model_that_does_not_come_costs_the_picture_alone(sim_node, monkeypatch, tmp_path):
     sim = sim_node(patience=1.0)
     publishers = {p.topic_name: p for p in sim.server.node.publishers}
@@ -362,6 +368,7 @@ def test_a_model_that_does_not_come_costs_the_picture_alone(sim_node, monkeypatc
     assert states.endswith('states.npz') and (tmp_path / 'failed' / 'states.npz').is_file()
 
 
+@pytest.mark.full
 def test_a_message_that_is_lost_is_asked_for_again(sim_node, monkeypatch):
     sim = sim_node()
     subscribe, subscriptions = sim.node.create_subscription, []

@@ -80,6 +80,7 @@ def update(page, now_s, height=0.825):
         'cube': PoseInWorld(np.array([0.0, 0.0, height]), UPRIGHT)}), False)
 
 
+@pytest.mark.full
 def test_a_drag_pulls_twenty_times_a_second_until_the_mouse_lets_go(page, sent):
     tick(page, True)
     drag(page, 'cube', 'start')
@@ -115,6 +116,7 @@ def test_an_arrow_goes_from_the_point_that_is_held_to_the_mouse(page):
     assert 'pull' not in page._overlays._shown
 
 
+@pytest.mark.full
 def test_a_body_that_goes_as_its_drag_begins_has_no_arrow(page):
     tick(page, True)
     drag(page, 'cube', 'start')
@@ -149,6 +151,7 @@ def test_nothing_is_pulled_without_the_tick_or_in_a_past_picture_or_to_nowhere(p
     assert sent.taken()[1:] == ['cube']
 
 
+@pytest.mark.full
 def test_bodies_that_cannot_move_cannot_be_dragged_and_those_of_another_model_can(
         page, model, sent):
     moving = {name for name, _ in page._scene._moving}

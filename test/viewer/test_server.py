@@ -31,6 +31,7 @@ def eager_threads():
     sys.setswitchinterval(before_s)
 
 
+@pytest.mark.full
 def test_messages_come_while_browsers_come_and_go(buffer, eager_threads):
     event = buffer.message_event
 

@@ -97,6 +97,7 @@ def test_it_goes_back_a_minute_and_takes_no_more_memory_in_an_hour(page):
     np.testing.assert_allclose(shown(page), times[0], atol=1e-6)
 
 
+@pytest.mark.full
 def test_it_plays_what_it_keeps(page):
     live(page, 0.0, 20.0)
     press(page, 'Last minute')

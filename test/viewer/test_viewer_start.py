@@ -35,6 +35,7 @@ def test_without_viser_it_says_what_to_install():
                            "'manip_sim[viewer]'\n")
 
 
+@pytest.mark.full
 def test_without_ros_it_says_where_it_comes_from():
     pytest.importorskip('viser', reason='the viewer needs the extra viewer')
     done = without('rclpy')

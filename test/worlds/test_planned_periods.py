@@ -96,6 +96,7 @@ def test_planned_periods_in_one_call_are_those_of_a_simulation(name, integrator,
     assert True in at_once
 
 
+@pytest.mark.full
 def test_what_else_acts_and_was_counted_is_kept(at_once):
     def disturb(simulation, period):
         # The cube is pushed for a while and lifted now and then; a warning is counted.
@@ -107,6 +108,7 @@ def test_what_else_acts_and_was_counted_is_kept(at_once):
     assert True in at_once and False in at_once
 
 
+@pytest.mark.full
 def test_a_warning_in_a_planned_period_does_not_end_it(at_once):
     def warn(_, data):
         if round(data.time / 0.002) % 50 == 5:
@@ -120,6 +122,7 @@ def test_a_warning_in_a_planned_period_does_not_end_it(at_once):
     assert True in at_once and False in at_once
 
 
+@pytest.mark.full
 def test_a_tool_that_is_hit_in_a_planned_period_reads_the_same_forces(at_once):
     def throw(simulation, period):
         if period in (50, 60):
@@ -132,6 +135,7 @@ def test_a_tool_that_is_hit_in_a_planned_period_reads_the_same_forces(at_once):
     assert np.abs(followers.wrenches).max() > 1.0
 
 
+@pytest.mark.full
 def test_a_divergence_in_a_planned_period_is_reported_as_that_of_a_simulation(at_once):
     def disturb(simulation, period):
         if period == 60:

@@ -174,6 +174,7 @@ def test_what_happens_to_one_world_happens_as_in_its_simulation(streams, act, co
     streams.check_equal()
 
 
+@pytest.mark.full
 def test_a_timeout_that_is_set_ends_a_stream_as_in_its_simulation(streams):
     streams.both(set_a_timeout)
     for _ in range(4):
@@ -183,6 +184,7 @@ def test_a_timeout_that_is_set_ends_a_stream_as_in_its_simulation(streams):
         streams.simulations[OTHER].robot.joints.timeouts)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('read', [
     lambda simulation: simulation.digest(),
     lambda simulation: pickled(simulation.save()),
@@ -206,6 +208,7 @@ def pickled(state):
     return state.physics, state.control_steps, state.gains
 
 
+@pytest.mark.full
 def test_a_controller_that_somebody_keeps_is_up_to_date(streams):
     joints = streams.worlds.simulations[0].robot.joints
     streams.stream(2)

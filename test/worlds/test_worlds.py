@@ -297,6 +297,7 @@ def test_joints_too_fast_for_the_rest_of_their_ranges_slow_down_alike_in_each_wo
     assert min(braking) < -2.0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity'])
 def test_streams_whose_messages_are_late_or_lost_are_the_same_in_each_world(pair, mode):
     start(pair, mode)
@@ -310,6 +311,7 @@ def test_streams_whose_messages_are_late_or_lost_are_the_same_in_each_world(pair
     pair.check_equal()
 
 
+@pytest.mark.full
 def test_a_stream_whose_goals_are_off_at_random_is_averaged_in_its_own_world_alone(pair):
     start(pair, 'position')
     names = pair.simulations[0].robot.joint_names[:7]
@@ -372,6 +374,7 @@ def test_a_base_takes_twists_in_the_worlds_of_a_mask():
     pair.worlds.close()
 
 
+@pytest.mark.full
 def test_a_world_that_diverges_is_told_and_disturbs_no_other(pair):
     start(pair)
     pair.command('stream', 0)
@@ -390,6 +393,7 @@ def test_a_world_that_diverges_is_told_and_disturbs_no_other(pair):
     pair.check_equal()
 
 
+@pytest.mark.full
 def test_states_continue_in_other_worlds_and_in_simulations(pair):
     start(pair)
     for number, kind in enumerate(('pose', 'gripper', 'trajectory')):
