@@ -11,7 +11,6 @@ fluid. Forces between two bodies of the tool cancel.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 import threading
 from weakref import WeakKeyDictionary
@@ -28,7 +27,7 @@ _BODY_OF_WRAP = {int(mujoco.mjtWrap.mjWRAP_SITE): 'site_bodyid',
                  int(mujoco.mjtWrap.mjWRAP_SPHERE): 'geom_bodyid',
                  int(mujoco.mjtWrap.mjWRAP_CYLINDER): 'geom_bodyid'}
 _MESH, _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_MESH), mujoco.mjtGeom.mjGEOM_ELLIPSOID
-#: Many worlds share the models of floating bodies.
+#: Models of bodies in a fluid by tool, and their data, which a thread changes.
 _THREADS = threading.local()
 _OF_MASS = ('body_mass', 'body_inertia', 'body_ipos', 'body_iquat')
 
@@ -44,8 +43,6 @@ class UncollectedForces:
     :ivar cranks: slider-cranks with an end on the tool: actuator, site of the crank, of the slider
     :ivar adhesions: adhesion actuators of any body: actuator, body
     :ivar tendons: whether a spatial tendon connects the tool with something else
-    :ivar in_fluid: the bodies that have a mass, in :attr:`floating`
-    :ivar floating: a ``mujoco.MjModel`` of these bodies, each with a free joint
     """
 
     first: int
@@ -54,8 +51,6 @@ class UncollectedForces:
     cranks: tuple[tuple[int, int, int], ...]
     adhesions: tuple[tuple[int, int], ...]
     tendons: bool
-    in_fluid: tuple[int, ...]
-    floating: mujoco.MjModel
 
     @classmethod
     def of(cls, model: mujoco.MjModel, bodies: slice) -> UncollectedForces:
@@ -82,9 +77,8 @@ class UncollectedForces:
                     axes = other if other >= 0 else one
                     sites.append((actuator, one, axes, 1.0) if has_one else
                                  (actuator, other, axes, -1.0))
-        in_fluid = tuple(body for body in range(first, end) if model.body_mass[body] > 0.0)
         return cls(first, end, tuple(sites), tuple(cranks), tuple(adhesions),
-                   _is_tied_by_tendons(model, on_tool), in_fluid, _floating(model, in_fluid))
+                   _is_tied_by_tendons(model, on_tool))
 
     @property
     def pulls(self) -> bool:
@@ -147,8 +141,8 @@ class UncollectedForces:
             _add(wrench, towards_other * contact.frame[index, :3], contact.pos[index])
 
     def _add_fluid(self, wrench: FloatArray, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        bodies, floating, alone = self._in_fluid(model)
         # Edits of the model count.
-        (floating, alone), bodies = _of_thread(self.floating), list(self.in_fluid)
         for name in _OF_MASS:
             getattr(floating, name)[1:] = getattr(model, name)[bodies]
         floating.opt.density, floating.opt.viscosity = model.opt.density, model.opt.viscosity
@@ -165,20 +159,21 @@ class UncollectedForces:
         for row, body in zip(alone.qfrc_fluid.reshape(-1, 6), bodies):
             _add(wrench, row[:3], data.xpos[body], _rotated(data.xmat[body], row[3:]))
 
+    def _in_fluid(self, model: mujoco.MjModel
+                  ) -> tuple[list[int], mujoco.MjModel, mujoco.MjData]:
+        """Return the bodies with a mass, and their model and data in this thread."""
+        known = vars(_THREADS).setdefault('known', WeakKeyDictionary())
+        if self not in known:
+            bodies = [body for body in range(self.first, self.end) if model.body_mass[body] > 0.0]
+            floating = _floating(model, bodies)
+            known[self] = bodies, floating, mujoco.MjData(floating)
+        found: tuple[list[int], mujoco.MjModel, mujoco.MjData] = known[self]
+        return found
+
 
 def has_fluid(options: mujoco.MjOption) -> bool:
     """Return whether there is a fluid, as options can be changed."""
     return bool(options.density or options.viscosity)
-
-
-def _of_thread(floating: mujoco.MjModel) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Return a copy of a model and its data, which this thread may change."""
-    known = vars(_THREADS).setdefault('known', WeakKeyDictionary())
-    if floating not in known:
-        model = copy.copy(floating)
-        known[floating] = model, mujoco.MjData(model)
-    found: tuple[mujoco.MjModel, mujoco.MjData] = known[floating]
-    return found
 
 
 def _add(wrench: FloatArray, force: FloatArray, point: FloatArray,
@@ -211,7 +206,7 @@ def _is_tied_by_tendons(model: mujoco.MjModel, on_tool: np.ndarray) -> bool:
     return False
 
 
-def _floating(model: mujoco.MjModel, bodies: tuple[int, ...]) -> mujoco.MjModel:
+def _floating(model: mujoco.MjModel, bodies: list[int]) -> mujoco.MjModel:
     """Return a model of some bodies, each with a free joint and what the fluid acts on."""
     spec, shapes = mujoco.MjSpec(), []
     spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
