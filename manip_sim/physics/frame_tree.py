@@ -20,14 +20,12 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.frame_names import FrameNames
+from manip_sim.frame_names import FrameNames, ROOT
 from manip_sim.models.urdf_writer.kinematic_tree import (
-    build_tree, Joint, joints_of_body, KinematicTree, ROOT_LINK)
+    build_tree, Joint, joints_of_body, KinematicTree)
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quaternion import wxyz_to_xyzw
 
-#: The root of the tree.
-WORLD = ROOT_LINK
 #: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
 #: along z with y down: half a turn about x, as w, x, y, z.
 _TO_OPTICAL = np.array([0.0, 1.0, 0.0, 0.0])
@@ -79,7 +77,7 @@ class FrameTree:
             else:
                 joints[frame] = joint
         names = FrameNames(model, placed)
-        followers = {TreeFrame(names.cameras[camera], WORLD): camera
+        followers = {TreeFrame(names.cameras[camera], ROOT): camera
                      for camera in range(model.ncam) if camera not in tree.link_of_camera}
         self._bodies = np.array(list(bodies.values()), dtype=np.int64)
         self._parents: Any = model.body_parentid[self._bodies]
@@ -89,7 +87,7 @@ class FrameTree:
             self.static.append(TreeFrame(names.opticals[camera], frame.name))
             static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
         for name, pose in placed.items():
-            self.static.append(TreeFrame(name, WORLD))
+            self.static.append(TreeFrame(name, ROOT))
             static_poses.append(np.concatenate([pose.position, pose.quat_xyzw]))
         self.static_poses = np.array(static_poses).reshape(-1, 7)
 

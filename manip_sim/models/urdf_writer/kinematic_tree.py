@@ -22,7 +22,6 @@ from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.quaternion import matrix_of
 from manip_sim.sensing.instruments import instrument_sites
 
-ROOT_LINK = ROOT
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 #: From MuJoCo's camera, which looks along -z with y up, to an optical frame: along z, y down.
 _TO_OPTICAL = np.diag([1.0, -1.0, -1.0])
@@ -79,12 +78,12 @@ class KinematicTree:
     def __init__(self, model: mujoco.MjModel, joint_names: set[str], frame_names: set[str]
                  ) -> None:
         self._model = model
-        self.links: list[Link] = [Link(ROOT_LINK)]
+        self.links: list[Link] = [Link(ROOT)]
         self.joints: list[Joint] = []
         self.link_of_body: dict[int, str] = {}
         self.link_of_site: dict[int, str] = {}
         self.link_of_camera: dict[int, str] = {}
-        self._link_names = {ROOT_LINK, *frame_names}
+        self._link_names = {ROOT, *frame_names}
         self._joint_names = set(joint_names)
 
     def take_name(self, name: str, otherwise: str) -> str:
@@ -196,7 +195,7 @@ def _add_camera(model: mujoco.MjModel, tree: KinematicTree, camera: int, names: 
 
 def _add_body(model: mujoco.MjModel, tree: KinematicTree, body: int) -> None:
     name = tree.link_of_body[body]
-    parent = tree.link_of_body.get(int(model.body_parentid[body]), ROOT_LINK)
+    parent = tree.link_of_body.get(int(model.body_parentid[body]), ROOT)
     position, rotation = model.body_pos[body], matrix_of(model.body_quat[body])
     moves = list(_moves(model, body))
     for number, (joint, kind, before, turn, after) in enumerate(moves, 1):
