@@ -32,17 +32,51 @@ _GUARD = ['sh', '-c', 'read _; kill -s KILL -- "$0"']
 
 class ControllerProcess(subprocess.Popen[Any]):
     """
-    A controller as a process.
+    A controller as a process; its standard error goes to that of this process too.
 
-    :ivar ends: whether the test has sent it a signal, so that its end is no failure
+    :param command: such as ``['ros2', 'run', 'my_package', 'my_controller']``
+    :param arguments: further arguments of ``subprocess.Popen``
+    :ivar is_known: whether the test has sent it a signal or waited for it: its end is no failure
     """
 
-    ends = False
+    is_known = False
+
+    def __init__(self, command: Sequence[str], **arguments: Any) -> None:
+        self._tee = None if 'stderr' in arguments else _Tee()
+        if self._tee:
+            arguments['stderr'] = self._tee.end
+        try:
+            super().__init__(command, **{**arguments, 'start_new_session': True})
+        finally:
+            if self._tee:
+                os.close(self._tee.end)
+        self._guard = guard(f'-{self.pid}')
 
     def send_signal(self, sig: int) -> None:
         """Send a signal, as ``terminate`` and ``kill`` do too."""
-        self.ends = True
+        self.is_known = True
         super().send_signal(sig)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end, as ``communicate`` does too."""
+        code = super().wait(timeout)
+        self.is_known = True
+        return code
+
+    def describe(self, errors: bool = True) -> str:
+        """Return what it does now, or how it has ended, and with what on standard error."""
+        if self.poll() is None:
+            return f'{self.args!r} runs'
+        text = f': {self._tee.text()}' if errors and self._tee else ''
+        return f'{self.args!r} has ended with exit code {self.poll()}{text.removesuffix(": ")}'
+
+    def end(self) -> None:
+        """End it, and what it has started and left."""
+        self._guard.kill()
+        self._guard.communicate()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self.wait()
 
 
 class Controllers:
@@ -56,11 +90,18 @@ class Controllers:
     def __init__(self, domain: int) -> None:
         self._domain = domain
         self._spinning: list[tuple[SingleThreadedExecutor, threading.Thread]] = []
-        self._processes: list[tuple[ControllerProcess, subprocess.Popen[Any], _Tee | None]] = []
+        self._processes: list[ControllerProcess] = []
+        #: Those that have not been raised yet.
         self._errors: list[BaseException] = []
-        self._of_threads: list[threading.ExceptHookArgs] = []
-        self._hook_before, threading.excepthook = threading.excepthook, self._of_threads.append
+        self._hook_before, threading.excepthook = threading.excepthook, self._take
         self.started_s = -float('inf')
+
+    def _take(self, thread: threading.ExceptHookArgs) -> None:
+        error = thread.exc_value
+        if isinstance(error, Exception) and not isinstance(error, ExternalShutdownException):
+            self._errors.append(error)
+        else:
+            self._hook_before(thread)
 
     def spin(self, node: Node) -> None:
         """
@@ -79,32 +120,18 @@ class Controllers:
     def _spin(self, executor: SingleThreadedExecutor) -> None:
         try:
             executor.spin()
-        except ExternalShutdownException:
-            pass
         except (Exception, SystemExit) as error:
             # Callbacks fail where a test shuts their context down before this ends them.
             if executor.context.ok():
                 self._errors.append(error)
 
     def start(self, command: Sequence[str], **arguments: Any) -> ControllerProcess:
-        """
-        Start a process in the domain.
-
-        :param command: such as ``['ros2', 'run', 'my_package', 'my_controller']``
-        :param arguments: further arguments of ``subprocess.Popen``
-        """
+        """Start a process in the domain, as :class:`ControllerProcess`."""
         # Another simulation of the same test may have changed this process's environment.
-        environment = {**(arguments.pop('env', None) or os.environ),
-                       'ROS_DOMAIN_ID': str(self._domain)}
-        tee = None if 'stderr' in arguments else _Tee()
-        try:
-            process = ControllerProcess(command, **{
-                'stderr': tee.end if tee else None, **arguments, 'start_new_session': True,
-                'env': environment})
-        finally:
-            if tee:
-                os.close(tee.end)
-        self._processes.append((process, guard(f'-{process.pid}'), tee))
+        arguments['env'] = {**(arguments.get('env') or os.environ),
+                            'ROS_DOMAIN_ID': str(self._domain)}
+        process = ControllerProcess(command, **arguments)
+        self._processes.append(process)
         self.started_s = time.monotonic()
         return process
 
@@ -117,14 +144,10 @@ class Controllers:
         """
         if self._errors:
             raise self._errors.pop(0)
-        for thread in list(self._of_threads):
-            error = thread.exc_value
-            if isinstance(error, Exception) and not isinstance(error, ExternalShutdownException):
-                self._of_threads.remove(thread)
-                raise error
-        for process, _, tee in self._processes:
-            if process.returncode is None and process.poll() and not process.ends:
-                raise ManipSimError(_end_of(process, tee))
+        for process in self._processes:
+            if process.poll() and not process.is_known:
+                process.is_known = True
+                raise ManipSimError(process.describe())
 
     def check_running(self) -> None:
         """
@@ -133,9 +156,8 @@ class Controllers:
         :raises ManipSimError: if all processes have ended, and no node spins
         """
         if self._processes and not any(thread.is_alive() for _, thread in self._spinning) and all(
-                process.poll() is not None for process, *_ in self._processes):
-            process, _, tee = self._processes[-1]
-            raise ManipSimError(_end_of(process, tee))
+                process.poll() is not None for process in self._processes):
+            raise ManipSimError(self._processes[-1].describe())
 
     def describe(self) -> str:
         """Return what each controller does now, in one line."""
@@ -149,9 +171,8 @@ class Controllers:
                 'has ended' if frame is None else
                 f'is in {lines[-1].name} ({lines[-1].filename}:{lines[-1].lineno})' if lines
                 else 'waits for messages'))
-        found += [f'{process.args!r} runs' if process.poll() is None else _end_of(process)
-                  for process, *_ in self._processes]
-        return '; '.join(found)
+        return '; '.join([*found, *(process.describe(errors=False)
+                                    for process in self._processes)])
 
     def close(self) -> None:
         """
@@ -160,11 +181,8 @@ class Controllers:
         :raises Exception: of a controller, if the test has not waited since it failed
         :raises ManipSimError: if a callback does not return, or as :meth:`check`
         """
-        if threading.excepthook == self._of_threads.append:
+        if threading.excepthook == self._take:
             threading.excepthook = self._hook_before
-        for thread in self._of_threads:
-            self._hook_before(thread)
-        self._of_threads.clear()
         try:
             self.check()
         finally:
@@ -172,13 +190,8 @@ class Controllers:
         self.check()
 
     def _end(self) -> None:
-        for process, watch, _ in self._processes:
-            watch.kill()
-            watch.communicate()
-            # Those that it has started are left where it has ended.
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+        for process in self._processes:
+            process.end()
         for executor, thread in self._spinning:
             executor.shutdown(_END_S)
             thread.join(_END_S)
@@ -213,12 +226,6 @@ class _Tee:
         lines = [line for line in self.lines if line]
         begins = [n for n, line in enumerate(lines) if line.startswith('Traceback ')]
         return '\n'.join(lines[begins[-1]:] if begins else lines[-_LINES:])
-
-
-def _end_of(process: ControllerProcess, tee: _Tee | None = None) -> str:
-    text = tee.text() if tee else ''
-    return f'{process.args!r} has ended with exit code {process.returncode}' + (
-        f': {text}' if text else '')
 
 
 def guard(process: str) -> subprocess.Popen[Any]:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 import os
 from pathlib import Path
 import re
@@ -45,27 +46,23 @@ def sim_node(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
     pytest.importorskip('rclpy', reason='the fixture sim_node needs ROS 2')
     from manip_sim.testing.simulation_under_test import SimulationUnderTest
     running = request.node.stash.setdefault(_RUNNING, [])
-    reserved: list[int] = []
+    last_first = ExitStack()
 
     def start(as_process: bool = False, patience: float = 10.0, **parameters: Any
               ) -> SimulationUnderTest:
         domain, lock = reserve_domain()
-        reserved.append(lock)
+        last_first.callback(os.close, lock)
         monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
         monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         simulation = SimulationUnderTest(
             domain, {name.replace('__', '.'): value for name, value in parameters.items()},
             as_process, patience)
         running.append(simulation)
+        last_first.callback(simulation.close)
         return simulation
 
-    yield start
-    try:
-        for simulation in reversed(running):
-            simulation.close()
-    finally:
-        for lock in reserved:
-            os.close(lock)
+    with last_first:
+        yield start
 
 
 @pytest.hookimpl(wrapper=True)

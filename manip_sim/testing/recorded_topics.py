@@ -126,10 +126,6 @@ class RecordedTopics:
         self._subscriptions[topic] = self._node.create_subscription(
             message_type, topic, take, 1000)
 
-    def subscriptions(self, topic: str) -> int:
-        """Return how many of the subscriptions to a topic, with a leading slash, are these."""
-        return int(topic in self._subscriptions)
-
     def messages(self, topic: str) -> list[Any]:
         """
         Return the messages of a topic up to now, a copy.

@@ -19,6 +19,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError, UnknownNameError
@@ -184,6 +185,15 @@ class SimulationUnderTest:
             self._recorded.stamp_ns(topic) >= end_ns for topic in self._topics), check)
         self._now_ns = end_ns
 
+    def _limit(self, problem: str, limit_s: float) -> Callable[[], None]:
+        """Return a check that raises ManipSimError after some wall time [s]."""
+        end_s = time.monotonic() + limit_s
+
+        def check() -> None:
+            if time.monotonic() > end_s:
+                raise ManipSimError(f'{problem} within {limit_s:g} s')
+        return check
+
     def _check_not_stalled(self) -> None:
         if time.monotonic() - self._recorded.last_new_s <= self._patience_s:
             return
@@ -199,10 +209,9 @@ class SimulationUnderTest:
         """Return which nodes publish to topics of the node under test."""
         senders = [
             f"'{info.node_name}' publishes {topic[1:]}" for topic, types in
-            self.node.get_topic_names_and_types() if '/ParameterEvent' not in types[0]
-            and self.node.count_subscribers(topic) > self._recorded.subscriptions(topic)
-            for info in self.node.get_publishers_info_by_topic(topic)
-            if info.node_name not in ('manip_sim', self.node.get_name())]
+            self._subscribed() if '/ParameterEvent' not in types[0]
+            for info in self._others(self.node.get_publishers_info_by_topic(topic))
+            if info.node_name != 'manip_sim']
         return ', '.join(senders) or 'no node publishes what it takes'
 
     def set_parameter(self, name: str, value: Any) -> None:
@@ -279,20 +288,17 @@ class SimulationUnderTest:
         """
         messages: list[Any] = []
         subscriptions: list[Any] = []
-        begin_s = time.monotonic()
         self._wait_for_name('published topic', topic, message_type, self._published)
+        begin_s = time.monotonic()
 
         def received() -> bool:
             # DDS may lose a latched message on its way to a new subscription.
-            waited_s = time.monotonic() - begin_s
-            if not messages and waited_s >= _AGAIN_S * len(subscriptions):
+            if not messages and time.monotonic() - begin_s >= _AGAIN_S * len(subscriptions):
                 subscriptions.append(self.node.create_subscription(
                     message_type, topic, messages.append, qos))
-            if not messages and waited_s > self._patience_s:
-                raise ManipSimError(f'no message on {topic} within {self._patience_s:g} s')
             return bool(messages)
         try:
-            self._spin_until(received)
+            self._spin_until(received, self._limit(f'no message on {topic}', self._patience_s))
         finally:
             for subscription in subscriptions:
                 self.node.destroy_subscription(subscription)
@@ -330,7 +336,8 @@ class SimulationUnderTest:
         if topic not in self._publishers:
             self._wait_for_name('subscribed topic', topic, type(message), self._subscribed)
             publisher = self.node.create_publisher(type(message), topic, 100)
-            own = self._recorded.subscriptions(publisher.topic_name)
+            infos = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
+            own = len(infos) - len(self._others(infos))
             self._wait_until_connected(topic, lambda: publisher.get_subscription_count() > own)
             self._publishers[topic] = publisher
         self._publishers[topic].publish(message)
@@ -356,14 +363,10 @@ class SimulationUnderTest:
         begin_s = time.monotonic()
 
         def answered() -> bool:
-            waited_s = time.monotonic() - begin_s
-            if not futures or again and waited_s >= _AGAIN_S * len(futures):
+            if not futures or again and time.monotonic() - begin_s >= _AGAIN_S * len(futures):
                 futures.append(self._ask(service_type, name, request))
-            answers = [future for future in futures if future.done()]
-            if not answers and waited_s > limit_s:
-                raise ManipSimError(f'no answer of the service {name} within {limit_s:g} s')
-            return bool(answers)
-        self._spin_until(answered)
+            return any(future.done() for future in futures)
+        self._spin_until(answered, self._limit(f'no answer of the service {name}', limit_s))
         return next(future.result() for future in futures if future.done())
 
     def _ask(self, service_type: Any, name: str, request: Any) -> Any:
@@ -378,13 +381,16 @@ class SimulationUnderTest:
         return client.call_async(request)
 
     def _published(self) -> list[tuple[str, Sequence[str]]]:
-        own = [publisher.topic_name for publisher in self._publishers.values()]
-        return [found for found in self.node.get_topic_names_and_types()
-                if self.node.count_publishers(found[0]) > own.count(found[0])]
+        return [topic for topic in self.node.get_topic_names_and_types()
+                if self._others(self.node.get_publishers_info_by_topic(topic[0]))]
 
     def _subscribed(self) -> list[tuple[str, Sequence[str]]]:
-        return [found for found in self.node.get_topic_names_and_types() if
-                self.node.count_subscribers(found[0]) > self._recorded.subscriptions(found[0])]
+        return [topic for topic in self.node.get_topic_names_and_types()
+                if self._others(self.node.get_subscriptions_info_by_topic(topic[0]))]
+
+    def _others(self, infos: list[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
+        """Return those of publishers or subscriptions that are not of :attr:`node`."""
+        return [info for info in infos if info.node_name != self.node.get_name()]
 
     def _wait_for_name(self, kind: str, name: str, interface: Any,
                        listed: Callable[[], Iterable[tuple[str, Sequence[str]]]]) -> None:
@@ -418,13 +424,8 @@ class SimulationUnderTest:
         ), check)
 
     def _wait_until_connected(self, name: str, connected: Callable[[], bool]) -> None:
-        end_s = time.monotonic() + self._patience_s
-
-        def check() -> None:
-            if time.monotonic() > end_s:
-                raise ManipSimError(f'{name} is there, but DDS has not connected it within '
-                                    f'{self._patience_s:g} s')
-        self._spin_until(connected, check)
+        self._spin_until(connected, self._limit(
+            f'{name} is there, but DDS has not connected it', self._patience_s))
 
     def spin(self, node: Node) -> None:
         """

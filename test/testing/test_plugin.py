@@ -50,6 +50,32 @@ def test_that_fails(sim_node):
 """
 
 
+FAILS_AT_ITS_END = """
+import threading
+
+simulations = []
+
+
+def test_that_fails_at_its_end(sim_node):
+    simulations.extend([sim_node(), sim_node()])
+    thread = threading.Thread(target=lambda: {}['no such key'])
+    thread.start()
+    thread.join()
+
+
+def test_that_both_have_ended():
+    assert len(simulations) == 2 and not any(sim.node.context.ok() for sim in simulations)
+    assert threading.excepthook.__module__ != 'manip_sim.testing.controllers'
+"""
+
+
+@needs_ros
+def test_all_simulations_of_a_test_end_although_the_controller_of_one_has_failed(tmp_path):
+    (tmp_path / 'test_of_mine.py').write_text(FAILS_AT_ITS_END)
+    done = pytest_in(tmp_path)
+    assert '2 passed, 1 error' in done.stdout and "KeyError: 'no such key'" in done.stdout
+
+
 @needs_ros
 def test_a_failed_test_leaves_states_model_and_picture(tmp_path, renderer):
     (tmp_path / 'test_of_mine.py').write_text(FAILS)

@@ -221,6 +221,14 @@ def test_an_end_that_the_test_knows_of_is_no_failure_of_a_controller(sim_node):
         sim.wait_for_publisher('arm/joint_command')
 
 
+def test_a_process_that_fails_is_reported_while_another_one_runs(sim_node):
+    sim = sim_node(patience=250.0)
+    sim.start([sys.executable, '-c', 'raise SystemExit(3)'])
+    sim.start(['sleep', '1000'])
+    with pytest.raises(ManipSimError, match='has ended with exit code 3'):
+        sim.wait_for_publisher('arm/joint_command')
+
+
 UNKNOWN = [
     (lambda sim: sim.publish('arm/joint_comand', JointState()),
      "subscribed topic .* 'arm/joint_comand': did you mean 'arm/joint_command'"),
@@ -257,11 +265,11 @@ def test_names_that_nobody_has_are_unknown_after_three_seconds(sim_node, monkeyp
 @pytest.mark.full
 def test_a_topic_or_service_that_keeps_silent_fails_after_the_patience(sim_node, ros):
     sim = sim_node(patience=1.0)
-    sim.node.create_publisher(String, 'silent', 1)
-    with pytest.raises(ManipSimError, match='no message on silent within 1 s'):
-        sim.receive(String, 'silent')
     ros()
     silent = rclpy.create_node('silent')
+    silent.create_publisher(String, 'silent', 1)
+    with pytest.raises(ManipSimError, match='no message on silent within 1 s'):
+        sim.receive(String, 'silent')
     silent.create_service(Trigger, 'silent', print)
     with pytest.raises(ManipSimError, match='no answer of the service silent within 1 s'):
         sim.call(Trigger, 'silent')
