@@ -422,6 +422,18 @@ def test_limits_that_cannot_be_are_rejected_with_joint_and_file(tmp_path, limit,
     assert str(error.value) == f"{file}: joint 'elbow': {message}"
 
 
+@pytest.mark.parametrize('limit', ['lower="0.5" upper="0.5"', 'lower="0" upper="0.5"'])
+@pytest.mark.parametrize(('origin', 'axis', 'message'), [
+    ('<origin xyz="0 0 x"/>', '0 0 1', "bad format in attribute 'xyz'"),
+    ('', '0 1', "attribute 'xyz' does not have enough data")])
+def test_a_place_or_axis_of_a_joint_that_cannot_be_read_is_told_in_one_line(
+        tmp_path, limit, origin, axis, message):
+    limit = f'<limit {limit} effort="10" velocity="1"/>'
+    file = write(tmp_path / 'arm.urdf', arm_with('revolute', limit, origin, axis))
+    with pytest.raises(ModelError, match=message):
+        load_robot(file)
+
+
 def hand_with(mimic, kind='prismatic', more=''):
     limit = '<limit lower="-0.1" upper="0.1" effort="10" velocity="0.2"/>'
     return (f'<robot name="hand"><link name="palm">{SOLID}</link><link name="left">{SOLID}</link>'

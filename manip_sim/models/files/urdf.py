@@ -82,12 +82,12 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     :param expects_meshes: make the sentences on meshes that cannot be read a :class:`LostShape`
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
     """
-    robot, notes = _read(file, xacro_args or {}, expects_meshes, files)
+    robot, fixed, notes = _read(file, xacro_args or {}, expects_meshes, files)
     spec = (spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
             if files is None else _hold(robot, file, files).load_tried())
     _let_visual_meshes_be_flat(spec)
     _hide_collision_shapes(spec)
-    complete_joints(spec, robot)
+    complete_joints(spec, robot, fixed)
     notes += _give_mass(spec, robot)
     notes += _take_gravity(spec, robot)
     return spec, notes
@@ -109,8 +109,13 @@ def _hold(robot: ElementTree.Element, file: Path, files: Files) -> HeldModel:
 
 
 def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files: Files | None
-          ) -> tuple[ElementTree.Element, list[str]]:
-    """Return the elements, ready for MuJoCo, and what was left out, in sentences."""
+          ) -> tuple[ElementTree.Element, dict[str, float], list[str]]:
+    """
+    Return the elements, ready for MuJoCo.
+
+    :returns: with the positions of joints to be fixed, by name, and what was left out, in
+        sentences
+    """
     robot = _elements(file, xacro_args, files)
     notes = [*find_meshes(robot, file, expects_meshes, files), *_drop_empty_shapes(robot),
              *make_physical(robot)]
@@ -118,13 +123,13 @@ def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files
         for tag in _SINGLE.get(element.tag, ()):
             for repeated in element.findall(tag)[1:]:
                 element.remove(repeated)
-    notes += check_joints(robot, file)
+    fixed, said = check_joints(robot, file)
     compiler = _compiler(robot)
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
                              ('strippath', 'false'), ('balanceinertia', 'true')):
         compiler.set(attribute, value)
     compiler.attrib.pop('meshdir', None)
-    return robot, notes
+    return robot, fixed, [*notes, *said]
 
 
 def _let_visual_meshes_be_flat(spec: mujoco.MjSpec) -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 import math
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.algebra import product
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.quaternion import matrix_of, matrix_of_vector, quat_wxyz_from_rpy, rpy_of
+from manip_sim.quaternion import matrix_of
 from manip_sim.quoting import quoted, quoted_names
 
 _WITH_RANGE = ('revolute', 'prismatic')
@@ -32,19 +32,21 @@ _SOLIMP = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
 _INERTIA_PER_STIFFNESS = 8e-6
 
 
-def check_joints(robot: ElementTree.Element, file: Path) -> list[str]:
+def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, float], list[str]]:
     """
     Reject impossible limits and mimics, and complete what MuJoCo's reader reads differently.
 
-    As URDF defines, a missing ``lower`` or ``upper`` is 0. A joint whose limits are equal is
-    fixed there. One that has neither is not limited.
+    As URDF defines, a missing ``lower`` or ``upper`` is 0. A joint that has neither is not
+    limited.
 
     :param robot: changed in place
-    :returns: what was done, in sentences
+    :returns: positions of the joints that are fixed, as their limits are equal, by name [rad or
+        m], and what was done, in sentences
     :raises ModelError: naming file and joint
     """
     joints = {joint.get('name', ''): joint for joint in robot.findall('joint')}
-    locked, unlimited = [], []
+    fixed: dict[str, float] = {}
+    unlimited = []
     for name, joint in joints.items():
         limit, kind = joint.find('limit'), joint.get('type')
         _numbers(limit, ('effort', 'velocity'), name, file)
@@ -59,14 +61,15 @@ def check_joints(robot: ElementTree.Element, file: Path) -> list[str]:
                              f'above upper {upper:g}; one that is missing is 0')
         limit.attrib.update(lower=repr(lower), upper=repr(upper))
         if lower == upper:
-            _fix(joint, lower)
-            locked.append(name)
-    _check_mimics(joints, file)
-    return [*([f'fixed, as lower and upper of their <limit> are equal: {quoted_names(locked)}']
-              if locked else []),
-            *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
-              if unlimited else []),
-            *(said for joint in robot.findall('joint') for said in _range_notes(joint, joints))]
+            fixed[name] = lower
+            joint.remove(limit)
+    _check_mimics(joints, fixed, file)
+    return fixed, [
+        *([f'fixed, as lower and upper of their <limit> are equal: {quoted_names([*fixed])}']
+          if fixed else []),
+        *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
+          if unlimited else []),
+        *(said for joint in robot.findall('joint') for said in _range_notes(joint, joints))]
 
 
 def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joint: str,
@@ -88,28 +91,8 @@ def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joi
     return values
 
 
-def _fix(joint: ElementTree.Element, position: float) -> None:
-    """Make a joint a fixed one at a position [rad or m]."""
-    def vector(tag: str, attribute: str, default: str) -> Any:
-        element = joint.find(tag)
-        text = default if element is None else element.get(attribute, default)
-        return np.array([float(number) for number in text.split()])
-    if position:
-        xyz, axis = vector('origin', 'xyz', '0 0 0'), vector('axis', 'xyz', '1 0 0')
-        rotation = matrix_of(quat_wxyz_from_rpy(vector('origin', 'rpy', '0 0 0')))
-        offset = position * axis / np.linalg.norm(axis)
-        if joint.get('type') == 'prismatic':
-            xyz = xyz + product(rotation, offset)
-        else:
-            rotation = product(rotation, matrix_of_vector(offset))
-        origin = joint.find('origin')
-        origin = ElementTree.SubElement(joint, 'origin') if origin is None else origin
-        origin.attrib.update(xyz=' '.join(map(repr, xyz.tolist())),
-                             rpy=' '.join(map(repr, rpy_of(rotation).tolist())))
-    joint.set('type', 'fixed')
-
-
-def _check_mimics(joints: Mapping[str, ElementTree.Element], file: Path) -> None:
+def _check_mimics(joints: Mapping[str, ElementTree.Element], fixed: Collection[str], file: Path
+                  ) -> None:
     leaders = {}
     for name, joint in joints.items():
         mimic = joint.find('mimic')
@@ -121,7 +104,7 @@ def _check_mimics(joints: Mapping[str, ElementTree.Element], file: Path) -> None
             raise UnknownNameError(f'joint in the <mimic> of joint {quoted(name)} of {file}',
                                    leader, joints)
         for one, what in ((name, 'is on a joint'), (leader, f'names joint {quoted(leader)},')):
-            kind = joints[one].get('type')
+            kind = 'fixed' if one in fixed else joints[one].get('type')
             if kind not in _MOVES:
                 raise ModelError(f'{file}: joint {quoted(name)}: its <mimic> {what} which is '
                                  f'{kind}, not one of {", ".join(_MOVES)}')
@@ -165,8 +148,15 @@ def _range(joint: ElementTree.Element) -> list[float] | None:
     return [float(limit.get(end, 0.0)) for end in ('lower', 'upper')]
 
 
-def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element) -> None:
-    """Add velocity limits, as the first number of ``user``, and make couplings stiff."""
+def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element, fixed: Mapping[str, float]
+                    ) -> None:
+    """
+    Add velocity limits, as the first number of ``user``, and make couplings stiff.
+
+    :param fixed: positions of joints that are replaced by fixed ones, by name [rad or m]
+    """
+    for name, position in fixed.items():
+        _fix(spec, spec.joint(name), position)
     for joint in robot.findall('joint'):
         element, limit = spec.joint(joint.get('name', '')), joint.find('limit')
         velocity = 0.0 if limit is None else float(limit.get('velocity', 0.0))
@@ -176,6 +166,18 @@ def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element) -> None:
         tie.solref, tie.solimp = _SOLREF, _SOLIMP
         for joint in (spec.joint(tie.name1), spec.joint(tie.name2)):
             joint.solref_limit, joint.solimp_limit = _SOLREF, _SOLIMP
+
+
+def _fix(spec: mujoco.MjSpec, joint: Any, position: float) -> None:
+    body, axis, quat = joint.parent, np.array(joint.axis), np.empty(4)
+    mujoco.mju_normalize3(axis)
+    if int(joint.type) == int(mujoco.mjtJoint.mjJNT_SLIDE):
+        body.pos = body.pos + product(matrix_of(body.quat), position * axis)
+    else:
+        mujoco.mju_axisAngle2Quat(quat, axis, position)
+        mujoco.mju_mulQuat(quat, body.quat, quat)
+        body.quat = quat
+    spec.delete(joint)
 
 
 def support_couplings(spec: mujoco.MjSpec) -> None:
