@@ -30,7 +30,7 @@ _COUPLED = ('control_mode.{}', 'command_timeout.{}', 'stream_interval.{}', 'stre
 
 
 @dataclass(frozen=True)
-class PartParameter:
+class _PartParameter:
     """
     A parameter of a part.
 
@@ -61,7 +61,7 @@ class Parameters:
         self._node = node
         self._specs: dict[str, ParameterSpec] = {}
         #: By name.
-        self.of_parts: dict[str, PartParameter] = {}
+        self._of_parts: dict[str, _PartParameter] = {}
         #: Timeouts that the user has set, and those that follow the modes in the present change.
         self._set_timeouts: set[str] = set()
         self._following: set[str] = set()
@@ -89,8 +89,8 @@ class Parameters:
     def undeclare(self, scope: Scope) -> None:
         """Remove all parameters of a robot that came while the node ran."""
         begin = scope.parameter('')
-        self.of_parts = {name: found for name, found in self.of_parts.items()
-                         if found.scope != scope}
+        self._of_parts = {name: found for name, found in self._of_parts.items()
+                          if found.scope != scope}
         self._set_timeouts = {name for name in self._set_timeouts if not name.startswith(begin)}
         self._specs = {name: spec for name, spec in self._specs.items()
                        if not name.startswith(begin)}
@@ -137,11 +137,11 @@ class Parameters:
                      if (name := scope.parameter(pattern.format(part))) in self._specs}
             for part, name in names.items():
                 atomic = parts[part].atomic
-                found[name] = PartParameter(
+                found[name] = _PartParameter(
                     scope, pattern.replace('.{}', ''), part, atomic == (part,),
                     tuple(names[one] for one in atomic),
                     tuple(names[one] for one in names if {*parts[one].atomic} <= {*atomic}))
-        self.of_parts.update(found)
+        self._of_parts.update(found)
         self._node.set_parameters([given[name] for name in sorted(
             found, key=lambda name: found[name].is_atomic) if name in given])
         for part in parts:
@@ -174,7 +174,7 @@ class Parameters:
         Of several in one change, that of fewer parts acts, and of equal parts the last one.
         """
         values = {given.name: self._as_declared(given) for given in parameters}
-        known = self.of_parts
+        known = self._of_parts
         for given in sorted([given for given in values.values() if given.name in known],
                             key=lambda given: -len(known[given.name].atomic)):
             for name in known[given.name].same:
@@ -228,9 +228,9 @@ class Parameters:
             if problem:
                 return SetParametersResult(successful=False, reason=problem)
         if not self.showing:
-            names = {parameter.name for parameter in parameters} & self.of_parts.keys()
+            names = {parameter.name for parameter in parameters} & self._of_parts.keys()
             self._set_timeouts.update(name for name in names - self._following
-                                      if self.of_parts[name].group == 'command_timeout')
+                                      if self._of_parts[name].group == 'command_timeout')
         return SetParametersResult(successful=True)
 
 

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict
 from functools import partial
 from typing import Any, TYPE_CHECKING
 
@@ -36,39 +34,26 @@ class ServedRobot:
     def __init__(self, node: SimNode, scope: Scope, robot: SimulatedRobot) -> None:
         self._node, self._declared, self._thread = node, node.declared, node.thread
         self.scope, self.robot = scope, robot
+        settings = robot.settings
         #: What uses the value of a live parameter, by its name.
-        self._uses: dict[str, Callable[[Any], None]] = {}
-        self._control()
+        self._uses = {scope.parameter(name): partial(
+            node.thread.change, *_operation(robot.name, name)) for name in settings}
+        for name, acting in settings.items():
+            given = scope.parameter(name)
+            # Values that randomization has drawn stay, unless the user sets others.
+            if given in self._declared.names and self._declared.value(given) != acting and (
+                    self._declared.value(given) or name not in QUANTITIES):
+                self._use(given, self._declared.value(given))
         self.states = StatePublishers(node, robot, scope)
         node.thread.observe(self.states.publish, look=self.states.look)
         self.commands = CommandSubscribers(node, robot, scope)
-        self._cartesian = CartesianSubscribers(node, self.commands)
+        CartesianSubscribers(node, self.commands)
 
     def close(self) -> None:
         """Take no commands and publish no states any more, before the robot is deleted."""
         self.commands.close()
         self._thread.unobserve(self.states.publish)
         self.states.close(self._node)
-
-    def _control(self) -> None:
-        scope, robot, change = self.scope, self.robot, self._thread.change
-        value = self._declared.value
-        for quantity in QUANTITIES:
-            name = scope.parameter(quantity)
-            self._uses[name] = partial(change, 'sensing', robot.name, quantity)
-        for arm in robot.end_effectors:
-            self._uses[scope.parameter(f'wrench_cutoff.{arm}')] = partial(
-                change, 'wrench_cutoff', robot.name, arm)
-        for arm, settings in robot.joints.cartesian.settings.items():
-            for setting in asdict(settings):
-                self._uses[scope.parameter(f'cartesian.{arm}.{setting}')] = partial(
-                    change, 'cartesian', robot.name, arm, setting)
-        for name, acting in self.robot.settings.items():
-            given = scope.parameter(name)
-            # Values that randomization has drawn stay, unless the user sets others.
-            if given in self._declared.names and value(given) != acting and (
-                    value(given) or name not in QUANTITIES):
-                self._use(given, value(given))
 
     @property
     def acting(self) -> dict[str, Any]:
@@ -92,18 +77,15 @@ class ServedRobot:
 
     def _use(self, name: str, value: Any) -> None:
         if name in self._uses:
-            self._uses[name](value)
-        found = self._declared.of_parts.get(name)
-        if found is None or found.scope != self.scope or not found.is_atomic:
-            return
-        robot, part, change = self.robot.name, found.part, self._thread.change
-        group, _, quantity = found.group.partition('.')
-        if group == 'control_mode':
-            change('mode', robot, part, value)
-        elif group == 'command_timeout':
             # A Cartesian target comes to rest by itself: only a timeout that was set ends it.
-            change('timeout', robot, part, self._declared.value(name), self._declared.is_set(name))
-        elif group == 'reflex':
-            change('reflex', robot, part, quantity, value)
-        else:
-            change(group, robot, part, value)
+            self._uses[name](value, *(
+                [self._declared.is_set(name)]
+                if name.startswith(self.scope.parameter('command_timeout.')) else []))
+
+
+def _operation(robot: str, setting: str) -> tuple[str, ...]:
+    """Return the operation that changes a setting of a robot, and its arguments but the value."""
+    group, *which = setting.split('.')
+    if setting in QUANTITIES:
+        return 'sensing', robot, setting
+    return {'control_mode': 'mode', 'command_timeout': 'timeout'}.get(group, group), robot, *which
