@@ -19,32 +19,37 @@ import math
 import operator
 import os
 import re
-import signal
 import statistics
 import sys
 import time
 from typing import Any
 
+from rcl_interfaces.msg import Parameter
 import rclpy
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
-from rclpy.parameter import get_parameter_value, Parameter, parameter_value_to_python
+from rclpy.parameter import get_parameter_value, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
+from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 import yaml
 
 from manip_sim.errors import ManipSimError, MessageError, UnknownNameError
 from manip_sim.quoting import one_line, quoted
-from manip_sim.rclpy_internals import RCLError
+from manip_sim.rclpy_internals import RCLError, start_rclpy
+from manip_sim.startup import EndSignals
 
 #: Time after which a name without any owner counts as unknown, time without changes of the graph
 #: before it is listed, and longest wait for an answer [s].
 _UNKNOWN_S, _SETTLED_S, _ANSWER_S = 3.0, 1.0, 10.0
 #: Longest wait for messages at once; signals are handled in between [s].
 _LOOK_S = 0.05
+#: Quality of service that matches what is there.
+_BEST = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE,
+                   durability=DurabilityPolicy.BEST_AVAILABLE)
 #: Longest printed part of an array or a text.
 _PRINTED = 128
 #: Label of a value by its type, a number of rcl_interfaces/msg/ParameterType.
@@ -88,17 +93,14 @@ def run_verb(options: argparse.Namespace) -> int:
 
 @contextmanager
 def _graph() -> Iterator[_Graph]:
+    ended = EndSignals()
     set_logger_level('rcl', LoggingSeverity.FATAL)
     context = rclpy.Context()
-    rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
-    graph = _Graph(context)
-    before = {number: signal.signal(number, lambda *_: setattr(graph, 'ended', True))
-              for number in (signal.SIGINT, signal.SIGTERM)}
+    start_rclpy(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+    graph = _Graph(context, ended)
     try:
         yield graph
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         graph.executor.shutdown()
         graph.node.destroy_node()
         context.try_shutdown()
@@ -107,8 +109,8 @@ def _graph() -> Iterator[_Graph]:
 class _Graph:
     """The nodes, topics and services that a node of this process finds."""
 
-    def __init__(self, context: rclpy.Context) -> None:
-        self.ended = False
+    def __init__(self, context: rclpy.Context, ended: EndSignals) -> None:
+        self._ended = ended
         self.node = rclpy.create_node(
             f'manip_sim_{os.getpid()}', context=context, enable_rosout=False,
             start_parameter_services=False)
@@ -119,7 +121,7 @@ class _Graph:
         """Handle messages until a condition holds; return False if it does not in time [s]."""
         end_s = time.monotonic() + limit_s
         while not condition():
-            if self.ended:
+            if self._ended.wait(0.0):
                 raise _Ended
             if time.monotonic() > end_s:
                 return False
@@ -141,16 +143,16 @@ class _Graph:
         self.spin_until(settled, _ANSWER_S)
 
     def nodes(self) -> list[str]:
-        return sorted({f'{space.rstrip("/")}/{name}' for name, space in
-                       self.node.get_node_names_and_namespaces() if not name.startswith('_')
-                       and name != self.node.get_name()})
+        return sorted({name for name in self.node.get_fully_qualified_node_names()
+                       if name != self.node.get_fully_qualified_name()
+                       and not topic_or_service_is_hidden(name)})
 
     def topics(self) -> dict[str, list[str]]:
         return dict(self.node.get_topic_names_and_types())
 
     def published(self) -> dict[str, list[str]]:
         return {name: types for name, types in self.topics().items()
-                if self.node.get_publishers_info_by_topic(name)}
+                if self.node.count_publishers(name)}
 
     def subscribed(self) -> dict[str, list[str]]:
         return {name: types for name, types in self.topics().items()
@@ -187,7 +189,8 @@ def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
               'ROS_AUTOMATIC_DISCOVERY_RANGE)', file=sys.stderr)
     present = graph.topics() if options.command == 'topic' else graph.services()
     own = f'/{graph.node.get_name()}/'
-    names = [name for name in sorted(present) if '/_' not in name and not name.startswith(own)]
+    names = [name for name in sorted(present)
+             if not topic_or_service_is_hidden(name) and not name.startswith(own)]
     lines = [f'{name} [{", ".join(present[name])}]' if options.show_types else name
              for name in names]
     for line in [str(len(names))] if options.count else lines:
@@ -231,26 +234,18 @@ def _subscribed(graph: _Graph, options: argparse.Namespace, raw: bool = False) -
     given = getattr(options, 'type', None)
     if given:
         kind, topic = _interface(given, 'msg'), graph.node.resolve_topic_name(options.name)
+        graph.spin_until(lambda: topic in graph.published(), _UNKNOWN_S)
     else:
         topic = graph.find('published topic', options.name, graph.published)
         types = graph.topics()[topic]
         if len(types) > 1:
             raise ManipSimError(f'{topic} has several types, choose one: {", ".join(types)}')
         kind = _interface(types[0], 'msg')
-    profiles = [info.qos_profile for info in graph.node.get_publishers_info_by_topic(topic)]
     messages: deque[Any] = deque()
-    graph.node.create_subscription(kind, topic, lambda message: messages.append(message), _qos(
-        all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles),
-        bool(profiles) and all(
-            p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)), raw=raw)
+    # Without a publisher, the best that is available would be transient local.
+    graph.node.create_subscription(kind, topic, lambda message: messages.append(message),
+                                   _BEST if topic in graph.published() else _BEST.depth, raw=raw)
     return messages
-
-
-def _qos(reliable: bool, durable: bool) -> QoSProfile:
-    return QoSProfile(
-        depth=100, reliability=ReliabilityPolicy.RELIABLE if reliable else
-        ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.TRANSIENT_LOCAL if durable
-        else DurabilityPolicy.VOLATILE)
 
 
 def _hz(graph: _Graph, options: argparse.Namespace) -> None:
@@ -272,9 +267,7 @@ def _hz(graph: _Graph, options: argparse.Namespace) -> None:
 
 def _publish(graph: _Graph, options: argparse.Namespace) -> None:
     kind = _interface(options.type, 'msg')
-    message = kind()
-    now = graph.node.get_clock().now().to_msg()
-    _fill(message, _mapping(options.values), now)
+    message = _message(kind, _mapping(options.values), graph.node.get_clock().now().to_msg())
     times = 1 if options.once else options.times
     try:
         topic = graph.find('subscribed topic', options.name, graph.subscribed)
@@ -287,9 +280,7 @@ def _publish(graph: _Graph, options: argparse.Namespace) -> None:
     type_name, types = _type_name(kind), graph.topics().get(topic, [])
     if types and type_name not in types:
         raise ManipSimError(f'{topic} has the type {", ".join(types)}, not {type_name}')
-    infos = graph.node.get_subscriptions_info_by_topic(topic)
-    publisher = graph.node.create_publisher(kind, topic, _qos(True, any(
-        info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in infos)))
+    publisher = graph.node.create_publisher(kind, topic, _BEST)
     if times and not graph.spin_until(publisher.get_subscription_count, _ANSWER_S):
         raise ManipSimError(f'no subscription to {topic} that takes what is published reliably')
     _say('publisher: beginning loop')
@@ -306,8 +297,8 @@ def _publish(graph: _Graph, options: argparse.Namespace) -> None:
 
 def _call(graph: _Graph, options: argparse.Namespace) -> int:
     kind = _interface(options.type, 'srv')
-    request = kind.Request()
-    _fill(request, _mapping(options.values), graph.node.get_clock().now().to_msg())
+    request = _message(kind.Request, _mapping(options.values),
+                       graph.node.get_clock().now().to_msg())
     name = graph.find('service', options.name, graph.services)
     types, type_name = graph.services()[name], _type_name(kind)
     if type_name not in types:
@@ -396,14 +387,13 @@ def _set(graph: _Graph, options: argparse.Namespace) -> int:
     except (AssertionError, OverflowError, SystemError, yaml.YAMLError) as error:
         raise ManipSimError(f'cannot use the value {quoted(options.value)}: '
                             f'{one_line(str(error), 200)}') from error
-    parameter = Parameter.from_parameter_msg(rclpy.parameter.ParameterMsg(
-        name=options.name, value=value))
+    parameter = Parameter(name=options.name, value=value)
     (result,) = graph.answer(client.set_parameters([parameter]), options.node).results
     reason = f': {result.reason}' if result.reason else ''
     if result.successful:
         _say(f'Set parameter successful{reason}')
         return 0
-    if options.name not in _names(graph, client, options.node) and not reason:
+    if not reason:
         _check_known(graph, client, options.node, options.name)
     print(f'Setting parameter failed{one_line(reason, 2000)}', file=sys.stderr)
     return 1
@@ -466,23 +456,25 @@ def _mapping(text: str) -> Mapping[str, Any]:
     return values or {}
 
 
-def _fill(message: Any, values: Mapping[str, Any], now: Any) -> None:
+def _message(kind: Any, values: Mapping[str, Any], now: Any) -> Any:
     """
-    Set fields of a message; ``auto`` is a header of now, ``now`` a stamp.
+    Return a message with some fields; ``auto`` is a header of now, ``now`` a stamp.
 
     :raises ManipSimError: naming the field
     """
+    message = kind(check_fields=True)
     types = message.get_fields_and_field_types()
     for name, value in values.items():
         if name not in types:
-            raise UnknownNameError(f'field of {_type_name(type(message))}', name, types)
+            raise UnknownNameError(f'field of {_type_name(kind)}', name, types)
         try:
             setattr(message, name, _converted(getattr(message, name), types[name], value, now))
         except (AssertionError, OverflowError, TypeError, ValueError) as error:
             if isinstance(error, ManipSimError):
                 raise
-            raise MessageError(f'field {name} of {_type_name(type(message))} is {types[name]}, '
+            raise MessageError(f'field {name} of {_type_name(kind)} is {types[name]}, '
                                f'got {quoted(value)}') from error
+    return message
 
 
 def _converted(present: Any, type_name: str, value: Any, now: Any) -> Any:
@@ -494,15 +486,13 @@ def _converted(present: Any, type_name: str, value: Any, now: Any) -> Any:
             return now
         if not isinstance(value, Mapping):
             raise TypeError
-        _fill(present, value, now)
-        return present
-    array = re.match(r'sequence<([^,>]+)(?:, (\d+))?|([^\[]+)\[(\d+)', type_name)
+        return _message(type(present), value, now)
+    array = re.match(r'sequence<([^,>]+)|([^\[]+)\[', type_name)
     if array is None:
         return _scalar(type_name, value)
-    if isinstance(value, str) or not (int(array[4] or 0) <= len(value) <= int(
-            array[2] or array[4] or len(value))):
+    if isinstance(value, str):
         raise TypeError
-    element = array[1] or array[3]
+    element = array[1] or array[2]
     if '/' not in element:
         return [_scalar(element, one) for one in value]
     kind = _interface(element, 'msg')
@@ -510,22 +500,12 @@ def _converted(present: Any, type_name: str, value: Any, now: Any) -> Any:
 
 
 def _scalar(type_name: str, value: Any) -> Any:
-    """Return a value of YAML as a type without fields: a bool, a whole number, float or text."""
+    """Return a value of YAML as a type without fields takes it; the message checks it."""
     if type_name in ('float', 'double'):
         return float(value)
-    if type_name.endswith('string') or 'string<' in type_name:
+    if 'string' in type_name:
         return str(value)
-    if type_name == 'boolean':
-        if not isinstance(value, bool):
-            raise TypeError
-        return value
-    if type_name == 'octet':
-        return bytes([value])
-    unsigned, bits = type_name.startswith('u'), int(type_name.removeprefix('u')[3:])
-    if not (0 if unsigned else -2**(bits - 1)) <= operator.index(value) < 2**(
-            bits if unsigned else bits - 1):
-        raise ValueError
-    return value
+    return bytes([value]) if type_name == 'octet' else value
 
 
 def _plain(value: Any, limit: int, arrays: bool = True) -> Any:

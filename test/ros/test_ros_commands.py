@@ -11,19 +11,21 @@ import signal
 import subprocess
 import sys
 import threading
+from unittest.mock import Mock
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovariance
 import pytest
 from rclpy.qos import (
     qos_profile_sensor_data, QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy)
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Bool, Byte, Float32, Float64MultiArray, String, UInt8
 from std_srvs.srv import SetBool
 import yaml
 
 from manip_sim.cli import ros_commands
 from manip_sim.cli.main import main
-from manip_sim.cli.ros_commands import _fill, _plain
+from manip_sim.cli.ros_commands import _message, _plain
+from manip_sim.errors import MessageError
 
 DONE = [
     ('topic list', r'^/arm/command\n(/\w.*\n)*/joint_states\n(/\w.*\n)*$'),
@@ -119,6 +121,8 @@ def manip_sim(line):
 @pytest.fixture
 def graph(monkeypatch):
     """Let commands use one node: DDS takes seconds to find a second one of this process."""
+    # Handlers of signals are for the process of a command.
+    monkeypatch.setattr(ros_commands, 'EndSignals', lambda: Mock(wait=lambda timeout_s: False))
     with ros_commands._graph() as graph:
         monkeypatch.setattr(ros_commands, '_graph', lambda: nullcontext(graph))
         yield graph
@@ -159,12 +163,14 @@ def test_an_answer_without_success_is_exit_code_one(client, graph, capsys):
     assert 'success=False' in capsys.readouterr().out
 
 
+@pytest.mark.parametrize('words', ['told', 'told std_msgs/msg/String'])
 @pytest.mark.parametrize('qos', [
     qos_profile_sensor_data, QoSProfile(depth=1),
     QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL),
     QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
                reliability=QoSReliabilityPolicy.BEST_EFFORT)])
-def test_an_echo_matches_the_quality_of_service_of_the_publisher(client, graph, qos, capsys):
+def test_an_echo_matches_the_quality_of_service_of_the_publisher(
+        client, graph, qos, words, capsys):
     publisher = client.node.create_publisher(String, 'told', qos)
     publisher.publish(String(data='before'))
     timer = client.node.create_timer(0.05, lambda: publisher.publish(String(data='later')))
@@ -173,7 +179,7 @@ def test_an_echo_matches_the_quality_of_service_of_the_publisher(client, graph, 
     thread = threading.Thread(target=lambda: client.spin_until(ended.is_set))
     thread.start()
     try:
-        assert manip_sim('topic echo --once --timeout 100 told') == 0
+        assert manip_sim(f'topic echo --once --timeout 100 {words}') == 0
     finally:
         ended.set()
         thread.join()
@@ -224,18 +230,26 @@ def test_every_message_that_is_printed_can_be_published(package):
     assert kinds
     for kind in kinds:
         text = yaml.dump(_plain(kind(), 1000))
-        again = kind()
-        _fill(again, yaml.safe_load(text), None)
-        assert again == kind(), text
+        assert _message(kind, yaml.safe_load(text), None) == kind(), text
+
+
+@pytest.mark.parametrize('kind, fields', [
+    (UInt8, '{data: 256}'), (UInt8, '{data: -1}'), (UInt8, '{data: 1.0}'), (Bool, '{data: 1}'),
+    (Byte, '{data: 256}'), (Float32, '{data: 1.0e+39}'), (Float64MultiArray, '{data: "12"}'),
+    (Float64MultiArray, '{data: 1.0}'), (PoseWithCovariance, '{covariance: [1.0]}'),
+    (JointState, '{header: {stamp: {sec: 9999999999}}}'), (JointState, '{header: 1.0}')])
+def test_values_that_no_field_holds_are_rejected_with_its_type(kind, fields):
+    with pytest.raises(MessageError, match='^field .* is .*, got '):
+        _message(kind, yaml.safe_load(fields), None)
 
 
 def test_values_of_yaml_become_the_numbers_and_messages_of_the_fields():
-    pose = PoseStamped()
-    _fill(pose, yaml.safe_load('{header: {frame_id: 5}, pose: {position: {x: 1, y: .nan}}}'), None)
+    pose = _message(PoseStamped, yaml.safe_load(
+        '{header: {frame_id: 5}, pose: {position: {x: 1, y: .nan}}}'), None)
     assert (pose.header.frame_id, pose.pose.position.x) == ('5', 1.0)
     assert pose.pose.position.y != pose.pose.position.y
-    state, numbers = JointState(), Float64MultiArray()
-    _fill(state, {'name': ['a', 1], 'effort': [1, 2.5]}, None)
+    state = _message(JointState, {'name': ['a', 1], 'effort': [1, 2.5]}, None)
     assert list(state.name) == ['a', '1'] and list(state.effort) == [1.0, 2.5]
-    _fill(numbers, yaml.safe_load('{layout: {dim: [{label: a, size: 3}]}}'), None)
+    numbers = _message(Float64MultiArray, yaml.safe_load(
+        '{layout: {dim: [{label: a, size: 3}]}}'), None)
     assert numbers.layout.dim[0].size == 3
