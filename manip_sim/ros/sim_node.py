@@ -163,7 +163,6 @@ class SimNode(Node):
         self.is_built = True
         self.add_post_set_parameters_callback(self._parameters_changed)
         self.thread.restarted = self._show_settings
-        self._show_settings()
         self._world = world
 
     def _serve_robots(self) -> None:
@@ -268,17 +267,14 @@ class SimNode(Node):
             self.declared.show(*self.thread.call(acting))
 
     def _parameters_changed(self, parameters: list[Parameter]) -> None:
-        if self.declared.showing:
-            self._publish_truth()
-            return
         # After the end of the simulation there is nothing to change.
         with contextlib.suppress(SimulationEnded):
-            for parameter in parameters:
+            for parameter in () if self.declared.showing else parameters:
                 if parameter.name in self._uses:
                     self.thread.call(partial(self._uses[parameter.name], parameter.value))
                 for served in self.served.values():
                     served.parameter_changed(parameter)
-                self._publish_truth()
+            self._publish_truth()
 
     def create_publisher(self, message_type: Any, topic: str, *arguments: Any, **keywords: Any
                          ) -> Publisher:
