@@ -22,7 +22,8 @@ from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line
 
 __all__ = ['endpoint_counts', 'forget_parameters', 'InUse', 'parameter_overrides',
-           'publish_bytes', 'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet']
+           'publish_bytes', 'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet',
+           'without_source']
 
 #: Text of rclpy's error if it cannot write its log.
 _LOG = re.compile(r'log directory|log file|Failed opening file .*\.log')
@@ -38,11 +39,17 @@ def start_rclpy(**options: Any) -> None:
     try:
         rclpy.init(**options)
     except RuntimeError as error:  # That of the log is no RCLError in some releases.
-        reason = str(error).partition(', at ')[0]
+        reason = without_source(error)
         if not _LOG.search(reason):
             raise
-        raise ManipSimError(f'{one_line(reason)}; set ROS_LOG_DIR to a folder that can be '
-                            'written') from error
+        raise ManipSimError(
+            f'{reason}; set ROS_LOG_DIR to a folder that can be written') from error
+
+
+def without_source(error: Exception) -> str:
+    """Return the first line of an error of rcl, without the places in its source code."""
+    lines = str(error).splitlines()
+    return one_line(re.sub(r', at [^ ,]+:\d+', '', lines[0])) if lines else type(error).__name__
 
 
 class InUse:

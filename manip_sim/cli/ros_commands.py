@@ -39,7 +39,7 @@ import yaml
 
 from manip_sim.errors import ManipSimError, MessageError, UnknownNameError
 from manip_sim.quoting import one_line, quoted
-from manip_sim.rclpy_internals import RCLError, start_rclpy
+from manip_sim.rclpy_internals import RCLError, start_rclpy, without_source
 from manip_sim.startup import EndSignals
 
 #: Time after which a name without any owner counts as unknown, time without changes of the graph
@@ -88,7 +88,7 @@ def run_verb(options: argparse.Namespace) -> int:
     except NameValidationException as error:
         raise ManipSimError(one_line(str(error).replace('\n', ' '))) from error
     except RCLError as error:
-        raise ManipSimError(f'ROS: {one_line(str(error).partition(", at ")[0])}') from error
+        raise ManipSimError(f'ROS: {without_source(error)}') from error
 
 
 @contextmanager

@@ -29,7 +29,7 @@ import yaml
 
 from manip_sim.errors import describe_choices, RecordError
 from manip_sim.quoting import counted, quoted
-from manip_sim.rclpy_internals import RCLError, start_rclpy
+from manip_sim.rclpy_internals import RCLError, start_rclpy, without_source
 from manip_sim.records.definitions import joined
 from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import MODEL, NODE
@@ -68,7 +68,7 @@ def record_node(path: Path, name: str, topics: Sequence[str], duration_s: float 
         node: Node = rclpy.create_node(f'manip_sim_record_{os.getpid()}', enable_rosout=False,
                                        start_parameter_services=False)
     except RCLError as error:
-        raise RecordError(f'ROS cannot be started: {str(error).partition(", at ")[0]}') from error
+        raise RecordError(f'ROS cannot be started: {without_source(error)}') from error
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:

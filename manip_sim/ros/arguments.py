@@ -16,7 +16,8 @@ import yaml
 
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line, quoted
-from manip_sim.rclpy_internals import RCLError, start_rclpy, UnknownROSArgsError
+from manip_sim.rclpy_internals import (
+    RCLError, start_rclpy, UnknownROSArgsError, without_source)
 
 #: Options of ROS with a value.
 _WITH_VALUE = ('-e', '--enclave', '--log-level', '--log-config-file', '--log-file-name')
@@ -39,12 +40,6 @@ def start_ros(arguments: Sequence[str] | None) -> None:
         reason = next(_mistakes(words), without_source(error))
         raise ManipSimError(f'bad ROS arguments: {reason}') from error
     set_logger_level('rcl', LoggingSeverity.UNSET)
-
-
-def without_source(error: Exception) -> str:
-    """Return the first line of an error of rcl, without the places in its source code."""
-    lines = str(error).splitlines()
-    return re.sub(r', at [^ ,]+:\d+', '', lines[0]) if lines else type(error).__name__
 
 
 def _mistakes(arguments: Sequence[str]) -> Iterator[str]:

@@ -30,9 +30,8 @@ from manip_sim.models import World
 from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.quoting import one_line
-from manip_sim.rclpy_internals import RCLError
+from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, offer_actions
-from manip_sim.ros.arguments import without_source
 from manip_sim.ros.camera_publishers import offer_cameras
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.declared_parameters import Parameters

@@ -22,9 +22,9 @@ from visualization_msgs.msg import Marker
 from manip_sim.errors import ManipSimError
 from manip_sim.models import sandbox
 from manip_sim.quoting import counted
-from manip_sim.rclpy_internals import RCLError
+from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros import background
-from manip_sim.ros.arguments import start_ros, without_source
+from manip_sim.ros.arguments import start_ros
 from manip_sim.startup import EndSignals, leave
 from manip_sim.viewer.page.access import Access
 from manip_sim.viewer.page.diagnosis import ShownStatus, WARN
