@@ -167,16 +167,18 @@ def check_keywords(composition: Mapping[str, Any], environment: type) -> None:
     """
     Check keywords of an environment that are not its own.
 
-    :param composition: the keywords; with ``arena`` they may be parameters of it
+    :param composition: the keywords
     :param environment: its class, with keywords of its own
-    :raises UnknownNameError: if ``compose`` does not take one, naming the nearest ones
+    :raises UnknownNameError: if ``compose`` does not take one, or it is the arena, which is that
+        of the task; naming the nearest ones
     """
-    names = [parameter.name for function in (environment, compose)
-             for parameter in inspect.signature(function).parameters.values()
-             if parameter.kind is not parameter.VAR_KEYWORD]
+    names = dict.fromkeys(parameter.name for function in (environment, compose)
+                          for parameter in inspect.signature(function).parameters.values()
+                          if parameter.kind is not parameter.VAR_KEYWORD)
+    del names['arena']
     for key in composition:
-        if key not in names and 'arena' not in composition:
-            raise UnknownNameError('keyword', key, dict.fromkeys(names))
+        if key not in names:
+            raise UnknownNameError('keyword', key, names)
 
 
 def check_options(options: Mapping[str, Any] | None) -> None:

@@ -262,3 +262,5 @@ def test_an_unknown_keyword_is_told_with_the_nearest_ones(make):
         make('manip_sim/Reach-v0', contol_hz=10)
     with pytest.raises(UnknownNameError, match="unknown keyword 'timstep_s'.*'timestep_s'"):
         make('manip_sim/Reach-v0', timstep_s=0.001)
+    with pytest.raises(UnknownNameError, match="unknown keyword 'arena'"):  # It is the task's.
+        make('manip_sim/Reach-v0', arena='bins')
