@@ -237,7 +237,7 @@ class Page:
         for robot in self._robots:
             states = latest.joints.get(robot.space)
             for part in robot.parts:
-                name = f'{robot.title}/{part.name}'.lstrip('/')
+                name = robot.status_name(part.name)
                 panel = self._panel(self._commands, robot, part,
                                     self._fields.get(name, _POSITION), next(numbers))
                 if name in self._modes:

@@ -94,6 +94,10 @@ class Robot:
         """Return the name of something of this robot, for people."""
         return plain(f'{self.title}: {what}' if self.title else what)
 
+    def status_name(self, part: str) -> str:
+        """Return the name of the diagnostics of a part."""
+        return f'{self.title}/{part}'.lstrip('/')
+
 
 def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
     """

@@ -141,8 +141,8 @@ class PosePanel:
         for robot in self._robots:
             for part in robot.parts:
                 if part.joints:
-                    title = f'{robot.title}/{part.name}'.lstrip('/')
-                    yield robot, part, self._fields.get(title, _POSITION)
+                    yield robot, part, self._fields.get(
+                        robot.status_name(part.name), _POSITION)
 
     def _save(self) -> None:
         joints = {}
