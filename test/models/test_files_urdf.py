@@ -494,6 +494,19 @@ def test_a_mimic_of_a_joint_whose_own_leader_is_unknown_is_rejected(tmp_path):
         load_gripper(file)
 
 
+@pytest.mark.parametrize(('more', 'said'), [
+    ('offset="1"', "joint 'right_finger' is outside its range wherever joint 'left_finger' is, "
+                   'which it follows'),
+    ('multiplier="-2"', "joint 'left_finger' reaches only -0.05 to 0.05 of its range -0.1 to 0.1: "
+                        "there joint 'right_finger', which follows it, is at the ends of its own"),
+    ('multiplier="-1"', None), ('multiplier="0.5"', None), ('multiplier="0"', None)])
+def test_a_joint_that_ends_before_its_leader_is_told(tmp_path, more, said):
+    file = write(tmp_path / 'hand.urdf', hand_with(
+        f'<mimic joint="left_finger" {more}/>').replace('KIND', 'fixed'))
+    told = [note for note in load_gripper(file).inferred if 'range' in note]
+    assert told == ([] if said is None else [said])
+
+
 BALL = '<visual><origin xyz="0 0 0.2"/><geometry><sphere radius="0.03"/></geometry></visual>'
 BOX = ('<collision><origin xyz="0 0 0.2"/><geometry><box size="0.2 0.2 0.2"/></geometry>'
        '</collision>')

@@ -68,8 +68,7 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
         *([f'fixed, as lower and upper of their <limit> are equal: {quoted_names([*fixed])}']
           if fixed else []),
         *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
-          if unlimited else []),
-        *(said for joint in robot.findall('joint') for said in _range_notes(joint, joints))]
+          if unlimited else [])]
 
 
 def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joint: str,
@@ -117,43 +116,13 @@ def _check_mimics(joints: Mapping[str, ElementTree.Element], fixed: Collection[s
                              f'can drive it: {" follows ".join(map(quoted, [*chain, name]))}')
 
 
-def _range_notes(joint: ElementTree.Element, joints: Mapping[str, ElementTree.Element]
-                 ) -> list[str]:
-    """Return that a joint ends before its leader does, in a sentence."""
-    mimic = joint.find('mimic')
-    if mimic is None:
-        return []
-    name, leader = joint.get('name', ''), mimic.get('joint', '')
-    ranges = [_range(joints[of]) for of in (name, leader)]
-    ratio, offset = float(mimic.get('multiplier', 1.0)), float(mimic.get('offset', 0.0))
-    if None in ranges or not ratio:
-        return []
-    own, of_leader = (np.array(ends) for ends in ranges)
-    ends = np.sort((own - offset) / ratio)
-    if ends[0] > of_leader[1] or of_leader[0] > ends[1]:
-        return [f'joint {quoted(name)} is outside its range wherever joint {quoted(leader)} is, '
-                'which it follows']
-    ends = np.clip(ends, *of_leader)
-    if np.abs(ends - of_leader).max() < 0.01 * np.ptp(of_leader):
-        return []
-    return [f'joint {quoted(leader)} reaches only {ends[0]:.4g} to {ends[1]:.4g} of its range '
-            f'{of_leader[0]:.4g} to {of_leader[1]:.4g}: there joint {quoted(name)}, which follows '
-            'it, is at the ends of its own']
-
-
-def _range(joint: ElementTree.Element) -> list[float] | None:
-    limit = joint.find('limit')
-    if joint.get('type') not in _WITH_RANGE or limit is None or limit.get('lower') is None:
-        return None
-    return [float(limit.get(end, 0.0)) for end in ('lower', 'upper')]
-
-
 def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element, fixed: Mapping[str, float]
-                    ) -> None:
+                    ) -> list[str]:
     """
     Add velocity limits, as the first number of ``user``, and make couplings stiff.
 
     :param fixed: positions of joints that are replaced by fixed ones, by name [rad or m]
+    :returns: which joints end before their leaders do, in sentences
     """
     for name, position in fixed.items():
         _fix(spec, spec.joint(name), position)
@@ -162,10 +131,30 @@ def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element, fixed: Mapp
         velocity = 0.0 if limit is None else float(limit.get('velocity', 0.0))
         if element is not None and velocity > 0.0:
             element.userdata = [velocity]
+    notes = []
     for tie in spec.equalities:  # MuJoCo makes them of mimics.
         tie.solref, tie.solimp = _SOLREF, _SOLIMP
-        for joint in (spec.joint(tie.name1), spec.joint(tie.name2)):
+        follower, leader = spec.joint(tie.name1), spec.joint(tie.name2)
+        for joint in (follower, leader):
             joint.solref_limit, joint.solimp_limit = _SOLREF, _SOLIMP
+        if np.ptp(follower.range) and np.ptp(leader.range) and tie.data[1]:
+            notes += _range_notes(follower, leader, *tie.data[:2])
+    return notes
+
+
+def _range_notes(follower: Any, leader: Any, offset: float, ratio: float) -> list[str]:
+    """Return that a joint ends before its leader does, in a sentence."""
+    ends = np.sort((follower.range - offset) / ratio)
+    low, high = leader.range
+    if ends[0] > high or low > ends[1]:
+        return [f'joint {quoted(follower.name)} is outside its range wherever joint '
+                f'{quoted(leader.name)} is, which it follows']
+    ends = np.clip(ends, low, high)
+    if np.abs(ends - leader.range).max() < 0.01 * (high - low):
+        return []
+    return [f'joint {quoted(leader.name)} reaches only {ends[0]:.4g} to {ends[1]:.4g} of its '
+            f'range {low:.4g} to {high:.4g}: there joint {quoted(follower.name)}, which follows '
+            'it, is at the ends of its own']
 
 
 def _fix(spec: mujoco.MjSpec, joint: Any, position: float) -> None:
