@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 from typing import Any, ClassVar
 
+import mujoco
+
 from manip_sim.errors import UnknownNameError
+from manip_sim.models.loading import load_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.strict_yaml import read_yaml
 from manip_sim.resources import asset_path
@@ -51,6 +55,10 @@ class CatalogueModel(MujocoXMLModel):
     def __init__(self, idn: int | str = 0) -> None:
         super().__init__(self.model_file(), idn=idn)
 
+    def _read(self) -> mujoco.MjSpec:
+        # Reading files would be half of composing a Panda (28 ms, 16 without).
+        return _load(self.file).copy()
+
     @classmethod
     def model_file(cls) -> Path:
         """Return the MJCF file."""
@@ -71,6 +79,11 @@ class CatalogueModel(MujocoXMLModel):
                 {attribute.key for base in cls.__mro__ for attribute in vars(base).values()
                  if isinstance(attribute, FromYaml)})
         return cls._data
+
+
+@functools.cache
+def _load(file: Path) -> mujoco.MjSpec:
+    return load_spec(file)
 
 
 def _read(file: Path, keys: set[str]) -> dict[str, Any]:
