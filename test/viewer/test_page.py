@@ -425,8 +425,10 @@ def test_what_cannot_be_done_is_shown_in_each_browser_on_one_line(server, monkey
         told.append((of, title, text)))) for number in (3, 7)}
     page = Page(server, Ignored(), lambda *_: None)
     monkeypatch.setattr(server, 'get_clients', lambda: browsers)
-    page.show_trouble('two\nlines')
-    assert told == [(number, 'Command failed', r'two\nlines') for number in (3, 7)]
+    page.notify('two\nlines')
+    page.notify('a file', True)
+    assert told == [(number, *shown) for shown in (
+        ('Command failed', r'two\nlines'), ('Done', 'a file')) for number in (3, 7)]
 
 
 def test_a_base_is_driven_by_its_velocity_and_has_sliders_in_another_mode(server):

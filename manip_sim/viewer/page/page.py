@@ -93,7 +93,7 @@ class Page:
             self._control = tabs.add_tab('Control')
             with self._control:
                 self._poses = PosePanel(gui, self._saved_poses, robots, self._commands,
-                                        self.events, self.show_trouble)
+                                        self.events, self.notify)
             for robot in robots:
                 for arm in robot.end_effectors:
                     self._targets[robot.space, arm] = EndEffectorTarget(
@@ -153,15 +153,9 @@ class Page:
     def show_recording(self, recording: bool) -> None:
         self._save.show(recording)
 
-    def show_note(self, text: str) -> None:
-        """Notify all browsers of something that was done."""
-        self._notify('Done', text, 'green')
-
-    def show_trouble(self, text: str) -> None:
-        """Notify all browsers of something that could not be done."""
-        self._notify('Command failed', text, 'orange')
-
-    def _notify(self, title: str, text: str, color: str) -> None:
+    def notify(self, text: str, done: bool = False) -> None:
+        """Notify all browsers of something that was done, or could not be done."""
+        title, color = ('Done', 'green') if done else ('Command failed', 'orange')
         for client in self._server.get_clients().values():
             client.add_notification(title, one_line(text), color=color, auto_close_seconds=8.0)
 

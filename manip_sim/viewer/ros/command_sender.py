@@ -38,12 +38,13 @@ class CommandSender:
     :param simulation: full name of the node that is seen, without the first slash
     :param frames: those in which the node gives the poses of end effectors, by namespace and arm
     :param notify: called with what could not be done, for people
+    :param record: begins or ends a record of the node
     :ivar paused: called when the simulation has been paused or goes on
-    :ivar recorded: called when people want to record the node, or no longer
     """
 
     def __init__(self, node: Node, simulation: str, frames: Mapping[tuple[str, str], str],
-                 notify: Callable[[str], None]) -> None:
+                 notify: Callable[[str], None],
+                 record: Callable[[bool], None] = lambda wanted: None) -> None:
         self._node, self._name, self._frames, self._notify = node, simulation, frames, notify
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
@@ -53,7 +54,7 @@ class CommandSender:
         self._modes: dict[str, list[str]] | None = None
         self._parts: set[str] = set()
         self.paused: Callable[[bool], None] = lambda paused: None
-        self.recorded: Callable[[bool], None] = lambda wanted: None
+        self.record = record
 
     def notice(self, base: str, statuses: list[ShownStatus]) -> None:
         """Take from the diagnostics how many numbers the actions of grippers have."""
@@ -121,9 +122,6 @@ class CommandSender:
         self._call('set_parameters', SetParameters.Request(parameters=[Parameter(
             name=self._mode_parameter(space, part), value=ParameterValue(
                 type=ParameterType.PARAMETER_STRING, string_value=mode))]))
-
-    def record(self, wanted: bool) -> None:
-        self.recorded(wanted)
 
     def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
         """Publish goals of joints; see :class:`PageCommands`, as for all that follows."""

@@ -65,12 +65,12 @@ class Session:
         self._states.on_statuses = self._diagnosed
         self._sender: CommandSender | None = None
         if commands:
+            self._recording = NodeRecording(
+                f'/{simulation}', records, lambda text, written: self._page.notify(text, written))
             self._sender = CommandSender(node, simulation, self._states.frames,
-                                         lambda text: self._page.show_trouble(text))
+                                         lambda text: self._page.notify(text),
+                                         self._recording.record)
             self._sender.paused = self._set_paused
-            self._recording = NodeRecording(f'/{simulation}', records, lambda text, written: (
-                self._page.show_note if written else self._page.show_trouble)(text))
-            self._sender.recorded = self._recording.record
         self._cameras: set[str] = set()
         self._page = Page(server, self._sender, self._watch, dark, poses)
         self._shown: tuple[Any, ...] = ()
