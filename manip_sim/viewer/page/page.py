@@ -230,15 +230,16 @@ class Page:
         numbers = itertools.count()
         for robot in self._robots:
             states = latest.joints.get(robot.space)
+            measured = () if states is None else (
+                dict(zip(states.names, states.position)), dict(zip(states.names, states.velocity)))
             for part in robot.parts:
                 name = robot.status_name(part.name)
                 panel = self._panel(self._commands, robot, part,
                                     self._fields.get(name, _POSITION), next(numbers))
                 if name in self._modes:
                     panel.mode.show(now_s, self._modes[name])
-                if states is not None and isinstance(panel, JointPanel):
-                    panel.show(now_s, dict(zip(states.names, states.position)),
-                               dict(zip(states.names, states.velocity)), paused)
+                if measured and isinstance(panel, JointPanel):
+                    panel.show(now_s, *measured, paused)
 
     def _panel(self, commands: PageCommands, robot: Robot, part: ShownPart, field: str, number: int
                ) -> JointPanel | DrivePanel:
