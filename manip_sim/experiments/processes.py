@@ -69,8 +69,7 @@ class WorkerPool:
                     died[seed] += 1
                     answer = self._failed(seed, died[seed], worker.exit_code)
                     worker.restart()
-                elif worker.used_bytes > max(self._share_bytes, 2 * worker.first_bytes):
-                    worker.end()
+                elif worker.has_grown_beyond(self._share_bytes):
                     worker.restart()
                 if answer is None:
                     waiting.appendleft(seed)
@@ -126,7 +125,6 @@ class _WorkerProcess:
 
     :ivar seed: what it runs, or None
     :ivar pipe: of the answers
-    :ivar first_bytes: memory that it used after its first episode, 0 before
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -143,7 +141,7 @@ class _WorkerProcess:
             target=_serve, args=(theirs, self._experiment), daemon=True)
         self._process.start()
         theirs.close()
-        self.first_bytes = 0
+        self._first_bytes = 0
 
     def begin(self, seed: int) -> None:
         """Let it run a seed; that it has died shows in the answer."""
@@ -156,9 +154,8 @@ class _WorkerProcess:
         self.seed = None
         with contextlib.suppress(EOFError, OSError):
             if self.pipe.poll():
-                found: Row | ManipSimError = self.pipe.recv()
-                self.first_bytes = self.first_bytes or self.used_bytes
-                return found
+                answer: Row | ManipSimError = self.pipe.recv()
+                return answer
         self._process.join()
         self.exit_code = self._process.exitcode
         return None
@@ -168,18 +165,19 @@ class _WorkerProcess:
         """Whether its process runs."""
         return bool(self._process.is_alive())
 
-    @property
-    def used_bytes(self) -> int:
-        """Memory that its process uses, 0 if it has ended."""
+    def has_grown_beyond(self, share_bytes: float) -> bool:
+        """Return whether it uses more memory than that, and twice that of the first call."""
         try:
             pages = Path(f'/proc/{self._process.pid}/statm').read_text().split()[1]
-        except OSError:
-            return 0
-        return int(pages) * os.sysconf('SC_PAGE_SIZE')
+        except OSError:  # It has ended, or this is no Linux.
+            return False
+        used_bytes = int(pages) * os.sysconf('SC_PAGE_SIZE')
+        self._first_bytes = self._first_bytes or used_bytes
+        return used_bytes > max(share_bytes, 2 * self._first_bytes)
 
     def restart(self) -> None:
-        """Start another process in place of one that has ended."""
-        self.pipe.close()
+        """Put another process in its place."""
+        self.end()
         self._start()
 
     def end(self) -> None:

@@ -311,7 +311,7 @@ def test_a_process_whose_memory_grows_beyond_its_share_is_replaced(monkeypatch):
         first = worker._process.pid
         list(pool.run([0]))
         assert worker._process.pid == first  # Twice of what it had is allowed.
-        worker.first_bytes = 1
+        worker._first_bytes = 1
         list(pool.run([1]))
         assert worker._process.pid != first
     finally:
