@@ -21,8 +21,8 @@ from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import ACTION, GOAL, REWARD, SUCCESS
 from manip_sim.records.untrusted_records import finite, image
 
-#: Of the topics of exact values, after the name of the robot if there are several.
-_TRUTH = 'truth'
+#: Of the topics of exact values, after the name of the robot if there are several, and of objects.
+_TRUTH, _OBJECTS = 'truth', 'objects'
 _IMAGE = re.compile(r'/(?P<camera>.+)/color/image_raw/compressed')
 
 
@@ -89,12 +89,11 @@ class Frames:
             self._check(len(values), what, self._count)
         self.observed, truth = Quantities(), Quantities()
         for topic in recorded.types:
-            scope = topic.strip('/').split('/')
-            if _TRUTH in scope[:2]:
-                scope.remove(_TRUTH)
-                self._read(truth, topic, scope)
-            else:
-                self._read(self.observed, topic, scope)
+            names = topic.strip('/').split('/')
+            is_truth = _TRUTH in names[:2] and names[0] != _OBJECTS
+            if is_truth:
+                names.remove(_TRUTH)
+            self._read(truth if is_truth else self.observed, topic, names)
         self.truth = truth if truth.positions else None
         goal = finite(recorded.arrays(GOAL), GOAL)
         if goal.size:
@@ -113,7 +112,7 @@ class Frames:
         elif last == 'eef_pose' and scope:
             name = '/'.join(scope if len(scope) > 1 else [next(iter(self.robots), ''), *scope])
             self._add(into.end_effectors, name, topic, self._poses(topic, name))
-        elif last == 'pose' and scope[:1] == ['objects']:
+        elif last == 'pose' and scope[:1] == [_OBJECTS]:
             name = '/'.join(scope[1:])
             self._add(into.objects, name, topic, self._poses(topic, name))
 

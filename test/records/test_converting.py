@@ -106,6 +106,20 @@ def test_a_data_set_has_the_rate_of_the_episodes(tmp_path):
     np.testing.assert_allclose(table['timestamp'].to_pylist(), np.arange(4) / 30.0, rtol=1e-6)
 
 
+def test_an_object_may_have_any_name(tmp_path):
+    episode = Setting('reach', composition={'objects': [{
+        'name': 'truth', 'shape': 'box', 'size': [0.02, 0.02, 0.02]}]}).create_episode()
+    episode.reset(1)
+    with EpisodeRecorder(tmp_path / 'record.mcap', episode) as recorder:
+        recorder.begin(1)
+        episode.step(np.zeros(episode.actions.size))
+        recorder.period(np.zeros(episode.actions.size))
+        recorder.end()
+    (recorded,) = Record(tmp_path / 'record.mcap').episodes()
+    frames = Frames(recorded)
+    assert list(frames.observed.objects) == ['truth'] and frames.truth is None
+
+
 def test_the_description_fits_the_files(lerobot, episodes):
     info = json.loads((lerobot / 'meta/info.json').read_text())
     total = sum(len(frames.actions) for frames in episodes)
