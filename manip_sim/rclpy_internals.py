@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What rclpy has no public name for, in one place; as in its releases 7.1, of ROS 2 Jazzy."""
+"""Parts of rclpy without a public name, in one place; as in its releases 7.1, of ROS 2 Jazzy."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT', 'NOT_SET')
 #: Names by which pip installs the modules that are no part of ROS.
 _FROM_PIP = {'mujoco': 'mujoco', 'numpy': 'numpy', 'PIL': 'pillow', 'pydantic': 'pydantic',
              'yaml': 'pyyaml'}
-#: Where Fast DDS keeps messages between processes, what a node and its clients need there, and how
-#: many leftovers are named.
+#: Folder of Fast DDS for messages between processes, room that a node and its clients need there,
+#: and most leftovers that an error names.
 _SHARED_MEMORY, _NEEDED_BYTES, _NAMED = Path('/dev/shm'), 4_000_000, 5  # noqa: S108
 _OF_VIEWER = ('scipy', 'trimesh', 'viser')
 

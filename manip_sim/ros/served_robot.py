@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the node has for one robot: its settings as parameters, its states, its commands."""
+"""Parameters and topics of one robot: its settings, its states, its commands."""
 
 from __future__ import annotations
 

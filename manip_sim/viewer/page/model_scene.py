@@ -86,7 +86,7 @@ FIELD_OF_VIEW = math.radians(40.0)
 #: First view: from the front right of the robot; factor on the least distance that fits.
 FIRST = (0.78, -0.82, 0.42)
 _ROOM = 1.15
-#: What is shown of a model without shapes: a box around the origin [m].
+#: Half edge of the box around the origin that is shown of a model without shapes [m].
 _EMPTY_M = 1.0
 #: Fixed shapes are shown as a whole if their half diagonal is at most so long, and their centre so
 #: near to what moves [m]; walls and floors are not.

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the page has to know of the robots of a node, without their states."""
+"""Robots of a node as the page shows them, without their states."""
 
 from __future__ import annotations
 
