@@ -143,7 +143,7 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
         period_s = Worker(experiment).period_s
     finally:
         os.chdir(folder_before)  # A policy may have left it.
-    folder = RunFolder(out, experiment.description(), seeds, period_s, options.again)
+    folder = RunFolder(out, experiment.description, seeds, period_s, options.again)
     with folder.shard(number, count, options.retry_errors) as shard:
         if options.engine == 'ray':
             rows = run_on_ray(experiment, shard.left, options.address, options.worlds)

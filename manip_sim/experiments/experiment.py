@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 import contextlib
 from dataclasses import asdict, dataclass
+import functools
 from pathlib import Path
 import platform
 import signal
@@ -49,8 +50,13 @@ class Experiment:
         default_s = LIMIT_S if self.policy.startswith(ROS) else LOCAL_LIMIT_S
         return default_s if self.limit_s is None else self.limit_s
 
+    @functools.cached_property
     def description(self) -> dict[str, Any]:
-        """Return what the rows depend on, as JSON can hold it."""
+        """
+        What the rows depend on, as JSON can hold it.
+
+        It is that of the first call, also in copies: it takes long with large files.
+        """
         setting, late = self.setting, self.setting.latency
         assert isinstance(late, Latency)
         described = read_description(setting.task) if isinstance(setting.task, str) else None
@@ -153,7 +159,7 @@ class Worker:
         self._experiment.records.mkdir(parents=True, exist_ok=True)
         return EpisodeRecorder(
             self._experiment.records / f'{seed}.mcap', self._episode,
-            self._experiment.description(), overwrite=True)
+            self._experiment.description, overwrite=True)
 
 
 def _plain(value: Any) -> Any:

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 from pathlib import Path
+import pickle
 import signal
 import subprocess
 import sys
@@ -361,6 +362,14 @@ def test_what_a_policy_imports_and_names_is_a_part_of_it(policy_files, tmp_path,
     assert policy_content(policy_files) == before
     (tmp_path / file).write_text(content)
     assert policy_content(policy_files) != before
+
+
+def test_an_experiment_is_described_once_also_for_its_workers(policy_files, tmp_path):
+    experiment = Experiment(Setting('reach'), policy_files)
+    described = experiment.description
+    (tmp_path / 'weights.bin').write_text('2')
+    assert pickle.loads(pickle.dumps(experiment)).description == described  # noqa: S301
+    assert Experiment(Setting('reach'), policy_files).description != described
 
 
 def test_modules_packages_and_networks_have_a_content_and_experts_and_nodes_have_none(
