@@ -77,7 +77,9 @@ class Episode:
                                ('the randomization', simulation.randomized.drawn)):
                 if any(f'/{name}'.endswith((f'/{quantity}', f'.{quantity}')) for name in names):
                     raise ModelError(f'both latency= and {way} set {quantity}: give one of them')
-        self.settings = {**self.noise, **late.quantities_of_commands}
+        self.settings = {**self.noise, **{
+            quantity: value for quantity, value in late.quantities.items()
+            if quantity.startswith('latency.command')}}
         for robot in simulation.robots.values():
             for quantity, value in self.settings.items():
                 robot.sensing.set(quantity, value)

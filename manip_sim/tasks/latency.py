@@ -77,12 +77,6 @@ class Latency:
         """Values above 0, by the names of ``manip_sim.sensing.settings.QUANTITIES``."""
         return {f'latency.{key}': value for key, value in self.as_mapping().items() if value}
 
-    @property
-    def quantities_of_commands(self) -> dict[str, float]:
-        """Those of :attr:`quantities` that ``sensing`` has to delay commands by."""
-        return {name: value for name, value in self.quantities.items()
-                if name.startswith('latency.command')}
-
     def delay_of_states(self, robot: str, timestep_s: float) -> Delay:
         """
         Return the delays of observed states, as the ``sensing`` of a robot has them.
