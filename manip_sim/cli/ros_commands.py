@@ -326,10 +326,12 @@ def _names(graph: _Graph, client: AsyncParameterClient, node: str) -> list[str]:
     return sorted(graph.answer(client.list_parameters(), node).result.names)
 
 
-def _check_known(graph: _Graph, client: AsyncParameterClient, node: str, name: str) -> None:
-    names = _names(graph, client, node)
-    if name not in names:
-        raise UnknownNameError(f'parameter of {node}', name, names)
+def _check_known(graph: _Graph, client: AsyncParameterClient, node: str, names: list[str]
+                 ) -> None:
+    known = _names(graph, client, node)
+    for name in names:
+        if name not in known:
+            raise UnknownNameError(f'parameter of {node}', name, known)
 
 
 def _list_parameters(graph: _Graph, options: argparse.Namespace) -> None:
@@ -349,21 +351,16 @@ def _list_parameters(graph: _Graph, options: argparse.Namespace) -> None:
 
 def _describe(graph: _Graph, options: argparse.Namespace) -> None:
     client = _parameters(graph, options.node)
-    for name in options.names:
-        _check_known(graph, client, options.node, name)
-    found = graph.answer(client.describe_parameters(options.names), options.node).descriptors
-    for descriptor in found:
+    _check_known(graph, client, options.node, options.names)
+    for descriptor in graph.answer(
+            client.describe_parameters(options.names), options.node).descriptors:
         _say(f'Parameter name: {descriptor.name}\n  Type: {_TYPES[descriptor.type]}')
         if descriptor.description:
             _say(f'  Description: {descriptor.description}')
-        limits = [(f'{end} value', getattr(limit, f'{bound}_value')) for limit in (
-            *descriptor.integer_range, *descriptor.floating_point_range)
-            for end, bound in (('Min', 'from'), ('Max', 'to'))]
-        limits += [('Step', limit.step) for limit in (
-            *descriptor.integer_range, *descriptor.floating_point_range) if limit.step]
-        constraints = [f'Read only: {"true" if descriptor.read_only else "false"}'] if (
-            descriptor.read_only) else []
-        constraints += [f'{label}: {value}' for label, value in limits]
+        constraints = ['Read only: true'] if descriptor.read_only else []
+        for limit in (*descriptor.integer_range, *descriptor.floating_point_range):
+            constraints += [f'Min value: {limit.from_value}', f'Max value: {limit.to_value}',
+                            *([f'Step: {limit.step}'] if limit.step else [])]
         if descriptor.additional_constraints:
             constraints.append(f'Additional constraints: {descriptor.additional_constraints}')
         _say('\n    '.join(['  Constraints:', *constraints]))
@@ -373,7 +370,7 @@ def _get(graph: _Graph, options: argparse.Namespace) -> None:
     client = _parameters(graph, options.node)
     values = graph.answer(client.get_parameters([options.name]), options.node).values
     if not values or not values[0].type:
-        _check_known(graph, client, options.node, options.name)
+        _check_known(graph, client, options.node, [options.name])
     value = _value(values[0]) if values else None
     label = _LABELS[values[0].type if values else 0]
     _say(str(value) if options.hide_type else label if value is None else f'{label} {value}')
@@ -394,7 +391,7 @@ def _set(graph: _Graph, options: argparse.Namespace) -> int:
         _say(f'Set parameter successful{reason}')
         return 0
     if not reason:
-        _check_known(graph, client, options.node, options.name)
+        _check_known(graph, client, options.node, [options.name])
     print(f'Setting parameter failed{one_line(reason, 2000)}', file=sys.stderr)
     return 1
 
