@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a composition is made of, as plain data that JSON can hold: SI units, None for no limit."""
+"""Parts of a composition as plain data that JSON can hold: SI units, None for no limit."""
 
 from __future__ import annotations
 

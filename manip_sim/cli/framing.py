@@ -16,9 +16,9 @@ from manip_sim.errors import UnknownNameError
 if TYPE_CHECKING:
     import mujoco
 
-#: How much wider the view is than what it has to show.
+#: Width of the view over that of its content.
 _MARGIN = 1.05
-#: How often an aim is corrected; after a few times the margins differ by less than a pixel.
+#: Number of corrections of an aim; after a few times the margins differ by less than a pixel.
 _CORRECTIONS = 10
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the text of an option may be, each a ``type`` of argparse."""
+"""Types of options, each a ``type`` of argparse."""
 
 from __future__ import annotations
 

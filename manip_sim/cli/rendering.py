@@ -35,9 +35,9 @@ _SPECULAR = 0.35
 _SAMPLES, _SHADOW_SIZE = 8, 8192
 #: Height above the floor of the lowest shape of a part that is shown alone [m].
 _ABOVE_FLOOR = 0.01
-#: How long grippers are given to open; the slowest one takes eight to nine seconds [s].
+#: Time for grippers to open; the slowest one takes eight to nine seconds [s].
 _OPENING_S = 12.0
-#: What a picture of an arena without furniture shows: a part of its floor, by its corners [m].
+#: Part of the floor in a picture of an arena without furniture, by its corners [m].
 _FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0))
 
 

@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 
 class _Repeated:
-    """What came of repeating records."""
+    """Results of repeated records."""
 
     def __init__(self, verify: bool) -> None:
         self._verify = verify

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How often a policy does a task: episodes of many seeds, in processes or on Ray."""
+"""Success rates of policies: episodes of many seeds, in processes or on Ray."""
 
 from manip_sim.experiments.experiment import Experiment, Worker
 from manip_sim.experiments.run_folder import RunFolder

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a run is: a setting and a policy; and how a worker runs the episode of a seed."""
+"""A run, which is a setting and a policy, and its worker, which runs the episode of a seed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from manip_sim.tasks.expert import Expert, Policy
 @dataclass(frozen=True)
 class Experiment:
     """
-    What decides the row of a seed; a worker gets a copy.
+    Everything that decides the row of a seed; a worker gets a copy.
 
     :ivar setting: task, robot, actions, latency
     :ivar policy: as for :func:`load_policy`
@@ -46,14 +46,14 @@ class Experiment:
 
     @property
     def policy_limit_s(self) -> float:
-        """How long an answer of the policy may take, wall time [s]."""
+        """Longest wait for an answer of the policy, wall time [s]."""
         default_s = LIMIT_S if self.policy.startswith(ROS) else LOCAL_LIMIT_S
         return default_s if self.limit_s is None else self.limit_s
 
     @functools.cached_property
     def description(self) -> dict[str, Any]:
         """
-        What the rows depend on, as JSON can hold it.
+        Everything that the rows depend on, as JSON can hold it.
 
         It is that of the first call, also in copies: it takes long with large files.
         """

@@ -20,7 +20,7 @@ from manip_sim.quoting import one_line
 
 #: Seeds of one of Ray's tasks: seconds of work, beside which its overhead is small.
 _SEEDS_OF_TASK = 8
-#: How long a cluster may take to accept a connection [s].
+#: Longest wait for a connection to a cluster [s].
 _ANSWER_S = 10.0
 
 

@@ -32,7 +32,7 @@ from manip_sim.tasks.observation import IMAGE, Observation
 EXPERT = 'expert'
 #: Before the namespace of a node.
 ROS = 'ros:'
-#: How long the answer of a node, and of a policy in a process of the run, may take, wall time [s].
+#: Longest wait for the answer of a node, and of a policy in a process of the run, wall time [s].
 LIMIT_S, LOCAL_LIMIT_S = 10.0, 600.0
 _FORMS = ("'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt, FILE.onnx or "
           'ros:/NAMESPACE')

@@ -21,9 +21,9 @@ from manip_sim.experiments.experiment import Experiment, Worker
 from manip_sim.experiments.summary import Row
 from manip_sim.startup import processors, use_one_blas_thread
 
-#: How often a seed is tried whose process dies each time.
+#: Number of tries of a seed whose process dies each time.
 TRIES = 3
-#: How often processes are looked after that neither answer nor close their pipe, wall time [s].
+#: Time between two checks of processes that neither answer nor close their pipe, wall time [s].
 _LOOK_S = 1.0
 #: Exit code of a process without memory, and of the memory of this machine, what all may use.
 _WITHOUT_MEMORY, _MEMORY_SHARE = 12, 0.8
@@ -162,7 +162,7 @@ class _WorkerProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether its process runs."""
+        """True if its process runs."""
         return bool(self._process.is_alive())
 
     def has_grown_beyond(self, share_bytes: float) -> bool:

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 #: Robots that the user does not place stand side by side [m].
 _SPACING_M = 1.0
-#: What a namespace, a parameter and the names of joints may all begin with.
+#: Name of a robot: a namespace, parameters and names of joints may begin with it.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
-#: What else is in the node's namespace or begins names of parameters.
+#: Names that no robot may have: of the node's namespace and of its parameters.
 _RESERVED = ('arena', 'armature', 'camera', 'command_timeout', 'control_mode', 'friction',
              'latency', 'noise', 'objects', 'qos_overrides', 'resolution', 'sensors',
              'stream_hold', 'stream_interval', 'torque_speed', 'truth')

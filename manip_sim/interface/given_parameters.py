@@ -20,7 +20,7 @@ SPAWNED = 'spawned'
 
 
 class ParameterSource(Protocol):
-    """What declares parameters and returns their values: a node, or :class:`GivenParameters`."""
+    """A declarer of parameters that returns their values: a node or :class:`GivenParameters`."""
 
     def declare(self, specs: Sequence[ParameterSpec]) -> None:
         """Declare parameters; ParameterError if a given value cannot be used."""

@@ -28,7 +28,7 @@ from manip_sim.validation import fitting_timestep, nearest_rates, steps_of
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
 _BASE_TIMEOUT_S = 0.5
-#: What stops a part: quantity, condition, unit of what is measured at a tool, and greatest value.
+#: Reasons to stop a part: quantity, condition, unit if measured at a tool, and greatest value.
 _REFLEXES = (
     ('velocity', 'a joint exceeds this multiple of its velocity limit', '', 100.0),
     ('effort', 'a joint exceeds this multiple of its effort limit', '', 1.0),

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What ros2_control is to know of a robot: its topics, interfaces and sensors."""
+"""Topics, interfaces and sensors of a robot for ros2_control."""
 
 from __future__ import annotations
 

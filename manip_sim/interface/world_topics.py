@@ -17,7 +17,7 @@ from manip_sim.interface.topics import (
     Topic, TOPICS)
 from manip_sim.physics.parts import Part
 
-#: What rows need that are of the world, not of a robot.
+#: Fields of rows that are of the world, not of a robot.
 _OF_WORLD = ('task', 'arena', 'loose', 'bodies')
 
 

@@ -323,7 +323,7 @@ class _Video:
 
     @property
     def is_large(self) -> bool:
-        """Whether the next episode should begin another file."""
+        """True if the next episode should begin another file."""
         return self._path.stat().st_size > _VIDEO_MB * 2**20 * 0.9
 
     def close(self) -> None:

@@ -28,7 +28,7 @@ from manip_sim.records.untrusted_records import (
     MESSAGE_BYTES, unpacked)
 
 T = TypeVar('T')
-#: What is kept of nodes.
+#: Types of the messages of nodes that are kept.
 _SHOWN = {full_name(name) for name in (
     'geometry_msgs/PoseStamped', 'geometry_msgs/WrenchStamped', 'sensor_msgs/CompressedImage',
     'sensor_msgs/JointState')}
@@ -124,12 +124,12 @@ class RecordedEpisode(Recorded):
 
     @property
     def success(self) -> bool:
-        """Whether it ended with success."""
+        """True if it ended with success."""
         return self.result is not None and self.result['success'] == 'true'
 
     @property
     def versions(self) -> str:
-        """What it was recorded with."""
+        """Versions that it was recorded with."""
         return f'manip_sim {self.about["manip_sim"]} with MuJoCo {self.about["mujoco"]}'
 
     def json(self, key: str) -> dict[str, Any]:

@@ -173,7 +173,7 @@ class EpisodeRecorder:
             self.close()
 
 
-#: What makes the content of a message of a stamp and numbers.
+#: Function that makes the content of a message of a stamp and numbers.
 _Make = Callable[[dict[str, int], FloatArray], Any]
 #: Scope, topic, type and content of a quantity, its observed numbers and what reads exact ones.
 _Quantity = tuple[Scope, str, str, _Make, FloatArray, Callable[[], FloatArray]]

@@ -148,7 +148,7 @@ _FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'task', 'randomization
 
 
 class _Stop(Exception):
-    """What follows cannot be repeated, up to where the journal begins again."""
+    """The journal cannot be repeated from here to where it begins again."""
 
 
 class JournalReplay:

@@ -40,7 +40,7 @@ _TOPIC = re.compile(r'(/[^/\\]+)+')
 _KEYS = ('number', 'seed', 'task', 'instruction', 'arguments', 'robot', 'robots', 'period_s',
          'action', 'action_names', 'latency', 'settings', 'steps', 'manip_sim', 'mujoco')
 _OBJECTS = 'arguments', 'latency', 'robots', 'settings', 'drawn', 'noise'
-#: How deep they may be nested: what reads and writes them calls itself.
+#: Deepest nesting: their readers and writers call themselves.
 _MAX_DEPTH = 30
 
 

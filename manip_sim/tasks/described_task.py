@@ -27,7 +27,7 @@ from manip_sim.tasks.task_description import (
     Condition, Contact, Described, Distance, END_EFFECTOR, GRIPPER, Held, InBox, JointInRange,
     Speed, Start)
 
-#: How often a start is drawn until all things are apart.
+#: Number of draws of a start until all things are apart.
 _TRIES = 1000
 _ONE_AXIS = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 #: Width of a turn that is drawn at once [rad].

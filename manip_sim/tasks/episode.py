@@ -65,7 +65,7 @@ class Episode:
         self.period_s = exact_s if abs(exact_s - period_s) > 1e-12 else period_s
         whole_steps(late.command_s, timestep_s, 'latency of a command')
         self._state_delay = late.delay_of_states(task.robot.name_in_world, timestep_s)
-        #: Whether observations are late, and how long after the begin of a period they are made.
+        #: True if observations are late, and steps from the begin of a period to their making.
         self._states_late = bool(late.state_s or late.state_jitter_s)
         self._state_offset = -self._state_delay.mean_steps % self._steps
         self.noise = dict(noise)
@@ -164,7 +164,7 @@ class Episode:
 
     @property
     def observation(self) -> Observation:
-        """What a policy observes at present, of an earlier instant where states have a latency."""
+        """The present observation of a policy, of an earlier instant if states have a latency."""
         if not self._states:
             return self.observer.read()
         seen = self._states.newest(self.periods * self._steps)
@@ -194,7 +194,7 @@ class Episode:
 
     @property
     def success(self) -> bool:
-        """Whether the task is done at present."""
+        """True if the task is done at present."""
         return bool(self.task.success(self.simulation))
 
     @property
@@ -204,12 +204,12 @@ class Episode:
 
     @property
     def time_is_up(self) -> bool:
-        """Whether the horizon of the task has been reached."""
+        """True if the horizon of the task has been reached."""
         return self.periods * self.period_s > self.task.horizon_s - 1e-6
 
     @property
     def over(self) -> bool:
-        """Whether the task is done, or its time is up."""
+        """True if the task is done, or its time is up."""
         return self.time_is_up or self.success
 
     @property

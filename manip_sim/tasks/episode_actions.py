@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What an episode's actions mean: poses of end effectors, or goals of joints in SI units."""
+"""Kinds of actions of an episode: poses of end effectors, or goals of joints in SI units."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.quaternion import rotation_vector
 from manip_sim.simulation import SimulatedRobot, Simulation
 
-#: What an action may be: robosuite's OSC_POSE, or a goal for each joint.
+#: Kinds of actions: robosuite's OSC_POSE, or a goal for each joint.
 ACTIONS = ('osc_pose', 'joint_position', 'joint_velocity', 'joint_effort')
-#: How far an action of 1 moves [m] and turns [rad] the goal of an end effector.
+#: Way [m] and angle [rad] of the goal of an end effector for an action of 1.
 STEP_M, TURN_RAD = 0.05, 0.5
 #: The six numbers of an end effector: along and about the axes.
 _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
@@ -84,7 +84,7 @@ class Actions(ABC):
 
     @property
     def names(self) -> list[str]:
-        """What each number is, in the order of an action."""
+        """Names of the numbers of an action, in order."""
         return [name for item in self.arms for name in (
             *item.names, *[f'{item.robot.name}/{item.arm}/gripper'] * (
                 item.gripper.stop - item.gripper.start))]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What acts in an episode: policies, and experts, which are scripts that read the simulation."""
+"""Policies, which act in an episode, and experts, which are scripts that read the simulation."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _ARRIVED_M, _TURNED = 0.006, 0.998
 _MOST_PERIODS = 60
 #: Fingers are waited for, but for so many control periods at most.
 _MOST_WAITED = 40
-#: How much farther than an object is wide fingers are apart before they are around it [m].
+#: Distance of fingers beyond the width of an object before they are around it [m].
 _ROOM_M = 0.012
 #: A gripper holds an object if it presses on it with so many times its weight.
 _WEIGHTS, _GRAVITY = 4.0, 9.81
 #: A stroke of a gripper in the unit of its actions, from -1 to +1.
 _STROKE = 2.0
-#: How far a gripper goes up in a period while its fingers stand on something [m].
+#: Way up of a gripper in a period while its fingers stand on something [m].
 _UP_M = 0.002
 #: Distance of fingers without pads [m].
 _FAR_M = 1.0
 
 
 class Policy(Protocol):
-    """What chooses the actions of an episode."""
+    """A policy, which chooses the actions of an episode."""
 
     def reset(self, seed: int) -> None:
         """Begin an episode."""

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What touches an object, and which arm holds it, by the contacts of the physics."""
+"""Contacts of an object, and the arm that holds it, by the contacts of the physics."""
 
 from __future__ import annotations
 

@@ -28,11 +28,11 @@ from manip_sim.tasks.task import TABLE_M, Task, TOO_SHORT, usable_arms
 
 #: Length and edge of the bar, and how far from its middle it is held [m].
 _BAR_M, _EDGE_M, _HELD_AT_M = 0.28, 0.03, 0.105
-#: How far on the giver's side the bar is, and by how much that varies along and across [m].
+#: Distance of the bar on the giver's side, and its variation along and across [m].
 _ASIDE_M, _HALF_AREA, _TURN_RAD = 0.02, np.array([0.03, 0.06]), 0.3
-#: How high the bar must be held above the table, and where it changes grippers [m].
+#: Heights above the table at which the bar must be held, and changes grippers [m].
 _HIGH_M, _HANDED_AT_M = 0.1, 0.16
-#: Where the camera is and what it looks at, in ``world`` [m], for one robot that looks along x and
+#: Position and aim of the camera in ``world`` [m], for one robot that looks along x and
 #: for two that look at each other: both grippers and the fronts of their arms are seen.
 _IN_FRONT = (1.7, 0.0, 1.75), (0.0, 0.0, 1.0)
 _BESIDE = (0.0, -2.1, 1.65), (0.0, 0.0, 1.05)

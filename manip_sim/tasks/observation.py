@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a policy observes of an episode: arrays by key, in SI units and in frame ``world``."""
+"""Observations of an episode: arrays by key, in SI units and in frame ``world``."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Observer:
 
     @property
     def names(self) -> Mapping[str, list[str]]:
-        """What the first axis of an array is, by key; not of goals and images."""
+        """Names along the first axis of an array, by key; not of goals and images."""
         robots = self._simulation.robots.values()
         joints = [name for robot in robots for name in robot.joint_names]
         arms = [f'{robot.name}/{arm}' for robot in robots for arm in robot.end_effectors]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a task is: a world, how its starts are drawn, when it succeeds, its reward and name."""
+"""Tasks: a world, its drawn starts, the condition of success, a reward and a name."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _Bound = Annotated[Number, Field()]
 _Point = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
 _Bounds = Annotated[list[_Bound], Field(min_length=3, max_length=3)]
 _Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
-#: What the end effector and the gripper of the task's arm are called in conditions.
+#: Names of the end effector and the gripper of the task's arm in conditions.
 END_EFFECTOR, GRIPPER = 'end_effector', 'gripper'
 
 

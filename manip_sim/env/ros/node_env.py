@@ -35,7 +35,7 @@ from manip_sim.tasks.latency import number_of_parts
 from manip_sim.tasks.observation import IMAGE, Observation
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: How long the node may take for an answer, wall time [s].
+#: Longest wait for an answer of the node, wall time [s].
 _PATIENCE_S = 60.0
 
 
@@ -64,7 +64,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
                  domain_id: int | None = None, **arguments: Any) -> None:
         if 'render_mode' in arguments:
             raise ManipSimError('render_mode cannot be used with a node')
-        # What is observed and how long an episode may be; it is not advanced.
+        # Gives observations and the length of episodes; it is not advanced.
         like = TaskEnv(task, control_hz=control_hz, **arguments)
         self._like = like.episode
         self.action_space = action_space(self._like)
