@@ -38,7 +38,8 @@ class _PartParameter:
     :ivar group: the name without the part, such as ``reflex.velocity``
     :ivar part: name
     :ivar is_atomic: true if it acts; others only set the parameters of atomic parts
-    :ivar atomic: names of the parameters of the parts that the part consists of, mostly its own
+    :ivar atomic: names of the parameters of the parts that the part consists of, mostly its own;
+        an arm without a gripper has none of forces
     :ivar same: names of the parameters of all parts without other joints, with its own
     """
 
@@ -139,7 +140,7 @@ class Parameters:
                 atomic = parts[part].atomic
                 found[name] = _PartParameter(
                     scope, pattern.replace('.{}', ''), part, atomic == (part,),
-                    tuple(names[one] for one in atomic),
+                    tuple(names[one] for one in atomic if one in names),
                     tuple(names[one] for one in names if {*parts[one].atomic} <= {*atomic}))
         self._of_parts.update(found)
         self._node.set_parameters([given[name] for name in sorted(
@@ -192,7 +193,7 @@ class Parameters:
                     for name in known[timeout].same})
         # Parts that consist of several have the values in which these agree.
         for name, found in known.items():
-            if len(found.atomic) > 1 and name not in values and {*found.atomic} & {*values}:
+            if not found.is_atomic and name not in values and {*found.atomic} & {*values}:
                 ones = [values.get(one) or self._node.get_parameter(one) for one in found.atomic]
                 if all(one.value == ones[0].value for one in ones):
                     values[name] = Parameter(name, ones[0].type_, ones[0].value)
