@@ -44,7 +44,7 @@ from manip_sim.startup import EndSignals
 
 #: Time after which a name without any owner counts as unknown, time without changes of the graph
 #: before it is listed, and longest wait for an answer [s].
-_UNKNOWN_S, _SETTLED_S, _ANSWER_S = 3.0, 1.0, 10.0
+_UNKNOWN_S, _SETTLED_S, _ANSWER_S = 5.0, 1.0, 10.0
 #: Longest wait for messages at once; signals are handled in between [s].
 _LOOK_S = 0.05
 #: Quality of service that matches what is there.
