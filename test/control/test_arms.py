@@ -170,6 +170,7 @@ def test_trajectory_gives_up_only_the_joints_that_a_newer_command_names(op):
     np.testing.assert_allclose(op.where(*expected), list(expected.values()), atol=2e-3)
 
 
+@pytest.mark.full
 def test_trajectory_of_one_arm_takes_its_joints_from_one_of_both(op):
     both = goals_of(op, 'arm', 0.2)
     older = op.follow('arm', list(both), [1.0], [list(both.values())]).handle
@@ -182,6 +183,7 @@ def test_trajectory_of_one_arm_takes_its_joints_from_one_of_both(op):
     np.testing.assert_allclose(op.where(*expected), list(expected.values()), atol=2e-3)
 
 
+@pytest.mark.full
 def test_empty_trajectory_of_one_arm_leaves_the_other(op):
     handles = {}
     for part in ('right', 'left'):

@@ -182,6 +182,7 @@ def test_unknown_mode_tells_the_three(panda_sim):
     assert panda_sim.robot.joints.mode_of(panda_sim.robot.joint_names[0]) == 'position'
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('actuator', ACTUATORS)
 def test_every_kind_of_actuator_comes_to_a_position(sim_of, run, actuator):
     simulation, positions = sim_of(ACTUATORS[actuator]), []

@@ -201,6 +201,7 @@ def test_goals_of_an_even_timer_that_jitter_on_their_way_are_followed(rate):
     assert hardest < 1.5
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('seed', range(3))
 def test_few_messages_of_a_timer_that_jitters_are_taken_for_lost(seed):
     random, estimator, count = np.random.default_rng(seed), Estimator(), 800

@@ -36,6 +36,7 @@ def rejected(data, text):
     assert str(error.value).isprintable()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('robot', ['Panda', 'GR1', 'PandaOmron'])
 def test_the_archive_of_a_world_is_its_model(robot):
     world = compose(robot, arena='table')

@@ -115,6 +115,7 @@ def test_a_mesh_that_cannot_be_used_is_rejected_in_one_line(change, message):
     assert '\n' not in str(error.value)
 
 
+@pytest.mark.full
 def test_a_request_gets_meshes_below_its_folders_only(tmp_path):
     (tmp_path / 'in').mkdir()
     for name in ('ring.obj', 'red.png'):

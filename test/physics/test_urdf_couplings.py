@@ -100,6 +100,7 @@ def check(tmp_path, kind, mass, effort, multiplier, offset, timestep_s, block):
         assert driven[-1] == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('block', ['post', 'range', ''])
 @pytest.mark.parametrize(('kind', 'mass', 'effort', 'multiplier', 'offset', 'timestep_s'), [
     ('prismatic', 0.05, 40.0, 1.0, 0.0, 0.002),

@@ -97,6 +97,7 @@ def test_failure_leads_to_the_end_of_the_next_episode_that_failed(player, frames
     assert player._choice.value.endswith('#0, seed 3: done') and slider_of(player).value == 0
 
 
+@pytest.mark.full
 def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, frames):
     player._quantity.value = 'joint position'
     slider_of(player).value = 4

@@ -59,6 +59,7 @@ def messages(path, topic):
                 for item, _, content in reader.messages(connections)]
 
 
+@pytest.mark.full
 def test_rosbags_reads_states_and_actions_to_the_last_bit(recorded):
     path, episode, seen = recorded
     periods = [item for item in seen if isinstance(item, tuple)]
@@ -184,6 +185,7 @@ def test_what_noise_and_latency_change_is_recorded_as_it_is_measured(tmp_path):
     assert not np.isclose(measured, exact).any()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(('name', 'robot', 'more'), [
     ('reach', 'UR5e', {'idn': 3}), ('hand_over', 'IIWA', {}),
     ('reach', 'Panda', {'prefix': 'p_'})])

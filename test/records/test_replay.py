@@ -52,6 +52,7 @@ def test_episodes_are_repeated_to_the_last_bit_in_any_order(recording):
         assert found.periods == len(recorded.actions) > 1
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('period', [1, 3])
 def test_the_period_of_an_action_that_is_another_one_is_found(first, period):
     found = Replay().repeat(with_action(first, period, 1e-12))

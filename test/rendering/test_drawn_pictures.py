@@ -42,6 +42,7 @@ def picture(simulation, visible, seed):
     return look(visible.model, visible.data)
 
 
+@pytest.mark.full
 def test_an_episode_looks_the_same_each_time_and_others_differ(simulation, visible, gl):
     first, other, again = (picture(simulation, visible, seed) for seed in (1, 2, 1))
     np.testing.assert_array_equal(again, first)

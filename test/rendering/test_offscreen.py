@@ -112,6 +112,7 @@ def test_the_depth_of_a_urdf_link_is_that_of_its_visual_shape(tmp_path, gl):
     assert depth[50, 50] == pytest.approx(0.97, abs=0.002)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('distance', [0.1, 1.0, 10.0, 60.0])
 def test_the_depth_of_a_tilted_plane_is_along_the_view_within_a_thousandth(distance, gl):
     # A plane with a normal between the view and the image's x axis.

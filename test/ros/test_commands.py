@@ -24,6 +24,7 @@ def arm_position(client):
     return np.array(client.state('arm/joint_states').position)
 
 
+@pytest.mark.full
 def test_the_robot_holds_its_start_before_the_first_command(serve, client):
     serve()
     start = arm_position(client)

@@ -21,6 +21,7 @@ def values(status):
     return {pair.key: pair.value for pair in status.values}
 
 
+@pytest.mark.full
 def test_commands_are_counted_by_part(serve, client):
     node = serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')
@@ -228,6 +229,7 @@ def test_the_age_of_the_last_command_grows(serve, client):
     assert sorted(set(ages)) == ages
 
 
+@pytest.mark.full
 def test_timeouts_of_commands_are_counted(serve, client):
     serve(control_mode__arm='velocity', command_timeout__arm=0.05)
     arrays = client.listen(DiagnosticArray, '/diagnostics')

@@ -132,6 +132,7 @@ def test_what_was_destroyed_while_data_waited_is_no_data_that_cannot_be_read(nod
     assert log.failed == {'callbacks': 0, 'publications': 0, 'takes': 0}
 
 
+@pytest.mark.full
 def test_it_ends_at_any_moment_without_an_exception(node, log):
     ticks = []
     node.create_timer(1e-4, lambda: ticks.append(1), clock=Clock(clock_type=ClockType.STEADY_TIME))

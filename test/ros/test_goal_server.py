@@ -115,6 +115,7 @@ def test_goal_succeeds_and_its_client_hears_of_it_twenty_times_a_second(swinger)
     assert times == sorted(set(times))
 
 
+@pytest.mark.full
 def test_a_goal_of_a_paused_simulation_has_no_feedback(swinger):
     handle = swinger.send(50)
     swinger.client.spin_until(lambda: len(swinger.told) > 2)

@@ -126,6 +126,7 @@ def test_noise_is_live_and_garbage_is_rejected_with_the_range(serve, client):
     assert by_stamp(measured)[last].position == by_stamp(true)[last].position
 
 
+@pytest.mark.full
 def test_each_robot_has_its_own_noise(serve, client):
     node = serve(robots=['a', 'b'], start_paused=True, a__noise__joint_position=0.01)
     names = {row.name for row in node.table if 'truth/' in row.name}

@@ -42,6 +42,7 @@ def test_the_cube_of_the_table_is_published(sim_node):
     assert height == pytest.approx(0.625, abs=1e-3)
 
 
+@pytest.mark.full
 def test_the_latched_model_is_published_again_with_objects_that_come_and_go(serve, client):
     node = serve(arena='table')
     latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)

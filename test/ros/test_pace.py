@@ -65,6 +65,7 @@ class Clockwork:
         return told
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('period_s', [0.001, 0.01, 0.2, 1.0])
 @pytest.mark.parametrize('factor', [0.1, 0.5, 1.0, 3.0])
 def test_the_factor_is_exact_whenever_one_looks(period_s, factor):

@@ -67,6 +67,7 @@ def test_its_joints_are_those_of_the_joint_states(robot, node, client):
         client.state(f'{robot}/joint_states').name)
 
 
+@pytest.mark.full
 def test_it_puts_the_tool_where_the_node_does(node, client):
     urdf = description(client, 'right/robot_description')
     compiler = ElementTree.SubElement(ElementTree.SubElement(urdf, 'mujoco'), 'compiler')

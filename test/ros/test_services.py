@@ -169,6 +169,7 @@ def test_a_diverged_simulation_is_held_told_and_mended_by_reset(serve, client):
     client.spin_until(lambda: nanoseconds(client.state()) > nanoseconds(first))
 
 
+@pytest.mark.full
 def test_a_held_simulation_repeats_its_state_and_leaves_the_machine_alone(serve, client):
     node = serve(stepping='free')
     client.state()

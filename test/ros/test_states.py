@@ -204,6 +204,7 @@ def test_a_prefix_begins_the_names_in_states_frames_model_log_and_errors(serve, 
     assert not any(old in line for line in log for old in ('robot0_', 'gripper0_'))
 
 
+@pytest.mark.full
 def test_commands_name_joints_as_the_states_do(serve, client):
     serve(prefix='left_')
     client.publish('joint_command', JointState(

@@ -110,6 +110,7 @@ def test_late_episodes_with_noisy_images_in_a_node_are_those_in_this_process(ser
     here.close()
 
 
+@pytest.mark.full
 def test_an_option_of_a_reset_is_unknown_as_in_this_process(pick_cube):
     for env in pick_cube:
         with pytest.raises(UnknownNameError, match="option of reset 'start'"):

@@ -189,6 +189,7 @@ def test_a_joint_without_a_command_goes_on_to_its_earlier_goal(serve, client, co
     client.spin_until(read_and_compare)
 
 
+@pytest.mark.full
 def test_a_mimic_finger_is_named_without_a_value_and_follows(serve, client, connect, until):
     node = serve(prefix='panda_')
     hardware = connect([*tag(ARM, 'position'), TagJoint(FINGERS[0]),

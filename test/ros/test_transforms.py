@@ -125,6 +125,7 @@ def test_the_messages_make_one_tree_in_which_all_bodies_are_where_they_are(
     assert {'robot0_eye_in_hand_optical_frame', 'cube', 'table'} < found.keys()
 
 
+@pytest.mark.full
 def test_frames_of_several_robots_have_their_prefix_and_frames_of_messages_that_of_all(
         serve, client, records):
     node = serve(robots=['left', 'right'], right__robot='PandaOmron', frame_prefix='sim/',
@@ -142,6 +143,7 @@ def test_frames_of_several_robots_have_their_prefix_and_frames_of_messages_that_
     assert wrenches[0].header.frame_id in found
 
 
+@pytest.mark.full
 def test_frames_of_objects_come_and_go(serve, records):
     node = serve(arena='table', cube=False)
     moving, static = records

@@ -82,6 +82,7 @@ def test_a_shot_shows_the_instant_of_its_snapshot(cameras, simulation):
     assert ahead_m(shot) == pytest.approx(2.8, rel=1e-2)
 
 
+@pytest.mark.full
 def test_of_states_that_come_while_one_is_rendered_the_newest_is_next(cameras, simulation):
     go_on = threading.Event()
     thread, shots, _ = cameras(lambda _: go_on.wait(WAIT_S))

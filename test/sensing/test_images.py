@@ -81,6 +81,7 @@ print(hashlib.sha256(noise.on_depth(np.full((250, 400), 2.0, np.float32)).tobyte
 """
 
 
+@pytest.mark.full
 def test_noise_is_the_same_in_another_process():
     noise = noise_of(pixel=4.0, depth=0.01)
     here = hashlib.sha256(

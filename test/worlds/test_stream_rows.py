@@ -216,6 +216,7 @@ def test_a_controller_that_somebody_keeps_is_up_to_date(streams):
         streams.simulations[0].robot.joints._setpoints.position.tolist())
 
 
+@pytest.mark.full
 def test_worlds_that_are_reset_leave_the_others_in_rows(streams):
     where = np.arange(COUNT) == OTHER
     streams.worlds.reset(where=where)
