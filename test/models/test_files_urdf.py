@@ -385,6 +385,14 @@ def test_a_continuous_joint_and_one_without_limit_element_have_no_range(tmp_path
     assert not robot.compile().joint('robot0_elbow').limited[0]
 
 
+@pytest.mark.parametrize('kind', ['revolute', 'prismatic'])
+def test_a_joint_with_equal_limits_needs_an_axis_too(tmp_path, kind):
+    limit = '<limit lower="0.3" upper="0.3" effort="10" velocity="1"/>'
+    file = write(tmp_path / 'arm.urdf', arm_with(kind, limit, axis='0 0 0'))
+    with pytest.raises(ModelError, match=f"{file}: joint 'elbow': its axis is zero"):
+        load_robot(file)
+
+
 @pytest.mark.parametrize(('kind', 'position'), [
     ('revolute', 0.0), ('revolute', 0.7), ('prismatic', 0.0), ('prismatic', -0.3)])
 def test_a_joint_with_equal_limits_is_fixed_there(tmp_path, kind, position):

@@ -87,7 +87,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
             if files is None else _hold(robot, file, files).load_tried())
     _let_visual_meshes_be_flat(spec)
     _hide_collision_shapes(spec)
-    notes += complete_joints(spec, robot, fixed)
+    notes += complete_joints(spec, robot, fixed, file)
     notes += _give_mass(spec, robot)
     notes += _take_gravity(spec, robot)
     return spec, notes

@@ -116,16 +116,17 @@ def _check_mimics(joints: Mapping[str, ElementTree.Element], fixed: Collection[s
                              f'can drive it: {" follows ".join(map(quoted, [*chain, name]))}')
 
 
-def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element, fixed: Mapping[str, float]
-                    ) -> list[str]:
+def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element, fixed: Mapping[str, float],
+                    file: Path) -> list[str]:
     """
     Add velocity limits, as the first number of ``user``, and make couplings stiff.
 
     :param fixed: positions of joints that are replaced by fixed ones, by name [rad or m]
     :returns: which joints end before their leaders do, in sentences
+    :raises ModelError: if the axis of one of these is zero, naming file and joint
     """
     for name, position in fixed.items():
-        _fix(spec, spec.joint(name), position)
+        _fix(spec, spec.joint(name), position, file)
     for joint in robot.findall('joint'):
         element, limit = spec.joint(joint.get('name', '')), joint.find('limit')
         velocity = 0.0 if limit is None else float(limit.get('velocity', 0.0))
@@ -157,9 +158,10 @@ def _range_notes(follower: Any, leader: Any, offset: float, ratio: float) -> lis
             'it, is at the ends of its own']
 
 
-def _fix(spec: mujoco.MjSpec, joint: Any, position: float) -> None:
+def _fix(spec: mujoco.MjSpec, joint: Any, position: float, file: Path) -> None:
     body, axis, quat = joint.parent, np.array(joint.axis), np.empty(4)
-    mujoco.mju_normalize3(axis)
+    if mujoco.mju_normalize3(axis) < mujoco.mjMINVAL:  # As of joints that move.
+        raise ModelError(f'{file}: joint {quoted(joint.name)}: its axis is zero')
     if int(joint.type) == int(mujoco.mjtJoint.mjJNT_SLIDE):
         body.pos = body.pos + product(matrix_of(body.quat), position * axis)
     else:
