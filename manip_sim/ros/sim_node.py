@@ -89,7 +89,7 @@ class SimNode(Node):
         self._ends = contextlib.ExitStack()
         try:
             self._build()
-        except ManipSimError:
+        except Exception:  # Others of its process would see a node that does not answer.
             self.destroy_node()
             raise
 

@@ -143,7 +143,6 @@ def test_the_command_line_exports_what_the_node_serves(process, client, tmp_path
     assert (tmp_path / 'world.xml').read_text() == served[0].data
 
 
-@pytest.mark.full
 def test_each_arm_may_have_its_own_gripper(serve, client):
     node = serve(robots=['twin', 'other'], twin__robot='Baxter',
                  twin__gripper='{left: PandaGripper, right: none}')

@@ -10,8 +10,10 @@ import subprocess
 import sys
 
 import pytest
+from rclpy.executors import InvalidHandle
 from starts import starts
 
+from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.overrides import for_other_nodes
 
 QOS = 'qos_overrides./joint_states.publisher'
@@ -62,6 +64,19 @@ def test_a_start_that_cannot_succeed_ends_with_one_line(arguments, rejected):
     assert '/src/' not in errors
     for words in REJECTED[arguments]:
         assert words in errors
+
+
+def test_a_node_that_cannot_be_built_is_destroyed_whatever_has_failed(serve, monkeypatch):
+    built = []
+
+    def fail(parameters, scope, parts):
+        built.append(parameters._node)
+        raise KeyError('left')
+    monkeypatch.setattr(Parameters, 'couple', fail)
+    with pytest.raises(KeyError):
+        serve()
+    with pytest.raises(InvalidHandle):
+        built[0].get_name()
 
 
 @pytest.mark.full
