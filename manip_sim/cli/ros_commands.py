@@ -292,7 +292,7 @@ def _publish(graph: _Graph, options: argparse.Namespace) -> None:
             break
         next_s = begin_s + number / options.rate
         graph.spin_until(lambda end_s=next_s: time.monotonic() >= end_s)  # type: ignore[misc]
-    publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=_UNKNOWN_S))
+    publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=_ANSWER_S))
 
 
 def _call(graph: _Graph, options: argparse.Namespace) -> int:
