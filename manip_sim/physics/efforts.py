@@ -16,6 +16,7 @@ The effort that moved the joint is ``qfrc_actuator - kv (v1 - v0)``.
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -116,6 +117,14 @@ class ActuatorEfforts:
         """Remember the last step; between ``mj_step`` and the next ``mj_forward``."""
         np.concatenate(self._views, out=self._last)
         self._loaded, self._values = self._of_loads(), None
+
+    def set_aside(self) -> tuple[Any, ...]:
+        """Return what :meth:`record` changes."""
+        return self.values, self._last.copy(), self._loaded
+
+    def take_back(self, content: tuple[Any, ...]) -> None:
+        """Go on with what :meth:`set_aside` has returned."""
+        self._values, self._last[:], self._loaded = content
 
     def _of_loads(self) -> FloatArray | float:
         """Return what actuators exert at joints that they do not drive [N m or N], or 0."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -125,6 +126,22 @@ class ExternalWrench:
             weight = self.weight(period_s)
             self._filtered = self._filtered + (
                 lag if np.abs(lag).max() < _ROUNDING else weight * lag)
+
+    def interrupt(self, steps: int) -> None:
+        """
+        Take the mean of what was recorded so far in a control period, which goes on; no filter.
+
+        :param steps: physics steps since the period began
+        """
+        self._mean, self._steps = None, steps
+
+    def set_aside(self) -> tuple[Any, ...]:
+        """Return what :meth:`interrupt` and :meth:`read` change."""
+        return self._sum, self._rows, self._centres, self._mean, self._steps
+
+    def take_back(self, content: tuple[Any, ...]) -> None:
+        """Go on with what :meth:`set_aside` has returned."""
+        self._sum, self._rows, self._centres, self._mean, self._steps = content
 
     def weight(self, period_s: float) -> float:
         """

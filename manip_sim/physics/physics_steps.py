@@ -11,7 +11,7 @@ depends on positions and velocities alone is kept. What control does in between 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import mujoco
 from mujoco.rollout import Rollout
@@ -50,6 +50,8 @@ class PhysicsSteps:
     :ivar computed_from: the whole state that the present forces were computed from
     :ivar contacts_change: whether contacts came or went in the last period
     :ivar was_untouched: whether the last period was run by :meth:`run_untouched`
+    :ivar measuring: called within the period, with all of that instant computed, by after how many
+        steps of the period that is; it changes nothing of the physics
     """
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
@@ -58,6 +60,7 @@ class PhysicsSteps:
         self._clock = clock
         self._efforts = efforts
         self.tools, self._laws = tuple(tools), tuple(laws)
+        self.measuring: Mapping[int, Callable[[], None]] = {}
         physics.on_change(self._look_at_model)
 
     def look_at_joints(self) -> None:
@@ -86,6 +89,8 @@ class PhysicsSteps:
         self._no_warnings = bytes(self._warnings.nbytes)
         self.contacts_change = self.was_untouched = False
         self._pushed, self._contacts, self._begin = False, 0, 0
+        #: Holds what has been computed while something is measured.
+        self._aside: mujoco.MjData | None = None
         #: Whether all is computed for a state, and for the present one: the first half of the next
         #: step, and all but its integration.
         self._computed = self._resumes = self._integrates = False
@@ -163,7 +168,7 @@ class PhysicsSteps:
     @property
     def stays_untouched(self) -> bool:
         """Whether nothing touches a tool, nor is likely to in the next period."""
-        if self.contacts_change or self._touch.pushed or self._laws:
+        if self.contacts_change or self._touch.pushed or self._laws or self.measuring:
             return False
         # Contacts do not come or go where nothing has changed since such a period.
         stays = self.was_untouched and self._integrates and self._data.ncon == self._contacts
@@ -227,14 +232,13 @@ class PhysicsSteps:
 
         :param intervals: the steps of each; it is asked for when the one before has been run
         """
-        model, data, contacts, count = self._model, self._data, self._contacts, 0
+        model, data, contacts = self._model, self._data, self._contacts
         laws, pushed, step = self._laws, self._pushed, mujoco.mj_step
         tools = [(tool.forces, b'' if pushed else tool.no_forces, tool.record)
                  for tool in self.tools]
         # What depends on positions and velocities alone may have been computed already.
         next_step, self._resumes = (mujoco.mj_step2 if self._resumes else step), False
-        for steps in intervals:
-            count += steps
+        for steps in self._interrupted(intervals) if self.measuring else intervals:
             for _ in range(steps):
                 for law in laws:
                     law.write(model, data)
@@ -246,8 +250,40 @@ class PhysicsSteps:
                     for forces, none, record in tools:
                         if forces.tobytes() != none:
                             record()
+            self._clock.count(steps)
         self._contacts = contacts
-        self._clock.count(count)
+
+    def _interrupted(self, intervals: Iterable[int]) -> Iterator[int]:
+        """Divide intervals where something is measured within the period."""
+        for steps in intervals:
+            begin = self._clock.step_count - self._begin
+            end = begin + steps
+            for stop in sorted(self.measuring):
+                if begin < stop <= end:
+                    yield stop - begin
+                    begin = stop
+                    self._measure(stop)
+            if begin < end:
+                yield end - begin
+
+    def _measure(self, steps: int) -> None:
+        """Measure after some steps of the period, unless the physics has diverged."""
+        if self.divergence.reason() is not None:
+            return
+        if self._aside is None:
+            self._aside = mujoco.MjData(self._model)
+        mujoco.mj_copyData(self._aside, self._model, self._data)
+        efforts = self._efforts.set_aside()
+        wrenches = [tool.set_aside() for tool in self.tools]
+        self.finish()
+        for tool in self.tools:
+            tool.interrupt(steps)
+        self.measuring[steps]()
+        # The next step and control find what they would have found.
+        self._efforts.take_back(efforts)
+        for tool, wrench in zip(self.tools, wrenches):
+            tool.take_back(wrench)
+        mujoco.mj_copyData(self._data, self._model, self._aside)
 
     def begin_run(self) -> None:
         """Prepare for :meth:`run`, which is called for the intervals of a period."""

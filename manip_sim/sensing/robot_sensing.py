@@ -74,8 +74,12 @@ class RobotSensing:
     With all settings at zero, what is measured is what is read. Everything depends on the seed,
     the settings and the steps since the reset, and not on who reads what when.
 
+    With a latency of states, each control period measures one instant: the one whose measurement
+    arrives, without jitter, exactly at the end of a period of that length.
+
     :param name: of the robot, unique in its world
     :ivar delays: of what is measured, images and commands, by ``state``, ``image``, ``command``
+    :ivar recorders: called where a state is recorded, for what else has its latency
     """
 
     def __init__(self, name: str, steps: Steps, timestep_s: float) -> None:
@@ -87,6 +91,7 @@ class RobotSensing:
         self._channels: dict[str, tuple[Channel | None, Read]] = {}
         self._external: dict[str, ExternalWrenchChannel] = {}
         self._history: Measurements[Mapping[str, FloatArray]] = Measurements()
+        self.recorders: list[Callable[[], None]] = []
         self.delays = {kind: Delay(f'{name} latency.{kind}', timestep_s)
                        for kind in ('state', 'image', 'command')}
         self._draw()
@@ -147,6 +152,11 @@ class RobotSensing:
         """Steps since the last reset."""
         return self._steps.control_steps
 
+    @property
+    def instant(self) -> int:
+        """Steps from the last reset to the newest state that has arrived."""
+        return self._history.newest(self.count)[0] if self._history else self.count
+
     def exact(self, name: str) -> FloatArray:
         """Return the exact numbers of the present instant, a copy."""
         return self._channels[name][1]()
@@ -170,15 +180,26 @@ class RobotSensing:
 
     # ------------------------------------------------------------------ in the physics loop
 
-    def end_period(self, weights: Mapping[str, float]) -> None:
+    def steps_to_measuring(self, steps: int) -> int | None:
+        """
+        Return after how many steps of a control period the state is measured; None for never.
+
+        :param steps: of the period
+        """
+        if not self.settings.delays:
+            return None
+        return steps - self.delays['state'].mean_steps % steps
+
+    def end_period(self, weights: Mapping[str, float], steps: int) -> None:
         """
         Measure the end of a control period, where something is to be remembered.
 
         :param weights: of the low-passes of the external wrenches, by channel; 1 for no filter
+        :param steps: of the period
         """
         for name, channel in self._external.items():
             channel.end_period(self._steps.control_steps, self._timestep_s, weights[name])
-        if self.settings.delays:
+        if self.steps_to_measuring(steps) == steps:
             self.record()
 
     def record(self) -> None:
@@ -186,6 +207,8 @@ class RobotSensing:
         self._history.record(
             self.count, {name: self._measure(name) for name in self._channels},
             self.delays['state'].steps(self.count))
+        for recorder in self.recorders:
+            recorder()
 
     def tare(self) -> None:
         """Let the noise of the external wrenches be zero at present."""
@@ -203,6 +226,10 @@ class RobotSensing:
             self._draw()
         for channel in self._external.values():
             channel.filtered, channel.tare = None, np.zeros(6)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was measured before the present instant."""
         self._history.clear()
         if self.settings.delays:
             self.record()

@@ -133,12 +133,23 @@ class ControlPeriods:
         self._left = self._until_command(steps)
         self._later = steps - self._left
         self._begin_control(steps * self._timestep_s)
+        self._plan_measuring(steps)
         return self._steps.begin() and self.resting and self._steps.stays_untouched
 
     def _begin_control(self, period_s: float) -> None:
         ends_s = self.ends_s(self._left)
         for robot in self._robots:
             robot.begin_period(period_s, ends_s)
+
+    def _plan_measuring(self, steps: int) -> None:
+        """Plan the measurements within a period, which arrive at the end of a later one."""
+        late: dict[int, list[SimulatedRobot]] = {}
+        for robot in self._robots:
+            after = robot.sensing.steps_to_measuring(steps)
+            if after is not None and after < steps:
+                late.setdefault(after, []).append(robot)
+        self._steps.measuring = {
+            after: partial(_record, robots) for after, robots in late.items()}
 
     def _until_command(self, steps: int) -> int:
         """Return after how many of some steps the next late command takes effect, or all."""
@@ -157,6 +168,7 @@ class ControlPeriods:
         """
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
+        self._plan_measuring(steps)
         self._steps.begin()
         if not (self._steps.stays_untouched and not self._free_roots.is_needed
                 and self._steps.run_untouched(steps, self._controls(plan, steps))):
@@ -179,7 +191,7 @@ class ControlPeriods:
             self._steps.end_period(steps, steps * self._timestep_s)
             for robot in self._robots:
                 if robot.sensing.settings.measures:
-                    robot.reader.end_period(steps * self._timestep_s)
+                    robot.reader.end_period(steps, steps * self._timestep_s)
             self._pulls.release()
         else:
             self._hold(reason)
@@ -281,3 +293,8 @@ class ControlPeriods:
             ends = np.cumsum(self._cut(steps))[:, None] * self._timestep_s
             self._ends_of = {steps: ends}
         return self._ends_of[steps]
+
+
+def _record(robots: Sequence[SimulatedRobot]) -> None:
+    for robot in robots:
+        robot.sensing.record()

@@ -111,11 +111,12 @@ class RobotReader:
             end_effectors={arm: end_effector(*map(read, _channels_of(arm)))
                            for arm in self.end_effectors})
 
-    def end_period(self, period_s: float) -> None:
+    def end_period(self, steps: int, period_s: float) -> None:
         """
         Measure what is remembered, at the end of a control period.
 
-        :param period_s: length of the control period [s]
+        :param steps: physics steps of the period
+        :param period_s: its length [s]
         """
         self.sensing.end_period({f'{arm}/external_wrench': reader.external.weight(period_s)
-                                 for arm, reader in self.end_effectors.items()})
+                                 for arm, reader in self.end_effectors.items()}, steps)

@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike
 from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.initialization_noise import checked_seed
-from manip_sim.sensing.delays import InTransit
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.drawn_randomization import Drawn
 from manip_sim.tasks.episode_actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
-from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY, whole_steps
+from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation, Observer
 from manip_sim.tasks.pictures import Pictures
 from manip_sim.tasks.task import Task
@@ -44,7 +43,7 @@ class Episode:
     :ivar kind: what actions mean
     :ivar latency: of commands and states
     :ivar noise: of all robots, by name
-    :ivar settings: of the sensing of all robots: the noise and the latency of commands
+    :ivar settings: of the sensing of all robots: the noise and the latency
     :ivar actions: what :meth:`step` takes
     :ivar observer: what :attr:`observation` is made of
     :ivar periods: control periods since the last reset
@@ -63,11 +62,7 @@ class Episode:
         exact_s = self._steps * timestep_s
         # Timesteps of whole nanoseconds cannot make up 1/30 s.
         self.period_s = exact_s if abs(exact_s - period_s) > 1e-12 else period_s
-        whole_steps(late.command_s, timestep_s, 'latency of a command')
-        self._state_delay = late.delay_of_states(task.robot.name_in_world, timestep_s)
-        #: True if observations are late, and steps from the begin of a period to their making.
-        self._states_late = bool(late.state_s or late.state_jitter_s)
-        self._state_offset = -self._state_delay.mean_steps % self._steps
+        late.check(timestep_s)
         self.noise = dict(noise)
         for name in self.noise.keys() & {'latency.image', 'latency.image_jitter'}:
             raise CommandError(f"{name} cannot be used here: give latency={{'state': ...}}, which "
@@ -77,16 +72,13 @@ class Episode:
                                ('the randomization', simulation.randomized.drawn)):
                 if any(f'/{name}'.endswith((f'/{quantity}', f'.{quantity}')) for name in names):
                     raise ModelError(f'both latency= and {way} set {quantity}: give one of them')
-        self.settings = {**self.noise, **{
-            quantity: value for quantity, value in late.quantities.items()
-            if quantity.startswith('latency.command')}}
+        self.settings = {**self.noise, **late.quantities}
         for robot in simulation.robots.values():
             for quantity, value in self.settings.items():
                 robot.sensing.set(quantity, value)
         self.actions = create_actions(action, simulation)
         self.observer = Observer(task, simulation, pictures)
         self.periods = 0
-        self._states: InTransit[Observation] = InTransit()
 
     def reset(self, seed: int, drawn: Drawn | None = None) -> None:
         """
@@ -97,16 +89,14 @@ class Episode:
         :raises ModelError: if it is no whole number from 0
         """
         start(self.task, self.simulation, seed, drawn)
-        self._state_delay.set_seed(seed)
-        self.begin()
+        self.periods = 0
 
     def begin(self) -> None:
         """Begin an episode with the present state of the simulation as its start."""
         self.periods = 0
-        self._states.clear()
-        if self._states_late:
-            # A state that is older than the episode is that of its start.
-            self._states.send(self.observer.read(), 0)
+        # A state that is older than the episode is that of its start.
+        for robot in self.simulation.robots.values():
+            robot.sensing.restart()
 
     def step(self, action: ArrayLike) -> None:
         """
@@ -143,37 +133,22 @@ class Episode:
         Run one control period as :meth:`advance`, but leave the physics to the caller.
 
         :returns: numbers of physics steps, each to be advanced before the next is asked for; they
-            are the same in every period of all episodes with the same latency of states
+            are the same in every period of all episodes with the same length of a period
         """
-        begin = self.periods * self._steps
-        if self._state_offset:
-            yield self._state_offset
-            self._observe(begin + self._state_offset)
-        yield self._steps - self._state_offset
+        yield self._steps
         self.periods += 1
         self.task.end_period(self.simulation)
-        if self._states_late:
-            end = begin + self._steps
-            if not self._state_offset:
-                self._observe(end)
-            self._states.newest(end)  # It forgets what is older.
-
-    def _observe(self, count: int) -> None:
-        """Observe the present instant, some steps after the begin of the episode, for later."""
-        self._states.send(self.observer.read(), count + self._state_delay.steps(count))
+        self.observer.end_period()
 
     @property
     def observation(self) -> Observation:
         """The present observation of a policy, of an earlier instant if states have a latency."""
-        if not self._states:
-            return self.observer.read()
-        seen = self._states.newest(self.periods * self._steps)
-        return {key: value.copy() for key, value in seen.items()}
+        return self.observer.read()
 
     @property
     def observes_exactly(self) -> bool:
         """True if observations have neither noise nor latency."""
-        return not self._states_late and not any(
+        return not any(
             robot.sensing.settings.measures or robot.sensing.settings.measures_images
             for robot in self.simulation.robots.values())
 
@@ -236,6 +211,8 @@ def start(task: Task, simulation: Simulation, seed: int, drawn: Drawn | None = N
     if before.size:
         randomized.place_again(simulation.data, before, drawn is not None)
     simulation.forward()
+    for robot in simulation.robots.values():
+        robot.sensing.restart()
 
 
 def _steps(period_s: float, timestep_s: float) -> int:

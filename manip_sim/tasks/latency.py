@@ -1,7 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Latency of an episode's commands and states, in simulated time."""
+"""
+Latency of an episode's commands and states, in simulated time, as users give it.
+
+The ``sensing`` of the robots delays both.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from typing import Union
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import shown
-from manip_sim.sensing.delays import Delay, ROUNDING
+from manip_sim.sensing.delays import ROUNDING
 
 #: Longest latency [s]; a longer one is a mistake in the unit.
 LONGEST_S = 10.0
@@ -77,31 +81,19 @@ class Latency:
         """Values above 0, by the names of ``manip_sim.sensing.settings.QUANTITIES``."""
         return {f'latency.{key}': value for key, value in self.as_mapping().items() if value}
 
-    def delay_of_states(self, robot: str, timestep_s: float) -> Delay:
+    def check(self, timestep_s: float) -> None:
         """
-        Return the delays of observed states, as the ``sensing`` of a robot has them.
+        Reject means that are no whole number of timesteps.
 
-        :param robot: its name in the world
         :param timestep_s: of the physics [s]
-        :raises ModelError: if the mean is no whole number of timesteps
+        :raises ModelError: naming the nearest ones
         """
-        delay = Delay(f'{robot} latency.state', timestep_s)
-        delay.mean_s, delay.jitter_s = self.state_s, self.state_jitter_s
-        whole_steps(delay.mean_s, timestep_s, 'latency of a state')
-        return delay
+        for mean_s, kind in ((self.command_s, 'command'), (self.state_s, 'state')):
+            number_of_parts(mean_s, timestep_s, f'latency of a {kind}', 'timesteps')
 
 
 NO_LATENCY = Latency()
 LatencyLike = Union[Latency, float, Mapping[str, float]]
-
-
-def whole_steps(duration_s: float, timestep_s: float, what: str) -> int:
-    """
-    Return the number of physics steps in a duration.
-
-    :raises ModelError: if it is no whole number of timesteps
-    """
-    return number_of_parts(duration_s, timestep_s, what, 'timesteps')
 
 
 def number_of_parts(duration_s: float, part_s: float, what: str, parts: str) -> int:

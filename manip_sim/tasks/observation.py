@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.sensing.images import ImageNoise
+from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.snapshots import Snapshot, take_snapshot
 from manip_sim.tasks.pictures import Pictures
 from manip_sim.tasks.task import Task
 
@@ -20,6 +22,13 @@ from manip_sim.tasks.task import Task
 Observation = dict[str, NDArray[Any]]
 #: Before the name of a camera, the key of its image.
 IMAGE = 'image/'
+
+
+class _Scene(NamedTuple):
+    """What surrounds the robots at an instant: arrays by key, and what cameras show."""
+
+    surroundings: Observation
+    snapshot: Snapshot
 
 
 class Observer:
@@ -34,6 +43,11 @@ class Observer:
     ``eef_pose``, shape (objects, 7)) if there are free bodies; ``goal``, as the task has it; and
     ``image/CAMERA``, rgb, shape (height, width, 3), for each camera.
 
+    All is as old as the latency of states of the robots: images as that of the robot that carries
+    the camera, objects and the goal as that of the robot of the task. As with the images of the
+    node, what is no state of a robot is that of the present instant after a saved state was
+    restored, until what is measured from then on has arrived.
+
     :param pictures: renders the images of cameras; None for no images
     """
 
@@ -41,15 +55,22 @@ class Observer:
                  ) -> None:
         self._simulation = simulation
         self.pictures = pictures
+        #: What is seen later, by steps from the reset to its instant.
+        self._scenes: dict[int, _Scene] = {}
+        self._sensing = simulation.robots[task.robot.name_in_world].sensing
+        for robot in simulation.robots.values():
+            robot.sensing.recorders.append(self._remember)
         self._readers: dict[str, Callable[[], NDArray[Any]]] = {
             'joint_position': lambda: self._joints(0), 'joint_velocity': lambda: self._joints(1),
             'joint_effort': lambda: self._joints(2), 'eef_pose': lambda: self._ends('pose'),
             'eef_twist': lambda: self._ends('twist'),
             'external_wrench': lambda: self._ends('external_wrench')}
+        #: Exact readers, of the present instant.
+        self._surroundings: dict[str, Callable[[], NDArray[Any]]] = {}
         if simulation.entities.free_names:
-            self._readers['object_pose'] = self._objects
+            self._surroundings['object_pose'] = self._objects
         if task.goal(simulation).size:
-            self._readers['goal'] = lambda: task.goal(simulation)
+            self._surroundings['goal'] = lambda: task.goal(simulation)
 
     @property
     def names(self) -> Mapping[str, list[str]]:
@@ -59,23 +80,52 @@ class Observer:
         arms = [f'{robot.name}/{arm}' for robot in robots for arm in robot.end_effectors]
         return {key: joints if key.startswith('joint') else
                 self._simulation.entities.free_names if key == 'object_pose' else arms
-                for key in self._readers if key != 'goal'}
+                for key in (*self._readers, *self._surroundings) if key != 'goal'}
 
     def read(self) -> Observation:
-        """Return the observation of the present instant, copies."""
+        """Return what is observed at the present instant, copies."""
         found = {key: read() for key, read in self._readers.items()}
+        seen = self._scene(self._sensing)
+        found |= self._look() if seen is None else {
+            key: value.copy() for key, value in seen.surroundings.items()}
         if self.pictures is not None:
-            for camera, image in self.pictures.take(self._simulation).items():
-                found[f'{IMAGE}{camera}'] = self._measured(camera, image)
+            found |= self._images(self.pictures)
         return found
 
-    def _measured(self, camera: str, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return an image with the noise that the node gives it."""
-        model = self._simulation.model
-        sensing = self._simulation.instruments.sensing_of(
-            int(model.cam_bodyid[model.camera(camera).id]))
-        pixel = sensing.settings['noise.pixel']
-        return ImageNoise(camera, sensing.seed, sensing.count, pixel, 0.0).on_colours(image)
+    def end_period(self) -> None:
+        """Observe what a task has changed at the end of a control period."""
+        if self._sensing.count in self._scenes:
+            self._remember()
+
+    def _look(self) -> Observation:
+        return {key: read() for key, read in self._surroundings.items()}
+
+    def _remember(self) -> None:
+        """Keep what is there at present, and forget what nobody sees any more."""
+        now = self._sensing.count
+        oldest = min(robot.sensing.instant for robot in self._simulation.robots.values())
+        self._scenes = {count: scene for count, scene in self._scenes.items()
+                        if oldest <= count < now}
+        self._scenes[now] = _Scene(self._look(), take_snapshot(self._simulation))
+
+    def _scene(self, sensing: RobotSensing) -> _Scene | None:
+        """Return what is seen with the latency of a robot; None for the present instant."""
+        instant = sensing.instant
+        return None if instant == sensing.count else self._scenes.get(instant)
+
+    def _images(self, pictures: Pictures) -> Observation:
+        model, scenes, noise = self._simulation.model, {}, {}
+        for camera in pictures.cameras:
+            sensing = self._simulation.instruments.sensing_of(
+                int(model.cam_bodyid[model.camera(camera).id]))
+            seen, count = self._scene(sensing), sensing.count
+            if seen is not None:
+                scenes[camera], count = seen.snapshot, sensing.instant
+            # The noise that the node gives it.
+            noise[camera] = ImageNoise(
+                camera, sensing.seed, count, sensing.settings['noise.pixel'], 0.0)
+        return {f'{IMAGE}{camera}': noise[camera].on_colours(image)
+                for camera, image in pictures.take(self._simulation, scenes).items()}
 
     def _joints(self, row: int) -> NDArray[Any]:
         return np.concatenate([robot.measured().reshape(3, -1)[row]

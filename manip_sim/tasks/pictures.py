@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 import json
 import threading
+from types import MappingProxyType
 from typing import Any, Union
 import weakref
 
@@ -21,7 +22,7 @@ from manip_sim.models.world import World
 from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.snapshots import take_snapshot, VisibleWorld
+from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
 #: A camera of the model by its name, or the description of another one, also as YAML.
 CameraLike = Union[str, Mapping[str, Any]]
@@ -55,19 +56,29 @@ class Pictures:
             self, _LOST.append, (threading.get_ident(), self._context, renderer))
         self._lose.atexit = False
 
-    def take(self, simulation: Simulation) -> dict[str, NDArray[np.uint8]]:
+    @property
+    def cameras(self) -> list[str]:
+        """Names of the cameras."""
+        return list(self._views)
+
+    def take(self, simulation: Simulation, scenes: Mapping[str, Snapshot] = MappingProxyType({})
+             ) -> dict[str, NDArray[np.uint8]]:
         """
         Return an image of each camera, shape (height, width, 3), rgb.
 
+        :param scenes: what cameras show in place of the present instant, by camera
         :raises SimulationEnded: after :meth:`close`
         """
         if self._renderer is None:
             raise SimulationEnded('these pictures are closed')
         _free_lost()
         self._context.make_current()
-        self._world.show(take_snapshot(simulation))
-        found = {}
+        found: dict[str, NDArray[np.uint8]] = {}
+        present, shown = take_snapshot(simulation), None
         for camera, (width, height) in self._views.items():
+            if scenes.get(camera, present) is not shown:
+                shown = scenes.get(camera, present)
+                self._world.show(shown)
             picture = self._renderer.render(self._world.data, camera, width, height, depth=False)
             assert picture.rgb is not None
             found[camera] = picture.rgb

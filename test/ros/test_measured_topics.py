@@ -55,7 +55,7 @@ def test_noise_is_on_the_topics_and_the_truth_beside_them_with_the_same_stamps(s
 
 
 def test_a_node_measures_the_same_bits_as_a_simulation_in_python_with_its_seed(serve, client):
-    settings = {'noise.joint_position': 0.01, 'noise.joint_velocity': 0.1, 'latency.state': 0.03,
+    settings = {'noise.joint_position': 0.01, 'noise.joint_velocity': 0.1, 'latency.state': 0.033,
                 'latency.state_jitter': 0.01}
     node = serve(seed=11, start_paused=True, **{
         name.replace('.', '__'): value for name, value in settings.items()})

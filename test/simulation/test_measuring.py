@@ -162,6 +162,58 @@ def test_latency_publishes_what_was_measured_so_many_periods_ago(periods, simula
     np.testing.assert_array_equal(measured[:periods - 1], np.tile(start, (periods - 1, 1)))
 
 
+@pytest.mark.parametrize('late_steps', [1, 3, 7, 12])
+@pytest.mark.parametrize('reset', [False, True])
+def test_latency_of_states_is_exact_to_the_timestep_and_changes_nothing(late_steps, reset):
+    late, exactly = (Simulation(compose('Panda', arena='table')) for _ in range(2))
+    late.robot.sensing.set('latency.state', late_steps * late.timestep_s)
+    truth = []
+
+    def sample(model, data):
+        if data is exactly.data:
+            truth.append(data.qpos[:7].copy())
+    if reset:
+        late.advance(3)
+        late.reset()
+    for simulation in (late, exactly):
+        command = simulation.robot.parse.action('right', [0.8] * 7)
+        simulation.robot.apply(command, period_s=PERIOD_S)
+    mujoco.set_mjcb_control(sample)
+    try:
+        for _ in range(12):
+            late.advance(STEPS)
+            exactly.advance(STEPS)
+    finally:
+        mujoco.set_mjcb_control(None)
+    np.testing.assert_array_equal(late.data.qpos, exactly.data.qpos)
+    instants = [truth[0]]  # A step and the forward before it are of one instant.
+    for positions in truth:
+        if not np.array_equal(positions, instants[-1]):
+            instants.append(positions)
+    assert len(instants) == 12 * STEPS + 1
+    np.testing.assert_array_equal(late.robot.measured()[:7], instants[-1 - late_steps])
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('late_s', [0.002, 0.016])
+def test_a_state_that_is_measured_within_a_period_does_not_change_contacts_and_wrenches(late_s):
+    ways = []
+    for seconds in (0.0, late_s):
+        simulation = Simulation(compose('Panda', arena='table'))
+        robot = simulation.robot
+        robot.set_wrench_cutoff('right', 20.0)
+        robot.sensing.set('latency.state', seconds)
+        robot.apply(robot.parse.action('right', [0.0, 1.0, 0.0, 0.5, 0.0, 0.0, 0.0]))
+        wrenches = []
+        for _ in range(150):
+            simulation.advance(STEPS)
+            wrenches.append(robot.sensing.exact('right/external_wrench'))
+        ways.append((np.array(wrenches), simulation.data.qpos.copy(), simulation.data.qvel.copy()))
+    assert np.abs(ways[0][0]).max() > 5.0
+    for one, other in zip(*ways):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_jitter_never_goes_back_in_time_and_has_the_mean_that_was_asked_for(simulation):
     sensing = simulation.robot.sensing
     sensing.set('latency.state', 0.05)

@@ -3,12 +3,17 @@
 
 """Latency of an episode, in simulated time."""
 
+import contextlib
+
+import mujoco
 import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import ACTIONS, create_task, Episode, Setting
+from manip_sim.tasks.episode import start
+from manip_sim.tasks.episode_actions import create_actions
 
 TASK = create_task('reach', initialization_noise=None)
 
@@ -67,33 +72,114 @@ def test_commands_that_are_late_by_a_part_of_a_period_take_effect_within_it():
     assert begins[0.06] == begins[0.0] + 30
 
 
+@contextlib.contextmanager
+def sampling():
+    """Collect positions by time [steps of 2 ms], as MuJoCo steps."""
+    samples = {}
+
+    def sample(model, data):
+        samples[round(data.time / 0.002)] = data.qpos[:7].copy()
+    mujoco.set_mjcb_control(sample)
+    try:
+        yield samples
+    finally:
+        mujoco.set_mjcb_control(None)
+
+
 @pytest.mark.full
-@pytest.mark.parametrize('state_s', [0.05, 0.12, 0.15, 0.048])
+@pytest.mark.parametrize('state_s', [0.05, 0.12, 0.15, 0.048, 0.002])
 def test_an_observation_is_as_old_as_the_latency_of_states(state_s):
     given = actions()
+    episode = Episode(TASK, Simulation(TASK.world))
+    episode.reset(1)
+    data = episode.simulation.data
+    begin, start_positions = round(data.time / 0.002), data.qpos[:7].copy()
+    with sampling() as samples:
+        for action in given:
+            episode.step(action)
+    samples[begin] = start_positions  # What the first step begins with was computed before.
+    assert {begin + step for step in range(301)} == samples.keys()
 
     def observed(episode):
         return episode.observation['joint_position'][:7]
     late = positions({'state': state_s}, given, observed)
-    # The same motion, sampled at each step of 2 ms.
-    episode = Episode(TASK, Simulation(TASK.world), latency={'state': state_s})
-    episode.reset(1)
-    samples = [episode.simulation.data.qpos[:7].copy()]
-    for action in given:
-        episode.take(action)
-        for steps in episode.period():
-            # A period is not divided further, as that would change the control.
-            episode.simulation.advance(steps)
-            samples += [None] * (steps - 1) + [episode.simulation.data.qpos[:7].copy()]
     back = round(state_s / 0.002)
     for period in range(len(given) + 1):
-        expected = samples[max(0, 25 * period - back)]
-        np.testing.assert_array_equal(late[period], expected)
+        np.testing.assert_array_equal(
+            late[period], samples[begin + max(0, 25 * period - back)])
 
 
-def test_the_age_of_states_does_not_change_what_happens():
+@pytest.mark.parametrize('state_s', [
+    0.048, *(pytest.param(late_s, marks=pytest.mark.full) for late_s in (0.1, 0.002))])
+def test_the_age_of_states_does_not_change_what_happens(state_s):
     given = actions()
-    np.testing.assert_array_equal(positions({'state': 0.1}, given), positions(0.0, given))
+    np.testing.assert_array_equal(positions({'state': state_s}, given), positions(0.0, given))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('late', [
+    {'state': 0.014}, {'state': 0.066}, {'state': 0.05, 'state_jitter': 0.02}])
+def test_an_episode_observes_what_a_robot_with_these_settings_measures(late):
+    noise = {'noise.joint_velocity': 0.01, 'noise.wrench_force': 1.0}
+    given = actions(6)
+    ways = [Episode(TASK, Simulation(TASK.world), latency=late, noise=noise)]
+    in_noise = {f'latency.{name}': value for name, value in late.items()}
+    ways.append(Episode(TASK, Simulation(TASK.world), noise={**noise, **in_noise}))
+    simulation = Simulation(TASK.world)
+    for name, value in {**noise, **in_noise}.items():
+        simulation.robot.sensing.set(name, value)
+    for episode in ways:
+        episode.reset(7)
+    start(TASK, simulation, 7)
+    by_hand = create_actions('osc_pose', simulation)
+    for action in given:
+        for episode in ways:
+            episode.step(action)
+        by_hand.apply(action, 0.05)
+        simulation.advance(25)
+        state = simulation.robot.state()
+        end = state.end_effectors['right']
+        for seen in (episode.observation for episode in ways):
+            for kind in ('position', 'velocity', 'effort'):
+                np.testing.assert_array_equal(seen[f'joint_{kind}'], getattr(state, kind))
+            np.testing.assert_array_equal(seen['eef_pose'][0, :3], end.pose.position)
+            np.testing.assert_array_equal(
+                seen['external_wrench'][0, :3], end.external_wrench.force)
+    assert len({episode.digest for episode in ways} | {simulation.digest()}) == 1
+
+
+def test_what_is_older_than_an_episode_is_its_start():
+    episode = Setting('push_cube', latency={'state': 0.07}).create_episode()
+    for seed in (3, 4):
+        episode.reset(seed)
+        name = episode.simulation.entities.free_names[0]
+        start_pose = episode.simulation.entities.pose(episode.simulation.data, name)
+        positions_at_start = episode.simulation.robot.reader.exact()[:9]
+        episode.step(np.ones(7))
+        np.testing.assert_array_equal(episode.observation['object_pose'][0], start_pose)
+        np.testing.assert_array_equal(
+            episode.observation['joint_position'][:9], positions_at_start)
+
+
+@pytest.mark.full
+def test_objects_and_images_are_as_old_as_the_states_of_the_robot(renderer):
+    seen = {}
+    for late_s in (0.0, 0.012, 0.05, 0.062):
+        episode = Setting('push_cube', cameras=('agentview',), image_size=(64, 48),
+                          latency={'state': late_s}).create_episode()
+        episode.reset(3)
+        entities, data = episode.simulation.entities, episode.simulation.data
+        name = entities.free_names[0]
+        data.joint(episode.simulation.model.body(name).jntadr[0]).qvel[:2] = 2.0
+        episode.begin()
+        for _ in range(2):
+            episode.step(np.zeros(7))
+        seen[late_s] = episode.observation
+    cubes = [found['object_pose'][0, 0] for found in seen.values()]
+    assert (np.diff(cubes) < -1e-3).all()
+    images = [found['image/agentview'].astype(int) for found in seen.values()]
+    for one, other in zip(images, images[1:]):
+        assert np.abs(one - other).max() > 20
 
 
 @pytest.mark.full

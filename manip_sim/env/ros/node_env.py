@@ -31,7 +31,7 @@ from manip_sim.env.task_env import (
     action_space, check_options, observation_space, SEEDS, TaskEnv)
 from manip_sim.errors import CommandError, ManipSimError
 from manip_sim.rclpy_internals import start_rclpy
-from manip_sim.tasks.latency import number_of_parts
+from manip_sim.tasks.latency import NO_LATENCY, number_of_parts
 from manip_sim.tasks.observation import IMAGE, Observation
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -77,8 +77,8 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         state_periods = number_of_parts(late.state_s, period_s, 'latency of a state with a node',
                                         'control periods')
         self._images = {key: value.shape for key, value in seen.items() if key.startswith(IMAGE)}
-        #: Observations that are on their way.
-        self._states: deque[Observation] = deque(maxlen=state_periods + 1)
+        #: What is seen later of all but the robots, whose states the node delays.
+        self._scenes: deque[Observation] = deque(maxlen=state_periods + 1)
         self._context = rclpy.Context()
         start_rclpy(context=self._context, domain_id=domain_id)
         self._node = rclpy.create_node('task_env', context=self._context)
@@ -140,7 +140,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._settings |= {f'{robot}.{name}' if several else name: value
                            for robot in self._like.simulation.robots
                            for name, value in {
-                               'latency.command': 0.0, 'latency.command_jitter': 0.0,
+                               **{f'latency.{key}': 0.0 for key in NO_LATENCY.as_mapping()},
                                **self._like.settings}.items()}
         for item in actions.arms:
             prefix = f'{item.robot.name}/' if several else ''
@@ -204,10 +204,11 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         joints = np.concatenate(values.pop('joint_states'), axis=1)
         found = dict(zip(('joint_position', 'joint_velocity', 'joint_effort'), joints.copy()))
         found |= {key: np.stack(rows) for key, rows in values.items()}
+        scene = {'object_pose': found.pop('object_pose')} if 'object_pose' in found else {}
         if self._task['goal']:
-            found['goal'] = np.array(self._task['goal'])
-        self._states.append(found | images)
-        return {key: value.copy() for key, value in self._states[0].items()}
+            scene['goal'] = np.array(self._task['goal'])
+        self._scenes.append(scene | images)
+        return found | {key: value.copy() for key, value in self._scenes[0].items()}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[Observation, dict[str, Any]]:
@@ -228,7 +229,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
             if not answer.results[0].successful:
                 raise ManipSimError(f'{name} {value}: {answer.results[0].reason}')
         self._call(self._pause, SetBool.Request(data=False))
-        self._states.clear()
+        self._scenes.clear()
         before = self._task['stamp_ns']
         self._call(self._reset, Trigger.Request())
         self._periods = 0
