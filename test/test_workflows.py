@@ -38,6 +38,16 @@ def test_a_job_has_the_least_rights_and_gives_no_token_to_its_steps(file, name, 
         assert 'token' not in str(step.get('env', {})) or step['run'].startswith('gh release')
 
 
+def test_a_job_that_may_write_runs_no_code_of_the_repository_or_of_packages():
+    writers = [job for file, _, job in JOBS if 'write' in str(
+        job.get('permissions', WORKFLOWS[file].get('permissions')))]
+    assert len(writers) == 1
+    for job in writers:
+        for step in job['steps']:
+            assert step.get('uses', '').startswith('actions/download-artifact@') or (
+                step['run'].startswith('gh release create ') and '\n' not in step['run'])
+
+
 def test_containers_are_the_image_of_the_dockerfile():
     image = re.search('^FROM (.*)$', (ROOT / 'Dockerfile').read_text(), re.MULTILINE)[1]
     found = [job['container'] for _, _, job in JOBS if 'container' in job]
@@ -62,4 +72,4 @@ def test_a_job_that_says_so_installs_what_is_locked(tmp_path):
     assert [line.split()[-1] for line in free if 'env -u PIP_CONSTRAINT' in line] == [
         "'numpy==1.26.4'"]
     locked = [name for _, name, job in JOBS if job.get('env', {}).get('LOCKED') == '1']
-    assert locked == ['wheels', 'release']
+    assert locked == ['wheels', 'build']
