@@ -137,10 +137,14 @@ class _Graph:
             present = self.nodes(), self.topics(), self.services()
             if present != before:
                 changed_s, before = time.monotonic(), present
-            # A node may be found before its services.
+            # A node may be found before its services; this node has some too.
+            found = present[0] and any([not self.is_own(name) for name in present[2]])
             return time.monotonic() - changed_s > _SETTLED_S and (
-                bool(present[2]) or time.monotonic() - begin_s > _UNKNOWN_S)
+                bool(found) or time.monotonic() - begin_s > _UNKNOWN_S)
         self.spin_until(settled, _ANSWER_S)
+
+    def is_own(self, name: str) -> bool:
+        return name.startswith(f'/{self.node.get_name()}/')
 
     def nodes(self) -> list[str]:
         return sorted({name for name in self.node.get_fully_qualified_node_names()
@@ -188,9 +192,8 @@ def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
               f'{os.environ.get("ROS_DOMAIN_ID", "0")} (ROS_DOMAIN_ID, '
               'ROS_AUTOMATIC_DISCOVERY_RANGE)', file=sys.stderr)
     present = graph.topics() if options.command == 'topic' else graph.services()
-    own = f'/{graph.node.get_name()}/'
     names = [name for name in sorted(present)
-             if not topic_or_service_is_hidden(name) and not name.startswith(own)]
+             if not topic_or_service_is_hidden(name) and not graph.is_own(name)]
     lines = [f'{name} [{", ".join(present[name])}]' if options.show_types else name
              for name in names]
     for line in [str(len(names))] if options.count else lines:

@@ -14,6 +14,7 @@ import threading
 from unittest.mock import Mock
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovariance
+from harness import Client
 import pytest
 from rclpy.qos import (
     qos_profile_sensor_data, QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy)
@@ -148,6 +149,23 @@ def test_what_is_wrong_is_said_in_one_line_with_the_nearest_names(
         assert manip_sim(line) == code, line
         error = capsys.readouterr().err
         assert text in error and error.count('\n') == 1, (line, error)
+
+
+def test_names_are_not_listed_before_another_node_and_its_services_are_found(graph, monkeypatch):
+    monkeypatch.setattr(ros_commands, '_SETTLED_S', 0.1)
+    for limit in ('_UNKNOWN_S', '_ANSWER_S'):
+        monkeypatch.setattr(ros_commands, limit, 60.0)
+    late = []
+    timer = threading.Timer(1.0, lambda: late.append(Client()))
+    timer.start()
+    graph.settle()
+    timer.join()
+    name = late[0].node.get_fully_qualified_name()
+    try:
+        assert name in graph.nodes()
+        assert any(service.startswith(f'{name}/') for service in graph.services())
+    finally:
+        late[0].close()
 
 
 def test_an_answer_without_success_is_exit_code_one(client, graph, capsys):
