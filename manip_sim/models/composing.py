@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from os import PathLike
 from typing import Any, Union
 
 from numpy.typing import ArrayLike
 
-from manip_sim.errors import ModelError
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.bases import create_base, RobotBaseModel
 from manip_sim.models.cameras import Camera
@@ -84,8 +85,22 @@ def _add_base(robot: RobotModel, base: Base, idn: int | str) -> None:
     wanted = robot.default_base if base == DEFAULT else base
     if wanted is None or wanted == NONE:
         return
-    robot.add_base(create_base(wanted, idn=idn) if isinstance(wanted, (str, PathLike))
-                   else wanted)
+    if isinstance(wanted, (str, PathLike)):
+        with _naming_its_robot(robot, 'base', base == DEFAULT):
+            wanted = create_base(wanted, idn=idn)
+    robot.add_base(wanted)
+
+
+@contextmanager
+def _naming_its_robot(robot: RobotModel, kind: str, is_default: bool) -> Iterator[None]:
+    """Let an error about an unknown part say which robot has it by default."""
+    try:
+        yield
+    except UnknownNameError as error:
+        if not is_default:
+            raise
+        raise ModelError(f'the default {kind} of {robot.name}: {error}; parts of your own are '
+                         'found in the folders of MANIP_SIM_PATH') from error
 
 
 def _add_tactile_sensors(robot: RobotModel) -> None:
@@ -108,7 +123,8 @@ def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int
     else:
         by_arm = dict.fromkeys(robot.arms, gripper)
     for arm, wanted in by_arm.items():
-        if wanted == DEFAULT:
+        is_default = wanted == DEFAULT
+        if is_default:
             if arm in robot.own_hands and arm not in robot.declared_grippers:
                 continue
             wanted = robot.declared_grippers.get(arm)
@@ -116,7 +132,8 @@ def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int
         if wanted is None or wanted == NONE:
             continue
         if isinstance(wanted, (str, PathLike)):
-            wanted = create_gripper(wanted, idn=f'{idn}_{arm}')
+            with _naming_its_robot(robot, 'gripper', is_default):
+                wanted = create_gripper(wanted, idn=f'{idn}_{arm}')
         robot.add_gripper(wanted, arm)
 
 

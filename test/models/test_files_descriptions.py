@@ -42,6 +42,26 @@ controllers: {torso: slow}
     assert [type(part).__name__ for part in whole.models] == ['RethinkMount', 'PandaGripper']
 
 
+@pytest.mark.parametrize(('start', 'note'), [
+    ('', ['start pose: zero']),
+    ('start: {bend: 0.5}', ["start pose of joints that 'start' does not name: zero"]),
+    ('start: {turn: 0.1, lift: 0.2, bend: 0.5}', [])])
+def test_a_start_that_is_declared_is_not_said_to_be_inferred(tmp_path, start, note):
+    without_keyframe = ARM[:ARM.index('<keyframe>')] + '</mujoco>'
+    robot = described(tmp_path, start, without_keyframe)
+    assert [said for said in robot.inferred if said.startswith('start pose')] == note
+
+
+@pytest.mark.parametrize(('yaml', 'text'), [
+    ('arms: {right: {gripper: small_hand}}', 'the default gripper of arm0: unknown gripper'),
+    ('base: small_table', "the default base of arm0: unknown base 'small_table'")])
+def test_an_unknown_part_of_a_yaml_is_said_to_be_of_the_robot_and_where_own_parts_are_found(
+        tmp_path, yaml, text):
+    robot = described(tmp_path, yaml)
+    with pytest.raises(ModelError, match=text + '.*found in the folders of MANIP_SIM_PATH'):
+        compose_robot(robot)
+
+
 def test_a_body_that_is_the_mount_needs_no_new_one(tmp_path):
     robot = described(tmp_path, 'arms: {right: {mount: link2}}')
     assert robot.eef_name == {'right': 'robot0_link2'}

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Union
@@ -183,12 +183,12 @@ def read_model(file: Path, description: Description, where: object,
     key = _choose_key(model, keyframes, wanted, file)
     if key is None:
         qpos, why = choose_pose(model)
-        notes += why
     else:
         qpos = model.key_qpos[key]
-        notes += [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
+        why = [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
     mocap = find_mocap_bodies(spec, model, key)
     places, named = positions_of(model, qpos), keyframes_of(model)
+    notes += _of_undeclared(why, places, declared)
     notes += _place_root(spec, model, qpos)
     for old in list(spec.keys):
         spec.delete(old)
@@ -328,6 +328,17 @@ def _gives_mass(spec: mujoco.MjSpec, geom: Any) -> bool:
     if geom.mass == 0.0 or geom.density == 0.0 or body.name == 'world':
         return False
     return not body.explicitinertial or int(spec.compiler.inertiafromgeom) == int(ruled)
+
+
+def _of_undeclared(notes: list[str], joints: Iterable[str],
+                   declared: Union[str, Mapping[str, float], None]) -> list[str]:
+    """Let notes of the start pose tell for which joints it was inferred."""
+    if not isinstance(declared, Mapping) or not declared:
+        return notes
+    if set(joints) <= declared.keys():
+        return []
+    return [note.replace('start pose:', "start pose of joints that 'start' does not name:")
+            for note in notes]
 
 
 def _start_pose(model: mujoco.MjModel, in_file: Mapping[str, float],
