@@ -166,7 +166,7 @@ requirements: $(READY)
 
 release: $(TEST_READY)
 	rm -rf dist
-	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 	$(BIN)/python -m cyclonedx_py requirements requirements/run.txt \
 		--output-reproducible --output-format JSON --output-file dist/manip_sim.cdx.json
 

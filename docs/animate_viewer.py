@@ -33,8 +33,8 @@ SIZE = {'width': 960, 'height': 540}
 FACTOR, STEP_S, SPEED = 0.25, 0.18, 2.0
 #: How long the page takes to show the newest state [ms].
 SETTLE_MS = 300
-#: Hidden: the page's line of state, which shows the slow pace, and the notice of slow graphics.
-STYLE = '[role=status] { visibility: hidden }'
+#: Hidden: the page's line of state, which shows the slow speed, and the notice of slow graphics.
+STYLE = 'div[style*=overflow-wrap]:has(> span) { visibility: hidden }'
 CLOSE = "document.querySelector('.mantine-Notification-closeButton')?.click()"
 
 

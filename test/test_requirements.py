@@ -112,6 +112,18 @@ def test_make_installs_what_is_locked_where_that_is_asked_for(target, file):
         'pip install --quiet --no-deps --no-build-isolation --editable .']
 
 
+@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
+def test_a_release_is_built_with_what_is_locked():
+    done = subprocess.run(
+        ['make', '--dry-run', 'ROS_DISTRO=', 'VENV=venv', 'LOCKED=1', 'release'], cwd=ROOT,
+        capture_output=True, text=True, check=True)
+    # With isolation, pip would install the newest setuptools.
+    (wheel,) = re.findall('pip wheel .*', done.stdout)
+    assert '--no-build-isolation' in wheel
+    assert {'setuptools', 'wheel'} <= {name.split('==')[0] for name in (
+        entry.split()[0] for entry in entries('test'))}
+
+
 @pytest.mark.full
 @pytest.mark.skipif(importlib.util.find_spec('cyclonedx_py') is None,
                     reason='cyclonedx-bom is not installed')
