@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
+import weakref
 
 import numpy as np
 
@@ -79,7 +80,6 @@ class RobotSensing:
 
     :param name: of the robot, unique in its world
     :ivar delays: of what is measured, images and commands, by ``state``, ``image``, ``command``
-    :ivar recorders: called where a state is recorded, for what else has its latency
     """
 
     def __init__(self, name: str, steps: Steps, timestep_s: float) -> None:
@@ -91,7 +91,7 @@ class RobotSensing:
         self._channels: dict[str, tuple[Channel | None, Read]] = {}
         self._external: dict[str, ExternalWrenchChannel] = {}
         self._history: Measurements[Mapping[str, FloatArray]] = Measurements()
-        self.recorders: list[Callable[[], None]] = []
+        self._recorders: list[weakref.WeakMethod[Callable[[], None]]] = []
         self.delays = {kind: Delay(f'{name} latency.{kind}', timestep_s)
                        for kind in ('state', 'image', 'command')}
         self._draw()
@@ -207,8 +207,20 @@ class RobotSensing:
         self._history.record(
             self.count, {name: self._measure(name) for name in self._channels},
             self.delays['state'].steps(self.count))
-        for recorder in self.recorders:
-            recorder()
+        for reference in [*self._recorders]:
+            recorder = reference()
+            if recorder is None:
+                self._recorders.remove(reference)
+            else:
+                recorder()
+
+    def record_too(self, recorder: Callable[[], None]) -> None:
+        """
+        Let what else has the latency of states be recorded with them.
+
+        :param recorder: a bound method, which is called while its object is there
+        """
+        self._recorders.append(weakref.WeakMethod(recorder))
 
     def tare(self) -> None:
         """Let the noise of the external wrenches be zero at present."""

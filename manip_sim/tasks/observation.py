@@ -59,7 +59,7 @@ class Observer:
         self._scenes: dict[int, _Scene] = {}
         self._sensing = simulation.robots[task.robot.name_in_world].sensing
         for robot in simulation.robots.values():
-            robot.sensing.recorders.append(self._remember)
+            robot.sensing.record_too(self._remember)
         self._readers: dict[str, Callable[[], NDArray[Any]]] = {
             'joint_position': lambda: self._joints(0), 'joint_velocity': lambda: self._joints(1),
             'joint_effort': lambda: self._joints(2), 'eef_pose': lambda: self._ends('pose'),

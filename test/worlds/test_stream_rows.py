@@ -283,3 +283,16 @@ def test_goals_beyond_a_range_are_clamped_in_rows_too(streams):
     streams.advance()
     streams.stream(5)
     streams.check_equal()
+
+
+@pytest.mark.full
+def test_states_of_streams_are_late_to_the_timestep_as_those_of_a_simulation(streams):
+    streams.both(lambda simulation: simulation.robot.sensing.set('latency.state', 0.034))
+    streams.stream(6)
+    assert streams.held[OTHER]
+    streams.check_equal()
+    late, truth = (simulation.robot for simulation in (
+        streams.worlds.simulations[OTHER], streams.simulations[OTHER]))
+    np.testing.assert_array_equal(late.measured(), truth.measured())
+    assert np.abs(late.measured() - late.reader.exact()).max() > 1e-4
+    streams.both(lambda simulation: simulation.robot.sensing.set('latency.state', 0.0))
