@@ -56,10 +56,14 @@ def asset_path(kind: str, name: str) -> Path:
     return share_directory() / 'assets' / kind / name / f'{name}.xml'
 
 
-def mesh_cache() -> Path:
-    """Return the folder of meshes that were made from others; it need not exist."""
+def cache_folder(kind: str) -> Path:
+    """
+    Return the user's folder of what was made from other files; it need not exist.
+
+    :param kind: ``meshes``, which were made from others, or ``laws``, compiled ones of control
+    """
     home = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
-    return Path(home, 'manip_sim', 'meshes')
+    return Path(home, 'manip_sim', kind)
 
 
 def keep_in_cache(file: Path, content: bytes) -> None:

@@ -23,7 +23,7 @@ from manip_sim.models.object_model import SHAPE_GEOM
 from manip_sim.models.regular_files import check_file, Files
 from manip_sim.models.untrusted_models import HeldModel, held_name
 from manip_sim.quoting import counted, quoted
-from manip_sim.resources import keep_in_cache, mesh_cache
+from manip_sim.resources import cache_folder, keep_in_cache
 
 if TYPE_CHECKING:
     from manip_sim.models.placed_descriptions import MeshDescription
@@ -129,7 +129,7 @@ def _parts_of(compiled: mujoco.MjModel) -> list[tuple[FloatArray, FloatArray]] |
     mujoco.mju_quat2Mat(rotation, compiled.geom_quat[0])
     vertices = compiled.mesh_vert @ rotation.reshape(3, 3).T + compiled.geom_pos[0]
     key = hashlib.sha256(b'coacd 1' + vertices.tobytes() + compiled.mesh_face.tobytes())
-    kept = mesh_cache() / f'{key.hexdigest()}.npz'
+    kept = cache_folder('meshes') / f'{key.hexdigest()}.npz'
     if not kept.is_file():
         coacd.set_log_level('error')
         parts = coacd.run_coacd(coacd.Mesh(vertices, compiled.mesh_face), threshold=_CONCAVITY,

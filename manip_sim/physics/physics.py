@@ -7,15 +7,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import IntArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.physics.object_spawning import (
     carry_over, in_common, LiveWorld, start_live, WorldPlan)
 #: All that MuJoCo integrates, with what its solvers start from.
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
+class WorldArrays(NamedTuple):
+    """
+    Arrays of ``MjData`` that laws of control read, as views.
+
+    :ivar positions: ``qpos``, shape (nq,)
+    :ivar velocities: ``qvel``, shape (nv,)
+    :ivar inertia: ``M``, shape (nM,)
+    :ivar bias: ``qfrc_bias``, shape (nv,)
+    :ivar carried: ``qfrc_gravcomp``, shape (nv,)
+    :ivar motions: ``cdof``, shape (nv, 6)
+    :ivar centers: ``subtree_com``, that these are about [m], shape (nbody, 3)
+    """
+
+    positions: FloatArray
+    velocities: FloatArray
+    inertia: FloatArray
+    bias: FloatArray
+    carried: FloatArray
+    motions: FloatArray
+    centers: FloatArray
 
 
 class Physics:
@@ -37,6 +60,7 @@ class Physics:
     :ivar ctrl: of ``ctrl``
     :ivar bias: of ``qfrc_bias``
     :ivar gravcomp: of ``qfrc_gravcomp``
+    :ivar arrays: for laws of control
     :ivar kept_dofs: where the degrees of freedom that stayed in the last change were in ``qvel``
         before it, and where they are now
     """
@@ -52,6 +76,8 @@ class Physics:
         data = self.data = live.data
         self.qpos, self.qvel, self.act, self.ctrl = data.qpos, data.qvel, data.act, data.ctrl
         self.bias, self.gravcomp = data.qfrc_bias, data.qfrc_gravcomp
+        self.arrays = WorldArrays(self.qpos, self.qvel, data.M, self.bias, self.gravcomp,
+                                  data.cdof, data.subtree_com)
         for adapt in self._adapt:
             adapt()
 

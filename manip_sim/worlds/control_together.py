@@ -9,9 +9,6 @@ from collections.abc import Iterator, Sequence
 import contextlib
 
 from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
-from manip_sim.control.cartesian.controller import CartesianController
-from manip_sim.control.cartesian.operational_space_controller import (
-    EndEffectorEfforts, FollowingEndEffector)
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.control_period import Interval
 from manip_sim.worlds.joint_rows import JointRows, takes
@@ -54,8 +51,6 @@ class ControlTogether:
         if not self._began:
             self._began = True
             self._begin([robot for interval in intervals for robot in interval.robots])
-        if len(intervals) >= _LEAST:
-            _follow(intervals)
         arrived: list[SimulatedRobot] = []
         ticked: set[JointRows] = set()
         for interval in intervals:
@@ -84,26 +79,3 @@ class ControlTogether:
             if len(group) >= _LEAST:
                 rows = JointRows(group)
                 self._rows_of.update((id(robot), rows) for robot in group)
-
-
-def _follow(intervals: Sequence[Interval]) -> None:
-    """Compute the efforts of arms in effort mode, of those with as many joints together."""
-    groups: dict[int, tuple[list[FollowingEndEffector],
-                            list[tuple[CartesianController, str]]]] = {}
-    for interval in intervals:
-        for robot in interval.robots:
-            joints = robot.joints
-            if joints.commands.waiting:  # What begins now may take joints.
-                continue
-            for command in joints.commands.running:
-                if isinstance(command, CartesianCommand):
-                    following = joints.cartesian.following(
-                        command, robot._clock.control_s, interval.duration_s)
-                    if following is not None:
-                        end_effectors, takers = groups.setdefault(len(command.indices), ([], []))
-                        end_effectors.append(following)
-                        takers.append((joints.cartesian, command.arm))
-    for end_effectors, takers in groups.values():
-        found = EndEffectorEfforts(end_effectors)
-        for row, (controller, arm) in enumerate(takers):
-            controller.take(arm, found, row)

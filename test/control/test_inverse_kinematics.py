@@ -8,12 +8,20 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.control.cartesian import inverse_kinematics
 from manip_sim.control.cartesian.end_effector_velocities import (
     approach, follow_twist, JointState, stop)
-from manip_sim.control.cartesian.inverse_kinematics import displace, Displacements
-from manip_sim.control.cartesian.singularities import bend, rate_without_bend
+from manip_sim.control.cartesian.inverse_kinematics import displace, limit_rate
+from manip_sim.control.law.singular_directions import find_bend
+from manip_sim.control.law.small_matrices import minimize_in_box
 from manip_sim.physics.robot_frames import RobotFrames
+
+
+def bend(jacobian, step):
+    """Return the joint accelerations that keep an end effector straight along a step."""
+    result = np.empty(len(step))
+    find_bend(jacobian, step, result)
+    return result
+
 
 #: A gantry: each joint moves the end effector along or about one axis.
 GANTRY = np.eye(6)
@@ -190,7 +198,8 @@ def test_the_acceleration_that_keeps_an_end_effector_straight_is_that_of_its_cen
     assert 0.03 < sizes[5] < 0.1
     needed = np.abs(at.T @ directions[:, 5]) / sizes[5]**2 * np.linalg.norm(centripetal)
     # It counts in full at a singular value of 0.06.
-    np.testing.assert_allclose(bend(at, step), needed * 0.06 / sizes[5], rtol=2e-3, atol=0.1)
+    np.testing.assert_allclose(
+        bend(np.ascontiguousarray(at), step), needed * 0.06 / sizes[5], rtol=2e-3, atol=0.1)
 
 
 def test_a_rate_is_lowered_exactly_where_the_end_effector_would_have_to_bend_too_much():
@@ -201,38 +210,58 @@ def test_a_rate_is_lowered_exactly_where_the_end_effector_would_have_to_bend_too
         jacobian[3:] /= np.linalg.norm(jacobian[3:], axis=0)
         limit, rate = draw.uniform(1.0, 20.0, 7), draw.uniform(0.01, 5.0)
         highest = np.sqrt((limit / bend(jacobian, step)).min())
-        found = rate_without_bend(jacobian, step, limit, rate)
+        found = limit_rate(jacobian, step, limit, rate)
         assert found == pytest.approx(min(rate, highest), rel=1e-12)
         lowered += highest < rate
     assert 30 < lowered < 270
 
 
-def test_displacements_without_bounds_are_those_of_the_bounded_search(monkeypatch):
-    draw, bounded, searches = np.random.default_rng(1), inverse_kinematics._bounded, []
-    monkeypatch.setattr(inverse_kinematics, '_bounded',
-                        lambda *of: searches.append(of) or bounded(*of))
-    plain, taken = Displacements._unbounded, 0
+def test_displacements_without_bounds_are_those_of_the_bounded_search():
+    # Bounds that the posture alone would meet, by next to nothing, call for the bounded search.
+    draw, taken = np.random.default_rng(1), 0
     for _ in range(200):
-        jacobian = draw.normal(size=(6, 7))
+        jacobian, task, away = draw.normal(size=(6, 7)), 0.2 * draw.normal(size=6), np.zeros(7)
         jacobian[0] *= draw.uniform(0.01, 1.0)
-        far = draw.uniform(0.05, 3.0)
-        case = (jacobian, 0.2 * draw.normal(size=6), np.full(7, -far), np.full(7, far),
-                draw.normal(size=7))
-        searches.clear()
-        found = Displacements(*case, [False])
-        taken += not searches
-        with monkeypatch.context() as patched:
-            patched.setattr(Displacements, '_unbounded',
-                            lambda self, *of: (*plain(self, *of)[:3], [0]))
-            searched = Displacements(*case, [False])
-        assert searches
-        np.testing.assert_allclose(found.step, searched.step, atol=1e-8)
-        np.testing.assert_allclose(found.drift, searched.drift, atol=1e-5)
-        np.testing.assert_allclose(found.slack(case[4]), searched.slack(case[4]), atol=1e-8)
-        one, other = found.row(), searched.row()
-        assert one.singular == other.singular and (one.held == other.held).all()
-        assert one.rests == other.rests
-    assert 20 < taken < 180
+        if np.linalg.norm(np.linalg.pinv(jacobian) @ task) > 0.99:  # Not possible here.
+            continue
+        free = displace(jacobian, task, np.full(7, -9.0), np.full(7, 9.0), away)
+        taken += 1
+        low, high = free.step - 1e-9, free.step + 1e-9
+        searched = displace(jacobian, task, low, high, draw.normal(size=7))
+        np.testing.assert_allclose(free.step, searched.step, atol=1e-8)
+        np.testing.assert_allclose(
+            jacobian @ free.step, task, atol=1e-6 * np.linalg.norm(task) + 1e-12)
+        assert np.abs(searched.drift).max() <= 2e-9
+    assert 50 < taken < 200
+
+
+def minimum(*problem):
+    """Return where a quadratic function is smallest within bounds."""
+    matrix, added, vector, low, high = problem
+    place = np.empty(len(vector))
+    minimize_in_box(matrix, added, vector, low, high, place)
+    return place
+
+
+@pytest.mark.parametrize('rank', [7, 6, 2])
+def test_a_minimum_within_bounds_has_no_slope_but_into_the_bounds(rank):
+    draw, met = np.random.default_rng(rank), 0
+    for _ in range(300):
+        root, vector = draw.normal(size=(7, rank)), draw.normal(size=7)
+        matrix, added = root @ root.T, 10.0**draw.uniform(-9.0, -1.0)
+        low, high = -draw.uniform(0.0, 1.0, 7), draw.uniform(0.0, 1.0, 7)
+        place = minimum(matrix, added, vector, low, high)
+        slope = matrix @ place + added * place - vector
+        assert (low <= place).all() and (place <= high).all()
+        # The conditions of Karush, Kuhn and Tucker, which are sufficient here.
+        assert (slope[place > low] < 1e-7).all() and (slope[place < high] > -1e-7).all()
+        met += np.count_nonzero((place == low) | (place == high))
+    assert met > 300
+
+
+def test_a_minimum_within_bounds_that_allow_nothing_is_at_them():
+    low = np.array([0.2, -0.3, 0.0])
+    np.testing.assert_array_equal(minimum(np.eye(3), 1e-9, np.ones(3), low, low), low)
 
 
 def test_a_stop_brakes_with_the_limit():

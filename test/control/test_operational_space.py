@@ -9,15 +9,21 @@ import numpy as np
 import pytest
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.operational_space_law import WantedMotions
+from manip_sim.control.law.arm_records import Spring
+from manip_sim.control.law.operational_space import accelerate
 from manip_sim.quaternion import matrix_of_vector, rotation_vector
 
 
-def wanted_motion(jacobian, error, twist, settings, velocity_limit):
-    """Return the motion of joints that are far from the ends of their ranges."""
-    endless = np.full(jacobian.shape[1], np.inf)
-    return WantedMotions(jacobian, error, [twist], [settings], velocity_limit, -endless, endless,
-                         np.zeros(len(endless)), [False])
+def wanted_motion(jacobian, error, along, settings, velocity_limit):
+    """Return velocities of joints far from the ends of their ranges, and what limits them."""
+    count = jacobian.shape[1]
+    endless, accelerations = np.full(count, np.inf), np.zeros(count)
+    _, singular, slowed = accelerate(
+        jacobian, error, along, Spring(settings.stiffness, settings.damping,
+                                       settings.linear_velocity, settings.angular_velocity),
+        velocity_limit, -endless, endless, np.zeros(count), np.zeros(count), False,
+        np.zeros(count, dtype=bool), accelerations)
+    return accelerations / settings.damping, singular, slowed
 
 
 def base_axes(op):
@@ -243,9 +249,10 @@ def test_way_and_turn_to_a_goal_are_each_limited_to_the_velocity_of_the_settings
     balance = settings.stiffness / settings.damping * error
     expected = balance if expected is None else np.array(
         [b if e is None else e for b, e in zip(balance, expected)])
-    motion = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
-    np.testing.assert_allclose(motion.joints, expected, atol=1e-12)
-    assert not motion.slowed(0) and not motion.found.row().singular
+    velocity, singular, slowed = wanted_motion(
+        np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
+    np.testing.assert_allclose(velocity, expected, atol=1e-12)
+    assert not slowed and not singular
 
 
 @pytest.mark.parametrize(('smallest', 'share', 'singular'), [
@@ -254,50 +261,26 @@ def test_way_and_turn_to_a_goal_are_each_limited_to_the_velocity_of_the_settings
 def test_it_is_singular_if_most_of_the_motion_is_what_the_arm_cannot_do(smallest, share, singular):
     jacobian = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest])
     twist = 0.8 * np.array([np.sqrt(1.0 - share**2), 0.0, 0.0, 0.0, 0.0, share])
-    motion = wanted_motion(jacobian, np.zeros(6), twist, CartesianSettings(), np.full(6, 100.0))
-    assert motion.found.row().singular == singular
+    _, found, _ = wanted_motion(
+        jacobian, np.zeros(6), twist, CartesianSettings(), np.full(6, 100.0))
+    assert found == singular
 
 
 def test_an_end_effector_that_shall_not_move_is_not_kept_from_it_by_a_singularity():
-    motion = wanted_motion(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), np.zeros(6), np.zeros(6),
-                           CartesianSettings(), np.full(6, 10.0))
-    assert not motion.found.row().singular
+    _, singular, _ = wanted_motion(
+        np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), np.zeros(6), np.zeros(6), CartesianSettings(),
+        np.full(6, 10.0))
+    assert not singular
 
 
 def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():
     settings, error = CartesianSettings(), np.array([0.1, 0.05, 0.0, 0.0, 0.0, 0.0])
-    free = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
+    free, _, freely = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
     limits = np.full(6, 10.0)
-    limits[0] = free.joints[0] / 4.0
-    slow = wanted_motion(np.eye(6), error, np.zeros(6), settings, limits)
-    np.testing.assert_allclose(slow.joints, free.joints / 4.0, atol=1e-12)
-    assert slow.slowed(0) and not free.slowed(0)
-
-
-def test_motions_of_several_arms_are_those_of_each_to_the_bit():
-    draw, count, size = np.random.default_rng(5), 40, 7
-    jacobians = draw.normal(size=(count, 6, size))
-    jacobians[:, 0] *= draw.uniform(0.001, 1.0, (count, 1))
-    errors, velocity, away = (draw.normal(size=(count, n)) * draw.uniform(0.0, 1.0, (count, 1))
-                              for n in (6, size, size))
-    limits, low, high = draw.uniform([[0.2], [-1.0], [0.05]], [[2.0], [-0.05], [1.0]],
-                                     (count, 3, size)).transpose(1, 0, 2)
-    twists = [draw.normal(size=6) if row % 3 else None for row in range(count)]
-    rested, settings = [row % 2 == 0 for row in range(count)], [CartesianSettings()] * count
-    together = WantedMotions(jacobians, errors, twists, settings, limits, low, high, away, rested)
-    accelerations, bounded = together.accelerations(velocity), 0
-    for row in range(count):
-        alone = WantedMotions(jacobians[row], errors[row], [twists[row]], [settings[row]],
-                              limits[row], low[row], high[row], away[row], [rested[row]])
-        assert accelerations[row].tobytes() == alone.accelerations(velocity[row]).tobytes()
-        assert together.joints[row].tobytes() == alone.joints.tobytes()
-        assert together.slowed(row) == alone.slowed(0)
-        one, other = together.found.row(row), alone.found.row()
-        assert (one.singular, one.rests) == (other.singular, other.rests)
-        assert (one.held == other.held).all() and (one.step == other.step).all()
-        assert together.found.rests[row] == one.rests
-        bounded += bool(one.held.any())
-    assert 5 < bounded < count - 5
+    limits[0] = free[0] / 4.0
+    slow, _, slowed = wanted_motion(np.eye(6), error, np.zeros(6), settings, limits)
+    np.testing.assert_allclose(slow, free / 4.0, atol=1e-12)
+    assert slowed and freely is False
 
 
 @pytest.mark.parametrize('axis', [[1.0, 0.0, 0.0], [0.0, -0.6, 0.8], [-2 / 3, 2 / 3, 1 / 3]])

@@ -22,7 +22,7 @@ from manip_sim.control.cartesian.end_effector_velocities import (
 from manip_sim.control.cartesian.inverse_kinematics import way_to_posture
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.operational_space_controller import (
-    EffortSolution, EndEffectorEfforts, FollowingEndEffector, OperationalSpaceController)
+    EffortSolution, OperationalSpaceController)
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport, MISSED
 from manip_sim.control.cartesian.targets import pose_error, Target, target_of
@@ -69,9 +69,6 @@ class CartesianController:
     :ivar period_s: length of the control period [s]
     """
 
-    #: Empty between two control periods.
-    not_in_digest = ('_found',)
-
     def __init__(self, physics: Physics, chains: Mapping[str, KinematicChain],
                  names: Sequence[str], servos: Servos, setpoints: SetpointGenerator) -> None:
         self._physics = physics
@@ -87,8 +84,6 @@ class CartesianController:
         self._targets: dict[str, Target] = {}
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in chains}
-        #: Efforts for the next interval, by arm, where they were computed with those of others.
-        self._found: dict[str, tuple[EndEffectorEfforts, int]] = {}
         self._operational = OperationalSpaceController(physics, servos, self._posture)
         physics.on_change(self._look_at_model)
 
@@ -250,16 +245,14 @@ class CartesianController:
         target = self._targets[command.arm]
         self._end_twist(command, target, now_s)
         if self._servos.any_gives_effort_of(command.indices):
-            if command.arm in self._found:
-                found, row = self._found.pop(command.arm)
-            else:
-                found, row = EndEffectorEfforts(
-                    [self._following(command, target, now_s, duration_s)]), 0
-            efforts[command.indices] = found.efforts_of(row)
+            solution = self._operational.solve(
+                self._chains[command.arm].tip, target, command.indices,
+                self.settings[command.arm], now_s, duration_s)
+            efforts[command.indices] = solution.efforts
             if target.solve_s == -math.inf:
                 # What limits the end effector, and whether it rests, is reported once in a period.
                 target.solve_s = now_s
-                self._report(command, target, found.solution(row), data, now_s)
+                self._report(command, target, solution, data, now_s)
         elif target.settled_in is None and now_s >= target.solve_s - 1e-9:
             parts = max(1, math.ceil(self.period_s / _LONGEST_INTERVAL_S - 1e-9))
             interval_s = max(self.period_s / parts, duration_s)
@@ -349,43 +342,11 @@ class CartesianController:
 
     # ------------------------------------------------------------------ by operational space
 
-    def following(self, command: CartesianCommand, now_s: float, duration_s: float
-                  ) -> FollowingEndEffector | None:
-        """
-        Return the end effector of a command if it takes efforts in the next interval, else None.
-
-        So they can be computed together with those of others; :meth:`take` has to be called then.
-
-        :param now_s: simulation time [s]
-        :param duration_s: length of the interval [s]
-        """
-        if not self._servos.any_gives_effort_of(command.indices):
-            return None
-        target = self._targets[command.arm]
-        self._end_twist(command, target, now_s)
-        return self._following(command, target, now_s, duration_s)
-
-    def take(self, arm: str, found: EndEffectorEfforts, row: int) -> None:
-        """
-        Take efforts for the next call of :meth:`follow`.
-
-        :param arm: whose end effector
-        :param found: efforts of several end effectors
-        :param row: which of them is that of the arm
-        """
-        self._found[arm] = found, row
-
-    def _following(self, command: CartesianCommand, target: Target, now_s: float,
-                   duration_s: float) -> FollowingEndEffector:
-        return self._operational.following(
-            self._chains[command.arm].tip, target, command.indices, self.settings[command.arm],
-            now_s, duration_s)
-
     def _report(self, command: CartesianCommand, target: Target, solution: EffortSolution,
                 data: mujoco.MjData, now_s: float) -> None:
-        rests, found, twisted = solution.rests, solution.found, target.twists is not None
+        rests, twisted = solution.rests, target.twists is not None
         self._see(command, 'the twist' if twisted else 'the motion to the target',
-                  found.held & (not rests), not rests and found.singular,
+                  solution.held & (not rests), not rests and solution.singular,
                   twisted and solution.slowed)
         if not twisted:
             self._look(command, target, data, now_s, solution.error, rests,

@@ -16,8 +16,7 @@ import numpy as np
 
 from manip_sim.algebra import dot, length, product
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.cartesian.inverse_kinematics import displace
-from manip_sim.control.cartesian.singularities import rate_without_bend
+from manip_sim.control.cartesian.inverse_kinematics import displace, limit_rate
 from manip_sim.control.motion_profiles import braking_velocity
 
 #: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
@@ -133,7 +132,7 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     rate = min(_rate(found.step, relative, interval_s),
                max(linear_velocity - length(twist[:3]), 0.0) / max(length(moved[:3]), 1e-12),
                max(angular_velocity - length(twist[3:]), 0.0) / max(length(moved[3:]), 1e-12))
-    rate = rate_without_bend(jacobian, found.step, joints.acceleration_limit, rate)
+    rate = limit_rate(jacobian, found.step, joints.acceleration_limit, rate)
     velocity = along + rate * found.step
     pace = _pace(velocity, joints)
     velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)

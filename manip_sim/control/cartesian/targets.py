@@ -114,6 +114,32 @@ class Target:
             self.stream.update(now_s)
         return self.stream is None or not self.stream.moving
 
+    def motion(self, data: mujoco.MjData, tip: Frame, damping: float, now_s: float,
+               duration_s: float
+               ) -> tuple[bool, FloatArray, FloatArray, FloatArray | None]:
+        """
+        Return where the goal is in the next interval, and how it moves; a twist moves it.
+
+        :param tip: frame of the end effector
+        :param damping: acceleration of the end effector per velocity [1/s]
+        :param now_s: simulation time [s]
+        :param duration_s: length of the interval [s]
+        :returns: whether it rests; position [m] and rotation matrix in the anchor; velocity and
+            acceleration / damping in the world [m/s, rad/s], shape (6,), or None
+        """
+        along = None
+        if self.twists is not None:
+            along = self.in_world(self.twists.at(now_s + duration_s / 2.0), data)
+            self.move(data, tip, along, duration_s)
+            along += self.in_world(self.twists.acceleration(now_s), data) / damping
+        if self.ends_stream(now_s):
+            return True, self.position, self.rotation, along
+        assert self.stream is not None
+        position, rotation = self.stream.pose(now_s)
+        _, twist, acceleration = self.reference(data, now_s)
+        twist = twist + acceleration / damping
+        return False, position, rotation, twist if along is None else along + twist
+
     def reference(self, data: mujoco.MjData, now_s: float
                   ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
         """

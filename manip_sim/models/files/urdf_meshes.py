@@ -20,7 +20,7 @@ from manip_sim.models.missing_meshes import (
     check_fetched, Lost, LostShape, MissingMeshError, warnings_of)
 from manip_sim.models.regular_files import Files
 from manip_sim.quoting import one_line, quoted
-from manip_sim.resources import keep_in_cache, mesh_cache
+from manip_sim.resources import cache_folder, keep_in_cache
 
 _MESHES = ('.stl', '.obj', '.msh')
 _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
@@ -146,7 +146,7 @@ def _converted(mesh: Path) -> tuple[Path | None, str]:
             return None, f'it is larger than {_MAX_BYTES // 1_000_000} MB'
         content = mesh.read_bytes()
         key = hashlib.sha256(b'2' + mesh.suffix.lower().encode() + content).hexdigest()
-        target = mesh_cache() / f'{key}.obj'
+        target = cache_folder('meshes') / f'{key}.obj'
         if not target.is_file():
             _convert(trimesh, mesh, target)
         return target, ''

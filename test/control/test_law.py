@@ -1,0 +1,138 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The compiled laws of control: the bits of plain Python, kept where the user may write."""
+
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.control.law.arm_records import Goal, Motion, Spring
+from manip_sim.control.law.compiling import compiled, kept_in
+from manip_sim.control.law.operational_space import exert
+from manip_sim.control.law.small_matrices import rotation_vector
+from manip_sim.models import compose
+from manip_sim.simulation import Simulation
+
+#: Print what the laws write for arms near and far from bounds, singularities and goals.
+SCRIPT = """
+import hashlib
+import numpy as np
+from manip_sim.control.law.displacement import displace
+from manip_sim.control.law.arm_records import Spring
+from manip_sim.control.law.operational_space import accelerate
+from manip_sim.control.law.singular_directions import limit_rate
+from manip_sim.control.law.small_matrices import rotation_vector
+draw, digest, bounded = np.random.default_rng(7), hashlib.sha256(), 0
+for number in range(60):
+    count = 6 + number % 2
+    jacobian = draw.normal(size=(6, count))
+    jacobian[0] *= draw.uniform(0.001, 1.0)
+    error, along = draw.uniform(0.0, 0.5) * draw.normal(size=6), draw.normal(size=6)
+    low, high = -draw.uniform(0.01, 1.0, count), draw.uniform(0.01, 1.0, count)
+    velocity, away, result = draw.normal(size=(3, count))
+    held, limit, turn = np.zeros(count, dtype=bool), draw.uniform(0.2, 2.0, count), np.zeros(6)
+    flags = accelerate(jacobian, error, along, Spring(150.0, 24.0, 1.0, 3.2), limit, low, high,
+                       away, velocity, number % 3 == 0, held, result)
+    rotation_vector(np.linalg.qr(draw.normal(size=(3, 3)))[0], turn)
+    rate = limit_rate(jacobian, velocity, limit, 2.0)
+    bounded += held.any()
+    digest.update(result.tobytes() + held.tobytes() + turn.tobytes())
+    digest.update(repr((*map(bool, flags), float(rate))).encode())
+assert 10 < bounded < 50, bounded
+print(type(accelerate).__name__, digest.hexdigest())
+"""
+
+
+def run(script, **environment):
+    return subprocess.run([sys.executable, '-c', script], env=os.environ | environment, check=True,
+                          capture_output=True, text=True)
+
+
+def test_a_compiled_law_gives_the_bits_of_the_same_law_as_plain_python():
+    results = [run(SCRIPT, NUMBA_DISABLE_JIT=plain).stdout.split() for plain in '01']
+    assert [kind for kind, _ in results] == ['CPUDispatcher', 'function']
+    assert len({digest for _, digest in results}) == 1
+
+
+def test_neither_import_nor_simulation_imports_numba_before_a_cartesian_command():
+    run('import sys\nfrom manip_sim.models import compose\n'
+        'from manip_sim.simulation import Simulation\n'
+        'simulation = Simulation(compose("Panda"))\nsimulation.advance(5)\n'
+        'assert "numba" not in sys.modules\n')
+
+
+LOADING = ('import logging\nlogging.basicConfig(format="%(message)s")\n'
+           'from manip_sim.control.law.compiling import compiled\n'
+           'import manip_sim.control.law.small_matrices as law, numpy as np\n'
+           'law.rotation_vector(np.eye(3), np.zeros(6))\n')
+
+
+def test_laws_are_compiled_once_and_that_is_logged(tmp_path):
+    first, second = (run(LOADING, XDG_CACHE_HOME=str(tmp_path)).stderr for _ in range(2))
+    assert 'Compiling control laws' in first and str(tmp_path) in first
+    assert second == ''
+
+
+def test_laws_are_kept_elsewhere_where_the_usual_folder_cannot_be_written(tmp_path):
+    (tmp_path / 'manip_sim').write_text('not a folder')
+    found = run(LOADING, XDG_CACHE_HOME=str(tmp_path), TMPDIR=str(tmp_path)).stderr
+    assert str(tmp_path / f'manip_sim-{os.getuid()}') in found
+
+
+def test_what_others_compile_is_kept_where_it_was_before(tmp_path):
+    from numba.core import config
+    before = config.CACHE_DIR
+    with kept_in(tmp_path):
+        assert str(tmp_path) == config.CACHE_DIR
+    assert before == config.CACHE_DIR
+    compiled(lambda number: number)
+    assert before == config.CACHE_DIR
+
+
+@pytest.mark.parametrize('angle', [0.0, 1e-9, 1e-3, 1.0, 3.0, np.pi - 1e-9])
+def test_a_rotation_vector_of_the_law_is_that_of_mujoco(angle):
+    draw = np.random.default_rng(3)
+    for _ in range(20):
+        axis, quat, matrix, error = draw.normal(size=3), np.empty(4), np.empty(9), np.zeros(6)
+        axis /= np.linalg.norm(axis)
+        mujoco.mju_axisAngle2Quat(quat, axis, angle)
+        mujoco.mju_quat2Mat(matrix, quat)
+        rotation_vector(matrix.reshape(3, 3), error)
+        np.testing.assert_allclose(error[3:], angle * axis, atol=1e-7)
+        np.testing.assert_array_equal(error[:3], 0.0)
+
+
+@pytest.mark.parametrize('name', ['Panda', 'Baxter', 'PandaOmron'])
+def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
+    simulation = Simulation(compose(name))
+    model, data, robot = simulation.model, simulation.data, simulation.robot
+    draw = np.random.default_rng(0)
+    data.qvel[:] = 0.3 * draw.normal(size=model.nv)
+    mujoco.mj_forward(model, data)
+    operational = robot.joints.cartesian._operational
+    for name, chain in robot.joints.cartesian._chains.items():
+        indices = robot.joints.indices_of(name)
+        arm, motion = operational._arm(chain.tip, indices), Motion.of(len(indices))
+        arm = arm._replace(weakest=np.full(len(indices), -np.inf),
+                           strongest=np.full(len(indices), np.inf))
+        jacobian = chain.tip.jacobian(model, data, arm.dofs)
+        position, rotation = chain.tip.pose(data)
+        efforts = []
+        for along in (np.zeros(6), 0.02 * draw.normal(size=6)):
+            exert(robot._physics.arrays, arm, position, rotation,
+                  Goal(position, rotation, np.zeros(3), np.eye(3), along),
+                  operational._posture, Spring(150.0, 24.0, 9.0, 9.0), False, motion)
+            efforts.append(motion.efforts.copy())
+        np.testing.assert_allclose(motion.twist, jacobian @ data.qvel[arm.dofs], atol=1e-12)
+        np.testing.assert_allclose(motion.error, 0.0, atol=1e-12)
+        # Efforts for a velocity of the end effector: damping times it, by Newton's second law.
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, inertia)
+        own = inertia[np.ix_(arm.dofs, arm.dofs)]
+        gained = jacobian @ np.linalg.solve(own, efforts[1] - efforts[0])
+        np.testing.assert_allclose(gained, 24.0 * along, atol=1e-3 * 24.0 * np.abs(along).max())
