@@ -195,8 +195,7 @@ class JointController(ControlledJoints):
             # From the first step on, as far ahead of their joints as when they brake for long.
             position, velocity = (np.stack(servos.behind(setpoints.acceleration)) - behind)[
                 :, braking]
-            setpoints.position[braking] += position
-            setpoints.velocity[braking] += velocity
+            setpoints.shift(braking, position, velocity)
             setpoints.brake(braking)
         if free.size or braking.size or restart:
             # Those that brake push the others, which have to withstand at once.

@@ -9,6 +9,8 @@ import numpy as np
 
 from manip_sim.arrays import IntArray
 
+#: Messages no farther apart than this are a stream, unless set otherwise [s].
+STREAM_INTERVAL_S = 0.105
 #: A point of a stream is due before so many intervals between the messages have passed.
 _DUE_INTERVALS = 2.5
 #: A stream goes on after a gap of so many of its longest intervals.

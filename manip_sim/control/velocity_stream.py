@@ -8,7 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.control.stream_estimation import RampEstimator
+from manip_sim.control.law.joint_records import blank_state, records
+from manip_sim.control.law.stream_goals import take_alone
+from manip_sim.control.law.stream_timing import wait
 
 
 class VelocityStream:
@@ -22,13 +24,10 @@ class VelocityStream:
     """
 
     def __init__(self, jump: FloatArray) -> None:
-        self._jump = jump
-        self._estimator = RampEstimator(len(jump))
-        self._all = np.arange(len(jump))
-        ((self._clock, _),) = self._estimator.clocks.of(self._all, 0.0)
+        self._state, self._all = blank_state(jump), np.arange(len(jump))
         #: Velocity that is come to, how fast, until when, and how much of that is the stream's.
         self._velocity, self._slope, self._own = np.zeros((3, len(jump)))
-        self._ramp_end_s = -np.inf
+        self._ramp_end_s, self._duration_s = -np.inf, 0.0
 
     def set(self, longest_s: float, hold_s: float) -> None:
         """
@@ -37,7 +36,8 @@ class VelocityStream:
         :param longest_s: longest interval between messages [s]
         :param hold_s: how long a stream goes on after a message was due [s]; 0: two intervals
         """
-        self._estimator.clocks.set(self._all, longest_s, hold_s)
+        joints = records(self._state)
+        joints['longest'], joints['hold'] = longest_s, hold_s
 
     def take(self, velocity: FloatArray, present: FloatArray, now_s: float, period_s: float,
              messages: int = 1, sent_s: float = 0.0) -> None:
@@ -51,15 +51,21 @@ class VelocityStream:
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
-        clock = self._clock
-        clock.notice_pause(now_s, sent_s, messages)
-        streams = clock.continues(now_s)
-        before = self.at(now_s) if streams else present
-        _, self._own = self._estimator.take(
-            clock, velocity, before, now_s, period_s, self._jump, messages, sent_s)
-        duration_s = max(clock.interval_s, period_s) if streams else period_s
-        self._velocity, self._slope = velocity, (velocity - before) / duration_s
-        self._ramp_end_s = now_s + duration_s
+        joints = records(self._state)
+        if joints['arrived'][0] == now_s:
+            # Of two messages at one instant the newer counts, and the schedule knows of one.
+            before, self._own = self.at(now_s), np.zeros(len(velocity))
+        else:
+            wait(joints, self._all, np.ascontiguousarray(velocity, dtype=np.float64),
+                 float(period_s), float(messages), float(sent_s), True)
+            taken = take_alone(joints, now_s)
+            if not taken:
+                return
+            before = self.at(now_s) if taken > 1 else present
+            self._own = np.array(joints['own'])
+            self._duration_s = max(joints['interval'][0], period_s) if taken > 1 else period_s
+        self._velocity, self._slope = velocity, (velocity - before) / self._duration_s
+        self._ramp_end_s = now_s + self._duration_s
 
     def at(self, now_s: float) -> FloatArray:
         """Return the velocity that is wanted [1/s], shape (n,)."""

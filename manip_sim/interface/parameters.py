@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.message_clock import STREAM_INTERVAL_S
+from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.modes import default_mode, MODES
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import SPAWNED

@@ -15,7 +15,6 @@ from manip_sim.control.motion_profiles import Plan
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.worlds.servo_rows import ServoRows
 from manip_sim.worlds.setpoint_rows import SetpointRows
-from manip_sim.worlds.shared_goals import take_goals
 
 
 def takes(joints: JointController) -> bool:
@@ -44,10 +43,7 @@ class JointRows:
             generators.append(robot.joints._setpoints)
             robot.joints._setpoints.now_s = clock.control_s
             robot.joints._written = True
-        shared = take_goals(generators)
         self._setpoints = SetpointRows(generators)
-        for goals in shared:
-            self._setpoints.take(goals)
         self._servos = ServoRows(robots)
 
     def release(self) -> None:

@@ -17,16 +17,12 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.commands import JointSetpoint, Status
-from manip_sim.control.message_clock import MessageClock
 from manip_sim.control.modes import POSITION
 from manip_sim.control.planned_controls import PlannedRates
-from manip_sim.control.stream_estimation import WaitingGoal
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.worlds.joint_rows import takes
 from manip_sim.worlds.servo_rows import ServoRows
 from manip_sim.worlds.setpoint_rows import SetpointRows
-from manip_sim.worlds.shared_goals import (
-    SharedClock, SharedGoals, stream_of_all, take_goals, times_of)
 
 #: With fewer worlds, one by one is as fast.
 _LEAST = 3
@@ -56,19 +52,9 @@ class StreamRows:
         self._clock, self._period_s = self._robots[0]._clock, self._robots[0]._period_s
         self._ran_s = 0.0
         generators = [joints._setpoints for joints in self._joints]
-        clocks = [stream_of_all(generator, self._everything) for generator in generators]
-        self._clocks = [clock for clock in clocks if clock is not None]
         for generator in generators:
             generator.now_s = self._clock.control_s
-        shared = take_goals(generators)
         self._setpoints, self._servos = SetpointRows(generators), ServoRows(self._robots)
-        for goals in shared:
-            self._setpoints.take(goals)
-        self._stream = SharedClock.of(self._clocks[0])
-        self._stream.where = slice(None)
-        #: Whether the clocks of all rows are still alike.
-        self._in_step = all([times_of(clock) == times_of(self._stream) and not clock.fitted
-                             for clock in self._clocks])
         #: The goals that came last: those that wait, and those that were taken, and when.
         self._waiting: FloatArray | None = None
         self._taken: tuple[FloatArray, float] | None = None
@@ -116,8 +102,6 @@ class StreamRows:
         for joints in self._joints:
             joints.holder = None
         self._setpoints.release(range(len(self._joints)))
-        if self._in_step:
-            self._shared(self._clocks).set_clocks()
         if self._waiting is not None:
             for robot, command in self._commands(self._waiting):
                 robot.joints.apply(
@@ -139,12 +123,6 @@ class StreamRows:
                 robot=robot.robot_model, parts=parts, indices=self._everything,
                 modes=first.modes, values=values.copy())
 
-    def _shared(self, clocks: list[MessageClock]) -> SharedGoals:
-        """Return the goals that wait, for all rows."""
-        goals = np.zeros((0, 0)) if self._waiting is None else self._waiting
-        message = WaitingGoal(self._everything, goals, 1, 0.0, self._period_s)
-        return SharedGoals(list(range(len(self._joints))), self._stream, clocks, goals, message)
-
     # ------------------------------------------------------------------ control periods
 
     def begin_period(self, steps: int) -> list[Callable[[], None]] | None:
@@ -165,41 +143,27 @@ class StreamRows:
 
     def _undisturbed(self) -> bool:
         """Return whether only the joints move, in the models that there were."""
-        return (self._in_step
-                and all([of.model is model for of, model in zip(self._physics, self._models)])
+        return (all([of.model is model for of, model in zip(self._physics, self._models)])
                 and not any([gripper.moving for gripper in self._grippers]))
 
     def _plan(self, steps: int) -> FloatArray | None:
         """Return the rates of setpoints in the intervals of a period, or None without a plan."""
         setpoints, now_s = self._setpoints, self._clock.control_s
-        if self._waiting is None:
-            if not setpoints.all_go_on:
-                return None
-        elif not self._take_goals(now_s):
+        plan = setpoints.plan_period(
+            now_s, self.simulations[0]._periods.ends_s(steps), self._waiting, self._period_s)
+        if plan is None or not self._servos.keep_up(plan):
             return None
+        if self._waiting is not None:
+            self._taken, self._waiting = (self._waiting, now_s), None
+        setpoints.follow_plan()
         period_s = steps * self.simulations[0].timestep_s
         if period_s != self._ran_s:
             self._ran_s = self._period_s = period_s
             for robot in self._robots:
                 robot._period_s = robot.joints.cartesian.period_s = period_s
-        plan = setpoints.plan_period(now_s, self.simulations[0]._periods.ends_s(steps))
-        if plan is None or not self._servos.keep_up(plan):
-            return None
-        setpoints.follow_plan(plan)
         return self._servos.rates(
             range(len(self._joints)), plan.durations_s.reshape(1, -1, 1),
             *(np.swapaxes(part, 0, 1) for part in plan[1:]))
-
-    def _take_goals(self, now_s: float) -> bool:
-        """Take the goals that wait; return whether that could be done."""
-        shared = self._shared([])
-        if not self._stream.can_take(now_s, shared.message):
-            return False
-        assert self._waiting is not None
-        self._setpoints.set_time(np.full(len(self._joints), now_s))
-        self._setpoints.take(shared)
-        self._taken, self._waiting = (self._waiting, now_s), None
-        return True
 
 
 def stream_rows(simulations: Iterable[Simulation]) -> StreamRows | None:
@@ -229,12 +193,8 @@ def _stream_of(robot: SimulatedRobot) -> object:
             or robot._late or robot.reflexes.armed or joints._timeouts.pending
             or joints._setpoints.at_rest(everything)):
         return None
-    goals, clock = joints._setpoints._waiting._goals, stream_of_all(joints._setpoints, everything)
-    if clock is None:
-        return None
-    waiting = tuple((goal.messages, goal.stamp_s, goal.period_s) for goal in goals)
     return (robot.name, robot._clock.control_steps, robot._period_s, len(physics.qpos),
-            len(physics.qvel), len(physics.act), waiting, times_of(clock))
+            len(physics.qvel), len(physics.act))
 
 
 class Streams:

@@ -324,9 +324,8 @@ def test_a_stream_whose_goals_are_off_at_random_is_averaged_in_its_own_world_alo
         pair._both('joint_command', (names,), None, position=goals)
         pair.advance(steps)
     pair.check_equal()
-    clocks = [simulation.robot.joints._setpoints._estimator.clocks._of[0]
-              for simulation in pair.simulations]
-    assert [clock.on_time for clock in clocks] == [True, False, True]
+    joints = [of.robot.joints._setpoints._joints[0] for of in pair.simulations]
+    assert [of['memory'] > 0.01 for of in joints] == [False, True, False]
 
 
 def test_goals_for_joints_that_are_not_side_by_side_pass_in_all_worlds(pair):

@@ -28,7 +28,7 @@ from manip_sim.control.cartesian.reports import CartesianReport, MISSED
 from manip_sim.control.cartesian.targets import pose_error, Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.joint_accelerations import SPEED_UP_S
-from manip_sim.control.message_clock import STREAM_INTERVAL_S
+from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.control.velocity_stream import VelocityStream

@@ -1,0 +1,85 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The record of a coordinate: limits, setpoint, the goals of its stream and when they were sent.
+
+A coordinate is a joint, or any other number with limits, such as a component of a translation.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
+
+#: Fields of a record, each a float [s, rad or m, and per s]; flags are 0 or 1.
+FIELDS = (
+    # Limits of position, velocity and acceleration; longest interval of a stream, and how long it
+    # goes on after a message was due, 0 for two intervals.
+    'low', 'high', 'top', 'limit', 'longest', 'hold',
+    # The setpoint at the end of the last interval.
+    'position', 'velocity', 'acceleration',
+    # The reference: its velocity, what that comes to and how fast, until when.
+    'rate', 'rate_goal', 'slope', 'until',
+    # What is tracked beside it: the target, velocities before and after two low-pass stages, and
+    # their time constant; the limit of all accelerations.
+    'target', 'raw', 'first', 'second', 'smoothing', 'bound',
+    # Whether it comes to the target, brakes before that, moves, or was held back at rest.
+    'seeks', 'brakes', 'moves', 'held',
+    # A goal that came at this instant: how many messages, their stamp and the control period.
+    'waiting', 'waiting_goal', 'waiting_messages', 'waiting_stamp', 'waiting_period',
+    # When messages came and were sent: the last arrival, its stamp and number in the stream; the
+    # line through the arrivals (time due, time per message or per stamped second); interval,
+    # deviations from the line, the last one; how many in a row were on it, far off, or after lost
+    # ones, and how many these were.
+    'velocities', 'arrived', 'stamp', 'number', 'due', 'scale', 'interval', 'jitter', 'off',
+    'even', 'astray', 'skipped', 'skipped_lost',
+    # Times of sending between the line and the arrivals: share of the arrivals, errors of goals
+    # predicted by both, the last two intervals by both; the slack of ramps.
+    'share', 'line_error', 'arrival_error', 'line_1', 'line_2', 'arrival_1', 'arrival_2', 'sent',
+    'elapsed', 'elapsed_before', 'slack',
+    # The goals: the last one, the last two steps, velocity of the last one and by how much it had
+    # changed, and its own acceleration; messages in a row without a jump, and by
+    # turns with a step and without.
+    'goal', 'step_1', 'step_2', 'last', 'change', 'own', 'steady',
+    'alternating',
+    # A parabola through them, its memory, and their noise by third differences.
+    'level', 'pace', 'bend', 'memory', 'curve', 'third', 'product', 'noise',
+    # Counts: goals beyond the velocity limit, messages that seem to have been lost.
+    'limited', 'lost')
+JOINT = np.dtype([(name, np.float64) for name in FIELDS])
+#: Time constant of what is tracked beside the reference, at least [s].
+SMOOTHING_S = 0.02
+
+
+def records(state: FloatArray) -> Any:
+    """
+    Return a view of numbers as records.
+
+    :param state: shape (..., len(FIELDS)), contiguous
+    :returns: shape (...)
+    """
+    view = state.view(JOINT).reshape(state.shape[:-1])
+    # Plain Python reads attributes of records of this type alone.
+    return view.view(np.recarray) if numba.config.DISABLE_JIT else view
+
+
+def blank_state(limit: FloatArray) -> FloatArray:
+    """
+    Return the numbers of coordinates without a range that have had no messages.
+
+    :param limit: of their acceleration [1/s^2], shape (n,)
+    :returns: shape (n, len(FIELDS))
+    """
+    state = np.zeros((len(limit), len(FIELDS)))
+    joints = records(state)
+    joints['low'], joints['high'], joints['top'] = -np.inf, np.inf, np.inf
+    joints['limit'] = joints['slope'] = joints['bound'] = limit
+    joints['smoothing'] = SMOOTHING_S
+    joints['longest'], joints['arrived'], joints['until'] = STREAM_INTERVAL_S, -np.inf, np.inf
+    return state

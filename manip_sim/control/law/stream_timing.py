@@ -1,0 +1,286 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+When the messages of a stream were sent, and how many were lost on their way.
+
+A stream is taken to be sent at even intervals, or at its stamps: a line through the arrivals, by
+least squares with a fading memory. Where goals follow the arrivals better, because the timer of
+the sender jitters, the times of sending lie between both.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from manip_sim.arrays import IntArray
+from manip_sim.control.law.compiling import compiled
+
+#: So many messages back the line through the arrivals remembers.
+MEMORY = 40.0
+#: Shares of a rise and of a fall of jitter and noise that their measures follow with a message.
+ATTACK, DECAY = 0.3, 0.03
+#: On schedule is a message that is less than this share of the interval off the line.
+ON_TIME = 0.05
+#: So many messages in a row show that a stream is on schedule, sent more slowly, or off its line.
+TRUSTED = 8.0
+#: Uncertainty of the number of messages by their times, at least [intervals].
+UNSURE = 0.15
+#: A goal that comes again in less than this share of the last interval is a copy.
+COPY = 0.7
+#: Slack of ramps that is kept per message, and how much of the time of lost messages is in it.
+SLACK_KEPT, MISSED = 0.93, 1.5
+#: How long a stream goes on after a message was due, unless set otherwise [intervals].
+HOLD = 2.0
+
+
+@compiled
+def clip(value: float, low: float, high: float) -> float:
+    """Return a number, or the bound that it is beyond."""
+    return min(max(value, low), high)
+
+
+@compiled
+def alike(x: Any, y: Any, now: float) -> bool:
+    """Return whether two coordinates have had the same messages, so that one clock is for both."""
+    if (x.waiting_messages != y.waiting_messages or x.waiting_stamp != y.waiting_stamp
+            or x.longest != y.longest or x.hold != y.hold):
+        return False
+    return bool(x.velocities == y.velocities and x.arrived == y.arrived and x.due == y.due
+                and x.number == y.number and x.interval == y.interval and x.sent == y.sent
+                and x.jitter == y.jitter and x.until == y.until
+                or not (in_time(x, now) or in_time(y, now)))
+
+
+@compiled
+def in_time(x: Any, now: float) -> bool:
+    """Return whether a message may continue the stream now."""
+    return bool(now - x.arrived <= x.longest
+                or now <= x.until < math.inf and x.interval <= x.longest)
+
+
+@compiled
+def goes_on(x: Any, now: float, messages: float, stamp: float, velocities: bool) -> bool:
+    """Return whether messages continue a stream, and do not begin one."""
+    if not in_time(x, now) or (x.velocities != 0.0) != velocities or x.number == 0.0:
+        return False
+    if (stamp > 0.0 or x.stamp > 0.0) and not stamp > x.stamp > 0.0:
+        return False
+    # Simulation time may have stood while the sender went on.
+    sent = (stamp - x.stamp if stamp > 0.0 else messages) * x.scale
+    return not (x.number > TRUSTED
+                and x.due + sent - now > x.longest + 3.0 * x.jitter)
+
+
+@compiled
+def sent_since(joints: Any, members: IntArray, now: float, messages: float,
+               velocities: bool) -> float:
+    """Return how many messages were sent, by the time and by how far the goals went."""
+    x = joints[members[0]]
+    if x.share > 0.75:
+        # The timer of the sender jitters.
+        return float(max(math.floor((now - x.arrived) / x.interval + 0.1), messages))
+    by_time, spread = (now - x.due) / x.interval, x.jitter / x.interval
+    # A message may be as late as it likes, but it does not come before it is sent.
+    most = math.floor(by_time + 0.5 + min(2.0 * spread, 1.0))
+    if most <= messages:
+        return messages
+    sure = 1.0 / ((spread + UNSURE) * (spread + UNSURE))
+    mean = by_time * sure
+    if not velocities:
+        for i in members:
+            x = joints[i]
+            expected = (x.pace + x.bend * x.interval / 2.0) * x.interval
+            off = (0.05 * abs(expected) + 0.3 * abs(x.bend) * x.interval * x.interval
+                   + 4.0 * math.sqrt(x.noise))
+            step = x.waiting_goal - x.goal
+            if (0.5 * expected * expected < step * expected
+                    < (by_time + 1.0 + 3.0 * spread) * expected * expected < math.inf):
+                weight = (expected / max(off, 1e-12)) * (expected / max(off, 1e-12))
+                sure += weight
+                mean += weight * (step / expected)
+    if not mean < math.inf:
+        mean, sure = by_time, 1.0
+    return float(max(min(math.floor(mean / sure + 0.5), most), messages))
+
+
+@compiled
+def compare(joints: Any, members: IntArray, line: float, since: float) -> tuple[float, float]:
+    """Return squares of errors of goals predicted from three before, by the line and arrivals."""
+    x = joints[members[0]]
+    bend = (line + x.line_1) / (x.line_1 + x.line_2)
+    line_last, line_first = line / x.line_1 * (1.0 + bend), line / x.line_2 * bend
+    bend = (since + x.arrival_1) / (x.arrival_1 + x.arrival_2)
+    last, first = since / x.arrival_1 * (1.0 + bend), since / x.arrival_2 * bend
+    by_line = by_arrival = 0.0
+    for i in members:
+        x = joints[i]
+        step = x.waiting_goal - x.goal
+        miss = step - line_last * x.step_1 + line_first * x.step_2
+        by_line += miss * miss
+        miss = step - last * x.step_1 + first * x.step_2
+        by_arrival += miss * miss + 1e-4 * step * step
+    return by_line, by_arrival
+
+
+@compiled
+def take_time(joints: Any, members: IntArray, now: float, velocities: bool) -> bool:
+    """
+    Take in when messages came.
+
+    :param members: of the coordinates that they bring, which are :func:`alike`
+    :param now: simulation time [s]
+    :param velocities: whether they bring velocities, and not positions
+    :returns: whether they continue a stream
+    """
+    x = joints[members[0]]
+    period, stamp, messages = x.waiting_period, x.waiting_stamp, x.waiting_messages
+    live = goes_on(x, now, messages, stamp, velocities)
+    since = max(now - x.arrived, 1e-9) if live else period
+    number = x.number + 1.0 if live else 1.0
+    known, stamped, late = number > 2.0, live and stamp > 0.0, now - x.due
+    unit = messages
+    if stamped:
+        unit = stamp - x.stamp
+    elif known:
+        unit = sent_since(joints, members, now, messages, velocities)
+    scale = x.scale if known else since / unit
+    if stamped and not known and 0.5 < scale < 2.0:
+        # Most senders have the clock of the simulation, to within the jitter of two messages.
+        scale, number = 1.0, 20.0
+    line = unit * scale
+    off = late - line if known else 0.0
+    interval = x.interval if known else line / messages
+    jitter = x.jitter if known else 0.0
+    # The line.
+    memory = min(number, MEMORY)
+    most = max(3.0 * jitter, 0.25 * interval) if number > 4.0 else math.inf
+    pull = clip(off, -most, most)
+    due = x.due + line + 2.0 * (2.0 * memory - 1.0) / (memory * (memory + 1.0)) * pull
+    if not known:
+        due = now
+    scale = max(scale + 6.0 / (memory * (memory + 1.0)) * pull / unit, 0.2 * scale)
+    if not stamped:
+        interval = scale
+    elif known:
+        interval += 0.1 * (line / max(math.floor(line / interval + 0.5), 1.0) - interval)
+    size = abs(off)
+    rise = min(size, interval) - jitter
+    jitter += (ATTACK if rise > 0.0 else DECAY) * rise
+    # Off the line for long: the sender has another phase, or another rate.
+    far = 0.0
+    if size > 0.5 * max(interval, period) and size > abs(x.off) - 0.25 * interval:
+        far = math.copysign(1.0, off)
+    astray = x.astray + far if live and far * x.astray > 0.0 else far
+    if abs(astray) >= TRUSTED:
+        due, number, astray = now, 6.0, 0.0
+    lost = unit - messages if live and not stamped else 0.0
+    skipped = x.skipped + 1.0 if lost > 0.0 and x.number > 0.0 else 0.0
+    skipped_lost = x.skipped_lost + lost if skipped > 1.0 else lost
+    if skipped >= TRUSTED:
+        # None was lost: the sender is slower.
+        scale = interval = scale * unit / messages
+        lost, skipped, skipped_lost = lost - skipped_lost, 0.0, 0.0
+    # The share of the arrivals.
+    share = by_line = by_arrival = 0.0
+    if live and not stamped and not velocities:
+        by_line, by_arrival = x.line_error, x.arrival_error
+        if number > TRUSTED and (
+                abs(line - since) > 1e-6 * line or abs(x.line_1 - x.arrival_1) > 1e-6 * line
+                or abs(x.line_2 - x.arrival_2) > 1e-6 * line):
+            new_line, new_arrival = compare(joints, members, line, since)
+            by_line = (1.0 - DECAY) * by_line + new_line
+            by_arrival = (1.0 - DECAY) * by_arrival + new_arrival
+        if by_line > 0.0:
+            share = by_line / (by_line + by_arrival)
+        if not 0.1 < share <= 1.0:
+            share = 0.0
+    sent = due + share * (now - due)
+    elapsed = max(sent - x.sent, 0.1 * since) if share > 0.0 else line if live else period
+    slack = (1.0 - share) * max(SLACK_KEPT * x.slack if live else 0.0, min(
+        size + MISSED * max(line - max(interval, period), 0.0), 2.0 * interval))
+    even = (live and max(size, jitter) < ON_TIME * interval
+            and abs(line - messages * interval) < ON_TIME * interval)
+    lasts = max(interval, period)
+    until = max(now, sent) + lasts + (x.hold if x.hold > 0.0 else HOLD * lasts) + (
+        3.0 * (1.0 - share) * jitter)
+    for i in members:
+        x = joints[i]
+        x.velocities = 1.0 if velocities else 0.0
+        x.line_2, x.arrival_2 = (x.line_1, x.arrival_1) if live else (line, since)
+        x.line_1, x.arrival_1 = line, since
+        x.elapsed_before, x.elapsed = x.elapsed if live else period, elapsed
+        x.arrived, x.stamp, x.number, x.due, x.scale, x.interval = (
+            now, stamp, number, due, scale, interval)
+        x.jitter, x.off, x.astray, x.skipped, x.skipped_lost = (
+            jitter, off, astray, skipped, skipped_lost)
+        x.even = x.even + 1.0 if even else 0.0
+        x.share, x.line_error, x.arrival_error, x.sent, x.slack, x.until = (
+            share, by_line, by_arrival, sent, slack, until)
+        x.lost += min(lost, 2.0**31)
+    return live
+
+
+@compiled
+def is_copy(joints: Any, members: IntArray, now: float) -> bool:
+    """Return whether messages that wait are copies of the last ones, by their goals and times."""
+    x = joints[members[0]]
+    if x.waiting_messages > 0.0:
+        return False
+    for i in members:
+        # Where periods of control hide when they came, goals show that each one is copied.
+        if joints[i].alternating >= TRUSTED and joints[i].step_1 != 0.0:
+            return True
+    return bool(now - x.arrived < COPY * x.arrival_1
+                or x.waiting_stamp > 0.0 and x.waiting_stamp == x.stamp)
+
+
+@compiled
+def next_members(joints: Any, begin: int, now: float, members: IntArray) -> int:
+    """
+    Find coordinates that one message has brought, and which have had the same ones before.
+
+    :param begin: the first coordinate, for which one waits
+    :param members: is filled with them
+    :returns: how many there are
+    """
+    count = 0
+    for i in range(begin, len(joints)):
+        if joints[i].waiting == joints[begin].waiting and alike(joints[begin], joints[i], now):
+            members[count] = i
+            count += 1
+    for k in range(count):
+        joints[members[k]].waiting = 0.0
+    return count
+
+
+@compiled
+def wait(joints: Any, indices: IntArray, goals: Any, period: float, messages: float,
+         stamp: float, velocities: bool) -> None:
+    """
+    Let goals that have come wait for the next interval, in place of those that wait already.
+
+    :param indices: of the coordinates
+    :param goals: shape of ``indices``
+    :param period: of control [s]
+    :param messages: how many have come
+    :param stamp: when the last one was sent, by any clock [s]; 0: unknown
+    :param velocities: whether they bring velocities, and not positions
+    """
+    kind = 2.0 if velocities else 1.0
+    copied, moved = True, False
+    for k in range(len(indices)):
+        x = joints[indices[k]]
+        waits = x.waiting == kind
+        known = x.number > 0.0 and (x.velocities != 0.0) == velocities
+        copied = copied and (waits or known) and (
+            goals[k] == (x.waiting_goal if waits else x.goal))
+        moved = moved or waits or (x.change if velocities else x.step_1) != 0.0
+    for k in range(len(indices)):
+        x = joints[indices[k]]
+        before = x.waiting_messages if x.waiting == kind else 0.0
+        x.waiting_messages = before + (0.0 if copied and moved else messages)
+        x.waiting, x.waiting_goal, x.waiting_stamp, x.waiting_period = (
+            kind, goals[k], stamp, period)
+        x.moves = 1.0
