@@ -11,8 +11,6 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.law.joint_records import blank_state, records, SMOOTHING_S
-from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.stream_timing import wait
 from manip_sim.control.motion_profiles import evenly_braked, Plan, within
 
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
@@ -231,6 +229,7 @@ class SetpointGenerator:
 
     def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
               stamp_s: float, velocities: bool) -> None:
+        from manip_sim.control.law.stream_timing import wait  # It imports numba.
         wait(self._joints, indices, np.ascontiguousarray(goals, dtype=np.float64),
              float(period_s), float(messages), float(stamp_s), velocities)
         self.moving, self.plan = True, None
@@ -302,6 +301,7 @@ class SetpointGenerator:
         if self.plan is not None and self.row + 1 < len(self.plan.durations_s):
             self._follow(self.row + 1, duration_s)
             return
+        from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
         ends_s = self.ends_left(self.now_s, duration_s)
         states = np.empty((len(ends_s), *self._state.shape))
         count = advance(self._joints, records(states), self.now_s, ends_s)

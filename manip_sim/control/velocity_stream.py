@@ -9,8 +9,6 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.joint_records import blank_state, records
-from manip_sim.control.law.stream_goals import take_alone
-from manip_sim.control.law.stream_timing import wait
 
 
 class VelocityStream:
@@ -51,6 +49,8 @@ class VelocityStream:
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
+        from manip_sim.control.law.stream_goals import take_alone  # It imports numba.
+        from manip_sim.control.law.stream_timing import wait
         joints = records(self._state)
         if joints['arrived'][0] == now_s:
             # Of two messages at one instant the newer counts, and the schedule knows of one.

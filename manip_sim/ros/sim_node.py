@@ -32,6 +32,7 @@ from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, offer_actions
+from manip_sim.ros.background import begin
 from manip_sim.ros.camera_publishers import offer_cameras
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.declared_parameters import Parameters
@@ -55,6 +56,7 @@ from manip_sim.ros.state_publishers import ClockPublisher, ModelPublisher
 from manip_sim.ros.surroundings_topics import SurroundingsTopics
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.laws import load_laws
 
 #: How many publications may wait, by stepping: states would become old in ``free``, else as many
 #: as a second of states, while a reader does not acknowledge.
@@ -344,6 +346,8 @@ class SimNode(Node):
         self.thread.start()
         if self._command_thread is not None:
             self._command_thread.start()
+        if self.declared.value('stepping') == 'realtime':
+            begin(load_laws)  # The first command should not wait for them.
         # The first state should not wait for these, which take longer.
         for publish in self._at_start:
             publish()

@@ -12,8 +12,6 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.law.joint_records import records
-from manip_sim.control.law.setpoint_motion import advance_rows
-from manip_sim.control.law.stream_timing import wait
 from manip_sim.control.motion_profiles import Plan
 from manip_sim.control.setpoints import hold_back, plan_of, SetpointGenerator
 
@@ -90,6 +88,7 @@ class SetpointRows:
         self.moves = np.asarray(self._joints['moves'].any(axis=1))
 
     def _advance(self, ends_s: FloatArray) -> Any:
+        from manip_sim.control.law.setpoint_motion import advance_rows  # It imports numba.
         rows, count, fields = self._state.shape
         self._states, self._ends_s = np.empty((rows, len(ends_s), count, fields)), ends_s
         return advance_rows(self._joints, records(self._states), self._now_s, ends_s)
@@ -107,6 +106,7 @@ class SetpointRows:
         :param period_s: length of a control period that they are meant for [s]
         :returns: of shape (k, rows, n); None if some have none
         """
+        from manip_sim.control.law.stream_timing import wait  # It imports numba.
         before, self._now_s = self._state.copy(), np.full(len(self._state), now_s)
         if goals is not None:
             indices = np.arange(goals.shape[1])

@@ -59,7 +59,7 @@ def test_a_compiled_law_gives_the_bits_of_the_same_law_as_plain_python():
     assert len({digest for _, digest in results}) == 1
 
 
-def test_neither_import_nor_simulation_imports_numba_before_a_cartesian_command():
+def test_neither_import_nor_simulation_imports_numba_before_a_command():
     run('import sys\nfrom manip_sim.models import compose\n'
         'from manip_sim.simulation import Simulation\n'
         'simulation = Simulation(compose("Panda"))\nsimulation.advance(5)\n'
@@ -76,6 +76,17 @@ def test_laws_are_compiled_once_and_that_is_logged(tmp_path):
     first, second = (run(LOADING, XDG_CACHE_HOME=str(tmp_path)).stderr for _ in range(2))
     assert 'Compiling control laws' in first and str(tmp_path) in first
     assert second == ''
+
+
+def test_laws_of_old_versions_do_not_pile_up(tmp_path):
+    parent = tmp_path / 'manip_sim/laws'
+    for number in range(6):
+        (parent / f'{number:016x}').mkdir(parents=True)
+        os.utime(parent / f'{number:016x}', (number, number))
+    (parent / 'mine').mkdir()
+    run(LOADING, XDG_CACHE_HOME=str(tmp_path))
+    kept = {folder.name for folder in parent.iterdir()}
+    assert len(kept) == 5 and kept > {f'{number:016x}' for number in (3, 4, 5)} | {'mine'}
 
 
 def test_laws_are_kept_elsewhere_where_the_usual_folder_cannot_be_written(tmp_path):

@@ -13,8 +13,6 @@ from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.law.joint_records import blank_state, records
-from manip_sim.control.law.stream_goals import take_alone
-from manip_sim.control.law.stream_timing import wait
 from manip_sim.quaternion import matrix_of_vector, rotation_vector
 
 _ALL = np.arange(6)
@@ -77,6 +75,7 @@ class PoseStream:
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
+        from manip_sim.control.law.stream_timing import wait  # It imports numba.
         joints = self._joints
         joints['limit'] = np.repeat(limits, 3) / SPEED_UP_S
         goal = joints['goal'] + np.concatenate([
@@ -98,6 +97,7 @@ class PoseStream:
 
     def _follow(self, position: FloatArray, rotation: FloatArray, limits: FloatArray,
                 present: FloatArray, now_s: float) -> None:
+        from manip_sim.control.law.stream_goals import take_alone  # It imports numba.
         joints = self._joints
         taken = take_alone(joints, now_s)
         if not taken:

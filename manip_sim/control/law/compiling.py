@@ -18,6 +18,7 @@ import logging
 import os
 from pathlib import Path
 import platform
+import shutil
 import tempfile
 from typing import Any, cast, TypeVar
 
@@ -30,6 +31,8 @@ from manip_sim.resources import cache_folder, package_version
 
 F = TypeVar('F', bound=Callable[..., Any])
 
+#: So many folders of other versions stay.
+_OTHERS = 3
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -50,12 +53,22 @@ def _writable_folder() -> Path | None:
     for parent in (cache_folder('laws'), Path(tempfile.gettempdir(), f'manip_sim-{os.getuid()}')):
         folder = parent / _version()
         with contextlib.suppress(OSError):
+            if not folder.exists():
+                _remove_old(parent)
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             # What is kept there is run: nobody else may put it there.
             if os.access(folder, os.W_OK) and all(
                     path.stat().st_uid == os.getuid() for path in (folder, parent)):
                 return folder
     return None
+
+
+def _remove_old(parent: Path) -> None:
+    """Remove the laws of all but the newest of other versions; a process has what it runs."""
+    with contextlib.suppress(OSError):  # Another process may remove the same.
+        others = sorted(parent.glob('[0-9a-f]' * 16), key=lambda folder: folder.stat().st_mtime)
+        for folder in others[:-_OTHERS]:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextlib.contextmanager
@@ -72,7 +85,7 @@ def kept_in(folder: Path) -> Iterator[None]:
 _PLAIN = bool(config.DISABLE_JIT)
 _FOLDER = None if _PLAIN else _writable_folder()
 if not _PLAIN and (_FOLDER is None or next(_FOLDER.rglob('*.nbi'), None) is None):
-    _LOGGER.warning('Compiling control laws, which takes some seconds, %s',
+    _LOGGER.warning('Compiling control laws, which takes some 20 s, %s',
                     f'once: they are kept in {_FOLDER}' if _FOLDER else
                     'in every process: no folder for them can be written')
 

@@ -9,9 +9,9 @@ A coordinate is a joint, or any other number with limits, such as a component of
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
-import numba
 import numpy as np
 
 from manip_sim.arrays import FloatArray
@@ -53,6 +53,8 @@ FIELDS = (
     # Counts: goals beyond the velocity limit, messages that seem to have been lost.
     'limited', 'lost')
 JOINT = np.dtype([(name, np.float64) for name in FIELDS])
+#: Whether laws are plain Python, which reads attributes of records of another type alone.
+_PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'
 #: Time constant of what is tracked beside the reference, at least [s].
 SMOOTHING_S = 0.02
 
@@ -65,8 +67,7 @@ def records(state: FloatArray) -> Any:
     :returns: shape (...)
     """
     view = state.view(JOINT).reshape(state.shape[:-1])
-    # Plain Python reads attributes of records of this type alone.
-    return view.view(np.recarray) if numba.config.DISABLE_JIT else view
+    return view.view(np.recarray) if _PLAIN else view
 
 
 def blank_state(limit: FloatArray) -> FloatArray:
