@@ -199,7 +199,7 @@ class JointController(ControlledJoints):
             setpoints.brake(braking)
         if free.size or braking.size or restart:
             # Those that brake push the others, which have to withstand at once.
-            servos.start(data, setpoints.position, setpoints.velocity, setpoints.acceleration)
+            servos.start(data, setpoints.joints)
 
     def reset(self, data: mujoco.MjData) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""
@@ -364,7 +364,7 @@ class JointController(ControlledJoints):
                 self._servos.rest(data)
                 self._written = False
             return
-        setpoints, servos = self._generator, self._servos
+        setpoints = self._generator
         setpoints.now_s = now_s
         if self._ledger.waiting:
             self._trajectories.start_due(
@@ -376,19 +376,14 @@ class JointController(ControlledJoints):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
             elif isinstance(command, BaseTwist):
                 self._base.follow(command, data, now_s, duration_s)
-        if not setpoints.settled:
-            setpoints.advance(duration_s)
+        setpoints.advance(duration_s, plans=not others)
         for command in others:
             if isinstance(command, JointTrajectory):
                 position = self._trajectories.follow(command, now_s + duration_s)
                 if position is not None:
                     self._end_trajectory(command, data, position)
-        if servos.follows:
-            setpoints.hold_back(servos.measured(duration_s), servos.reach)
         self._written, self._efforts_due = True, False
-        if not self.plan.write():
-            servos.write(data, duration_s, setpoints.position, setpoints.velocity,
-                         setpoints.acceleration, self._effort)
+        self.plan.write(duration_s, self._effort)
 
     @property
     def plans(self) -> bool:

@@ -12,6 +12,7 @@ runs no code of this module.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,14 +20,13 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import as_slice, BoolArray, FloatArray, IntArray
 from manip_sim.control.joint_accelerations import acceleration_limits
-from manip_sim.control.motion_profiles import Plan
-from manip_sim.control.servo_laws import activations, place_after
+from manip_sim.control.law.joint_records import Drives
 from manip_sim.control.servo_stability import (
     bounded_gains, changes, highest_gains, stable_gains)
 from manip_sim.errors import ModelError
 from manip_sim.physics.actuator_properties import (
-    check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
-from manip_sim.physics.physics import Physics
+    check_kinds, check_single, effort_range, stiffness_and_damping, velocity_limit)
+from manip_sim.physics.physics import Physics, places_of_inertia
 
 #: Position range that actions span for a joint without a range [rad or m].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
@@ -61,16 +61,11 @@ class Servos:
     :ivar acceleration_limit: after a jump of the goal [rad/s^2 or m/s^2], shape (n,)
     :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
     :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
-    :ivar reach: the same, infinite for sources of effort, whose setpoints are not used
-    :ivar follows: whether any joint follows its setpoint
-    :ivar any_gives_effort: whether any actuator is a source of effort
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
 
     #: Where results are written, and what follows from the rest.
-    not_in_digest = ('_effort_force', '_highest', 'lowered', '_all_accelerations', '_places',
-                     '_all_compensated', '_geared', '_sources', 'reach', 'follows',
-                     'any_gives_effort', 'turn')
+    not_in_digest = ('_highest', 'lowered', '_sources', '_drives', 'turn')
 
     def __init__(self, physics: Physics, actuators: Sequence[str], joints: Sequence[str],
                  gains_are_highest: bool = False) -> None:
@@ -93,7 +88,6 @@ class Servos:
         self._gains_of_model = self._stiffness.copy(), self._damping.copy()
         #: Effort per velocity that lets a joint move as fast as its setpoint.
         self._drag = self._damping + passive
-        self._friction = DryFriction(model, self.dofs)
         self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
         turns = model.jnt_type[joint_ids] == int(mujoco.mjtJoint.mjJNT_HINGE)
         self.turn: FloatArray = np.where(turns & ~self.limited, 2.0 * np.pi, 0.0)
@@ -112,15 +106,11 @@ class Servos:
         self.lead = self._lead(np.arange(len(ids)))
         self._gives_effort = np.zeros(len(ids), dtype=bool)
         self._sources = 0
-        self._find_reach()
         physics.on_change(self._find_places)
-        physics.on_change(self._make_room)
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
         model.actuator_ctrllimited[ids] = 0
         self._compensated = model.body_gravcomp[model.jnt_bodyid[joint_ids]] > 0.0
-        self._all_compensated = bool(self._compensated.all())
-        self._geared = bool((self._gear != 1.0).any())
         self._set_gains(np.arange(len(ids)))
 
     def _find_places(self) -> None:
@@ -130,17 +120,14 @@ class Servos:
         self.qpos: IntArray = model.jnt_qposadr[joint_ids].astype(np.int64)
         self.dofs: IntArray = model.jnt_dofadr[joint_ids].astype(np.int64)
         self._activation = model.actuator_actadr[ids].astype(np.int64)
-        #: Where the joints are in ``qpos``, ``qvel``, ``act`` and ``ctrl``.
-        self._places = tuple(
-            as_slice(of) for of in (self.qpos, self.dofs, self._activation, ids))
+        self._drives: Drives | None = None
 
     def look_at_joints(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
         model = self._physics.model
         self.passive_damping[:] = np.asarray(model.dof_damping).reshape(model.nv, -1)[
             self.dofs, 0]
-        self._drag = self._damping + self.passive_damping
-        self._friction.look(model, self.dofs)
+        self._drag, self._drives = self._damping + self.passive_damping, None
 
     def _stabilize(self, limited: BoolArray) -> None:
         """Lower gains that are too high for the timestep."""
@@ -199,13 +186,7 @@ class Servos:
         if changed.size:
             self._gives_effort[changed] = gives
             self._sources = int(np.count_nonzero(self._gives_effort))
-            self._find_reach()
             self._set_gains(changed)
-
-    def _find_reach(self) -> None:
-        self.follows, self.any_gives_effort = self._sources < len(self._ids), self._sources > 0
-        self.reach = np.where(self._gives_effort, np.inf, self.lead) if self._sources else (
-            self.lead)
 
     def any_gives_effort_of(self, indices: IntArray) -> bool:
         """Tell whether any of some actuators is a source of effort."""
@@ -240,7 +221,6 @@ class Servos:
         self._stiffness[indices], self._damping[indices] = stiffness, damping
         self._drag[indices] = damping + self.passive_damping[indices]
         self.lead[indices] = self._lead(indices)
-        self._find_reach()
         self._set_gains(indices)
         return True
 
@@ -253,19 +233,16 @@ class Servos:
         model.actuator_biasprm[ids, 1] = np.where(effort, 0.0, -stiffness)
         model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
 
-    def _make_room(self) -> None:
-        self._effort_force, self._all_accelerations = np.zeros((2, self._physics.model.nv))
-
-    def start(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
-              acceleration: FloatArray) -> None:
+    def start(self, data: mujoco.MjData, joints: Any) -> None:
         """
         Let the servos take over a motion at once, with the force that it needs.
 
-        :param position: [rad or m], shape (n,); ``velocity`` and ``acceleration`` too
+        :param joints: records of the motion, shape (n,)
         """
-        servos = np.flatnonzero(~self._gives_effort)
-        goal = self._goal(data, position, velocity, acceleration)
-        data.act[self._activation[servos]] = goal[servos]
+        from manip_sim.control.law.servo_rates import find_rates  # It imports numba.
+        servos, goals = np.flatnonzero(~self._gives_effort), np.zeros(len(self._ids))
+        find_rates(self._physics.arrays, self.drives, joints, 1.0, goals, np.empty(len(goals)))
+        data.act[self._activation[servos]] = goals[servos]
         data.ctrl[self._ids[servos]] = 0.0
 
     def behind(self, acceleration: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -289,104 +266,48 @@ class Servos:
         """Keep the setpoints where they are."""
         data.ctrl[self._ids] = 0.0
 
-    def measured(self, duration_s: float) -> FloatArray:
+    @property
+    def drives(self) -> Drives:
+        """What the compiled law is told of the servos."""
+        if self._drives is None:
+            model = self._physics.model
+            self._drives = Drives(
+                self.qpos, self.dofs, self._activation, self._ids,
+                places_of_inertia(model, self.dofs), self._gear, self._stiffness, self._drag,
+                np.array(model.dof_frictionloss[self.dofs]), self._compensated,
+                self._gives_effort, self.lead, self.velocity_limit.copy())
+        return self._drives
+
+    def find_rates(self, joints: Any, states: Any, ends_s: FloatArray) -> FloatArray:
         """
-        Return where the joints are; setpoints within :attr:`reach` of it need not be held back.
+        Return how servos follow setpoints in an interval, and how they follow a plan after it.
 
-        Joints faster than their limit go far in an interval, and must not stop at once.
-
-        :param duration_s: length of the interval [s]
-        :returns: [rad or m], shape (n,), may be a view
+        :param joints: records at the end of the first interval, shape (n,), may be held back
+        :param states: records at the ends of intervals, shape (k, n)
+        :param ends_s: of the intervals, since now [s], shape (k,)
+        :returns: rates of activations, of one interval or of all that are planned, shape (k, n)
         """
-        positions, velocities, _, _ = self._places
-        position, velocity = self._physics.qpos[positions], self._physics.qvel[velocities]
-        return place_after(position, velocity, self.ranges['velocity'][:, 1], duration_s)
+        from manip_sim.control.law.servo_rates import drive  # It imports numba.
+        rates = np.empty(states.shape)
+        return rates[:drive(self._physics.arrays, self.drives, joints, states, ends_s, rates)]
 
-    def write(self, data: mujoco.MjData, duration_s: float, position: FloatArray,
-              velocity: FloatArray, acceleration: FloatArray, effort: FloatArray) -> None:
+    def write(self, rates: FloatArray, efforts: FloatArray) -> None:
         """
-        Let the setpoints move linearly to new ones within an interval.
+        Let activations change in an interval, and sources exert their efforts at once.
 
-        A servo's activation is the position plus feedforward force / stiffness; the force covers
-        damping, friction, inertia and, with gravity compensation, Coriolis forces.
-
-        :param duration_s: length of the interval [s]
-        :param position: at its end [rad or m], shape (n,)
-        :param velocity: at its end [rad/s or m/s], shape (n,)
-        :param acceleration: at its end [rad/s^2 or m/s^2], shape (n,)
-        :param effort: of the sources of effort, at once [N m or N], shape (n,)
+        :param rates: of activations, shape (n,)
+        :param efforts: [N m or N], shape (n,)
         """
-        activations, controls = self._physics.act, self._physics.ctrl
-        _, _, activation, ids = self._places
-        if not self.follows:
-            controls[ids] = 0.0
-            activations[activation] = effort / self._gear
-            return
-        rate = self._goal(data, position, velocity, acceleration)
-        rate -= activations[activation]
-        rate /= duration_s
+        controls, where = self.controls
+        controls[where] = rates
         if self._sources:
-            rate[self._gives_effort] = 0.0
             sources = np.flatnonzero(self._gives_effort)
-            activations[self._activation[sources]] = effort[sources] / self._gear[sources]
-        controls[ids] = rate
-
-    def rates(self, plan: Plan) -> FloatArray:
-        """
-        Return what :meth:`write` would write in the intervals of a plan, shape (k, n).
-
-        Inertia and Coriolis forces are those of the present for all of them.
-        """
-        rates = self._goal(self._physics.data, plan.positions, plan.velocities, plan.accelerations)
-        rates[1:] -= rates[:-1].copy()
-        rates[0] -= self._physics.act[self._places[2]]
-        rates /= plan.durations_s
-        return rates
+            self._physics.act[self._activation[sources]] = efforts[sources] / self._gear[sources]
 
     @property
     def controls(self) -> tuple[FloatArray, slice | IntArray]:
         """All controls of the world, a view, and where those of the joints are in them."""
-        return self._physics.ctrl, self._places[3]
-
-    def write_rate(self, rate: FloatArray) -> None:
-        """
-        Let the setpoints of all joints, which are servos, move at a rate.
-
-        :param rate: a row of :meth:`rates`, shape (n,)
-        """
-        self._physics.ctrl[self._places[3]] = rate
-
-    def _goal(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
-              acceleration: FloatArray) -> FloatArray:
-        """Return the activations of servos with the force that the motion needs."""
-        physics, (_, dofs, _, _) = self._physics, self._places
-        if self._sources:
-            acceleration = np.where(self._gives_effort, 0.0, acceleration)
-        forces = [self._inertial(data, acceleration)]
-        if self._friction.acts:
-            forces.append(self._friction.at(velocity))
-        # The bias force minus the weight, which the actuators carry already.
-        coriolis = physics.bias[dofs] - physics.gravcomp[dofs]
-        if not self._all_compensated:
-            coriolis *= self._compensated
-        forces.append(coriolis)
-        goal = activations(position, velocity, forces, self._drag, self._stiffness)
-        if self._geared:
-            goal *= self._gear
-        return goal
-
-    def _inertial(self, data: mujoco.MjData, acceleration: FloatArray) -> FloatArray:
-        """Return the forces for accelerations, shape (..., n)."""
-        model, (_, dofs, _, _) = self._physics.model, self._places
-        if acceleration.ndim == 1:
-            self._all_accelerations[dofs] = acceleration
-            mujoco.mj_mulM(model, data, self._effort_force, self._all_accelerations)
-            return np.asarray(self._effort_force[dofs])
-        forces = np.empty((len(acceleration), model.nv))
-        for force, row in zip(forces, acceleration):
-            self._all_accelerations[dofs] = row
-            mujoco.mj_mulM(model, data, force, self._all_accelerations)
-        return np.asarray(forces[:, dofs])
+        return self._physics.ctrl, as_slice(self._ids)
 
 
 def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.joint_records import blank_state, records, SMOOTHING_S
-from manip_sim.control.motion_profiles import evenly_braked, Plan, within
+from manip_sim.control.motion_profiles import evenly_braked
 
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
 #: servos add up to 15 % while they take over.
@@ -33,44 +33,48 @@ class SetpointGenerator:
     :ivar lost: how many messages of streams seem to have been lost, shape (n,)
     :ivar now_s: simulation time, which the caller may set [s]
     :ivar moving: whether any setpoint moves or is about to
-    :ivar plan: that they follow, where nothing moves but streams on schedule, or None
-    :ivar row: which of its intervals was the last one
+    :ivar planned: for how many intervals the motion is planned: several where nothing moves but
+        streams on schedule
+    :ivar row: which of them was the last one
     """
 
     #: Only counted, or computed from the rest.
-    not_in_digest = ('limited', 'lost', '_ends_s', '_begin_s', '_states', 'plan', 'row')
+    not_in_digest = ('limited', 'lost', '_ends_s', '_ends_ahead_s', '_begin_s', '_states',
+                     'planned', 'row')
 
     def __init__(self, position_range: FloatArray, velocity_limit: FloatArray,
                  acceleration_limit: FloatArray) -> None:
         count = len(velocity_limit)
         self.limited, self.lost = np.zeros((2, count), dtype=np.int64)
         self._state = blank_state(acceleration_limit)
-        joints = self._joints
+        joints = self.joints
         joints['low'], joints['high'] = position_range.T
         joints['top'] = velocity_limit
         #: When the intervals of a control period end, since it began.
         self._ends_s: FloatArray = np.zeros(0)
+        #: When those of the plan do, since it began.
+        self._ends_ahead_s: FloatArray = np.zeros(0)
         self.reset(np.zeros(count))
 
     @property
-    def _joints(self) -> Any:
+    def joints(self) -> Any:
         """The state as records, a view."""
         return records(self._state)
 
     @property
     def position(self) -> FloatArray:
         """Setpoints at the end of the last interval [rad or m], shape (n,), a copy."""
-        return np.array(self._joints['position'])
+        return np.array(self.joints['position'])
 
     @property
     def velocity(self) -> FloatArray:
         """Their velocity there [rad/s or m/s], shape (n,), a copy."""
-        return np.array(self._joints['velocity'])
+        return np.array(self.joints['velocity'])
 
     @property
     def acceleration(self) -> FloatArray:
         """Their acceleration there [rad/s^2 or m/s^2], shape (n,), a copy."""
-        return np.array(self._joints['acceleration'])
+        return np.array(self.joints['acceleration'])
 
     def reset(self, position: FloatArray) -> None:
         """
@@ -78,14 +82,13 @@ class SetpointGenerator:
 
         :param position: [rad or m], shape (n,)
         """
-        before, self._state = self._joints, blank_state(self._joints['limit'])
-        joints = self._joints
+        before, self._state = self.joints, blank_state(self.joints['limit'])
+        joints = self.joints
         for name in ('low', 'high', 'top', 'longest', 'hold'):
             joints[name] = before[name]
         self.now_s = self._begin_s = 0.0
         self._states: FloatArray | None = None
-        self.plan: Plan | None = None
-        self.row = 0
+        self.planned, self.row = 1, 0
         self.place(np.arange(len(position)), position, np.zeros(len(position)))
         joints['moves'] = 0.0
         self.moving = False
@@ -100,33 +103,28 @@ class SetpointGenerator:
             due [s]; 0: two message intervals; None: no change
         """
         if longest_s is not None:
-            self._joints['longest'][indices] = longest_s
+            self.joints['longest'][indices] = longest_s
         if hold_s is not None:
-            self._joints['hold'][indices] = hold_s
+            self.joints['hold'][indices] = hold_s
 
     def stream_settings(self, index: int) -> tuple[float, float]:
         """Return what :meth:`set_stream` has set for a setpoint [s]."""
-        joint = self._joints[index]
+        joint = self.joints[index]
         return float(joint['longest']), float(joint['hold'])
 
     def at_rest(self, indices: IntArray) -> bool:
         """Return whether all of the given setpoints rest at their goals."""
-        return not self.moving or not np.count_nonzero(self._joints['moves'][indices])
-
-    @property
-    def settled(self) -> bool:
-        """Whether :meth:`advance` has nothing to do."""
-        return not (self.moving or np.count_nonzero(self._joints['held']))
+        return not self.moving or not np.count_nonzero(self.joints['moves'][indices])
 
     def wake(self) -> None:
         """Resume setpoints that were held back after they had come to rest."""
-        joints = self._joints
+        joints = self.joints
         joints['moves'] = np.maximum(joints['moves'], joints['held'])
         self.find_moving()
 
     def find_moving(self) -> None:
         """Find out whether any setpoint moves."""
-        self.moving = bool(np.count_nonzero(self._joints['moves']))
+        self.moving = bool(np.count_nonzero(self.joints['moves']))
 
     # ------------------------------------------------------------------ goals
 
@@ -139,7 +137,7 @@ class SetpointGenerator:
         :param position: [rad or m], shape of ``indices``
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        joints = self._joints
+        joints = self.joints
         low, high = joints['low'][indices], joints['high'][indices]
         joints['position'][indices] = np.clip(position, low, high)
         joints['velocity'][indices] = np.clip(velocity, np.where(position < low, 0.0, -np.inf),
@@ -153,7 +151,7 @@ class SetpointGenerator:
 
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        joints = self._joints
+        joints = self.joints
         joints['rate'][indices], joints['rate_goal'][indices] = (
             joints['velocity'][indices], velocity)
         joints['slope'][indices], joints['smoothing'][indices] = (
@@ -162,7 +160,7 @@ class SetpointGenerator:
             joints[name][indices] = 0.0
         joints['until'][indices], joints['arrived'][indices] = np.inf, -np.inf
         joints['moves'][indices] = 1.0
-        self.moving, self.plan = True, None
+        self.moving, self.planned, self.row = True, 1, 0
 
     def ramp_to(self, indices: IntArray, velocity: FloatArray, duration_s: float,
                 limit: FloatArray | None = None) -> None:
@@ -175,7 +173,7 @@ class SetpointGenerator:
             [rad/s^2 or m/s^2], shape of ``indices``
         """
         self.set_velocity(indices, velocity)
-        joints = self._joints
+        joints = self.joints
         change = np.abs(velocity - joints['rate'][indices])
         if limit is None:
             limit = joints['limit'][indices]
@@ -189,7 +187,7 @@ class SetpointGenerator:
 
         Where the range would end before, they slow down evenly up to there.
         """
-        joints = self._joints
+        joints = self.joints
         velocity = joints['velocity'][indices]
         self.set_velocity(indices, np.zeros(len(indices)))
         # They are at rest at the end of an interval, at the earliest of the first one.
@@ -230,9 +228,9 @@ class SetpointGenerator:
     def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
               stamp_s: float, velocities: bool) -> None:
         from manip_sim.control.law.stream_timing import wait  # It imports numba.
-        wait(self._joints, indices, np.ascontiguousarray(goals, dtype=np.float64),
+        wait(self.joints, np.array(indices), np.array(goals, dtype=np.float64),
              float(period_s), float(messages), float(stamp_s), velocities)
-        self.moving, self.plan = True, None
+        self.moving, self.planned, self.row = True, 1, 0
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -241,7 +239,7 @@ class SetpointGenerator:
         :param goal: [rad or m], shape of ``indices``
         """
         self.set_velocity(indices, np.zeros(len(indices)))
-        joints = self._joints
+        joints = self.joints
         joints['goal'][indices] = joints['target'][indices] = goal
         joints['seeks'][indices] = joints['brakes'][indices] = 1.0
 
@@ -254,7 +252,7 @@ class SetpointGenerator:
 
         :param position: [rad or m], shape of ``indices``; ``velocity`` and ``acceleration`` too
         """
-        joints = self._joints
+        joints = self.joints
         inside = (position >= joints['low'][indices]) & (position <= joints['high'][indices])
         self.place(indices, position, np.where(inside, velocity, 0.0))
         joints['acceleration'][indices] = np.where(inside, acceleration, 0.0)
@@ -266,8 +264,8 @@ class SetpointGenerator:
         :param position: by which they move [rad or m], shape of ``indices``
         :param velocity: by which they become faster [rad/s or m/s], shape of ``indices``
         """
-        self._joints['position'][indices] += position
-        self._joints['velocity'][indices] += velocity
+        self.joints['position'][indices] += position
+        self.joints['velocity'][indices] += velocity
 
     # ------------------------------------------------------------------ motion
 
@@ -277,52 +275,66 @@ class SetpointGenerator:
 
         :param ends_s: when its intervals end, since it begins now [s], shape (k, 1)
         """
-        self._ends_s, self._begin_s, self.plan = ends_s[:, 0], self.now_s, None
+        self._ends_s, self._begin_s = ends_s[:, 0], self.now_s
+        self.planned, self.row = 1, 0
 
-    def ends_left(self, now_s: float, duration_s: float) -> FloatArray:
+    def advance(self, duration_s: float, plans: bool = True) -> None:
         """
-        Return when the intervals that are left of the period end, since now [s], shape (k,).
+        Advance all setpoints that move.
 
-        :param now_s: simulation time [s]
-        :param duration_s: of the next one, which is alone where the period is divided otherwise
+        :param duration_s: length of the interval [s]
+        :param plans: whether the rest of the period may be planned, as nothing else moves them
         """
-        first = int(np.count_nonzero(self._ends_s <= now_s - self._begin_s + 1e-9))
-        ends_s = self._ends_s[first:] - self._ends_s[first - 1] if first else self._ends_s
+        if self.row + 1 < self.planned:
+            self._follow(self.row + 1, duration_s)
+            return
+        self.planned, self.row = 1, 0
+        if not (self.moving or np.count_nonzero(self.joints['held'])):
+            self.now_s += duration_s
+            return
+        from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
+        self._ends_ahead_s = self._ends_left(duration_s) if plans else np.array([duration_s])
+        self._states = np.empty((len(self._ends_ahead_s), *self._state.shape))
+        self.planned, counted = advance(self.joints, records(self._states), self.now_s,
+                                        self._ends_ahead_s)
+        if counted:
+            self._count(self._states)
+        self._follow(0, duration_s)
+
+    def _ends_left(self, duration_s: float) -> FloatArray:
+        """Return when the intervals that are left of the period end, since now [s], shape (k,)."""
+        ends_s, since_s = self._ends_s, self.now_s - self._begin_s
+        if since_s > 1e-9:
+            first = int(np.count_nonzero(ends_s <= since_s + 1e-9))
+            if first:
+                ends_s = ends_s[first:] - ends_s[first - 1]
         if len(ends_s) < 2 or abs(ends_s[0] - duration_s) > 1e-9:
             return np.array([duration_s])
         return ends_s
 
-    def advance(self, duration_s: float) -> None:
+    def _count(self, states: FloatArray) -> None:
+        """Count what was limited and lost, and begin anew."""
+        numbers = records(states)
+        self.limited += numbers['limited'][0].astype(np.int64)
+        self.lost += numbers['lost'][0].astype(np.int64)
+        numbers['limited'] = numbers['lost'] = 0.0
+
+    def ahead(self, duration_s: float) -> tuple[Any, Any, FloatArray]:
         """
-        Advance all setpoints.
+        Return where setpoints are at the end of this interval, and of those that are planned.
 
         :param duration_s: length of the interval [s]
+        :returns: records of the first, shape (n,), a view, and of all of them, shape (k, n), and
+            when they end, since now [s], shape (k,)
         """
-        if self.plan is not None and self.row + 1 < len(self.plan.durations_s):
-            self._follow(self.row + 1, duration_s)
-            return
-        from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
-        ends_s = self.ends_left(self.now_s, duration_s)
-        states = np.empty((len(ends_s), *self._state.shape))
-        count = advance(self._joints, records(states), self.now_s, ends_s)
-        self.take_states(states, ends_s if count > 1 else None)
-        self._follow(0, duration_s)
+        joints = self.joints
+        if self.planned > 1 and self._states is not None:
+            return joints, records(self._states), self._ends_ahead_s
+        return joints, joints[None], np.array([duration_s])
 
-    def take_states(self, states: FloatArray, ends_s: FloatArray | None) -> None:
-        """
-        Take over states at the ends of intervals, of which the first is next.
-
-        :param states: shape (k, n, fields)
-        :param ends_s: of the intervals, if they are a plan, shape (k,)
-        """
-        self._states, self.row = states, 0
-        self.plan = None if ends_s is None else plan_of(records(states), ends_s)
-        joints = records(states[0])
-        if np.count_nonzero(joints['limited']) or np.count_nonzero(joints['lost']):
-            self.limited += joints['limited'].astype(np.int64)
-            self.lost += joints['lost'].astype(np.int64)
-            numbers = records(states)
-            numbers['limited'] = numbers['lost'] = 0.0
+    def keep(self, planned: int) -> None:
+        """Keep a plan for as many intervals only."""
+        self.planned = min(self.planned, planned)
 
     def _follow(self, row: int, duration_s: float) -> None:
         assert self._states is not None
@@ -333,47 +345,4 @@ class SetpointGenerator:
 
     def end_plan(self) -> None:
         """Follow the plan through all intervals that are left in it."""
-        assert self.plan is not None
-        self._follow(len(self.plan.durations_s) - 1, 0.0)
-
-    def hold_back(self, measured: FloatArray, lead: FloatArray) -> None:
-        """
-        Keep setpoints from running ahead of joints that cannot keep up.
-
-        :param measured: where the joints are [rad or m], shape (n,)
-        :param lead: how far a setpoint may be from there [rad or m], shape (n,)
-        """
-        if np.count_nonzero(hold_back(self._joints, measured, lead)):
-            self.plan = None
-
-
-def plan_of(states: Any, ends_s: FloatArray) -> Plan:
-    """
-    Return what states mean for servos.
-
-    :param states: records at the ends of intervals, shape (k, ..., n)
-    :param ends_s: of the intervals, since now [s], shape (k,)
-    """
-    durations_s = np.diff(ends_s, prepend=0.0).reshape(-1, *(1,) * (states.ndim - 1))
-    return Plan(durations_s, *(
-        np.array(states[name]) for name in ('position', 'velocity', 'acceleration')))
-
-
-def hold_back(joints: Any, measured: FloatArray, lead: FloatArray) -> BoolArray:
-    """
-    Keep setpoints from running ahead of joints that cannot keep up.
-
-    :param joints: records, shape (..., n)
-    :param measured: where the joints are [rad or m], shape (..., n)
-    :param lead: how far a setpoint may be from there [rad or m], shape (..., n)
-    :returns: which had to be held back, shape (..., n)
-    """
-    position = joints['position']
-    held: BoolArray = np.abs(position - measured) > lead
-    if not np.count_nonzero(held):
-        return held
-    position[held] = within(position, measured - lead, measured + lead)[held]
-    joints['held'][held] = 1.0
-    for name in ('raw', 'first', 'second', 'rate', 'velocity', 'acceleration'):
-        joints[name][held] = 0.0
-    return held
+        self._follow(self.planned - 1, 0.0)

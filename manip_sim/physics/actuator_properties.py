@@ -19,8 +19,6 @@ from manip_sim.models.setpoint_activation import position_servos
 _LAG_S = 0.013
 #: Velocity limit of a joint that declares none [rad/s or m/s].
 _DEFAULT_VELOCITY = np.pi
-#: Lowest velocity at which all of a joint's dry friction is compensated [rad/s or m/s].
-_SLIDING = 0.05
 
 
 def check_single(actuators: Sequence[str], joints: Sequence[str]) -> None:
@@ -76,37 +74,6 @@ def stiffness_and_damping(model: mujoco.MjModel, ids: IntArray, dofs: IntArray
     kv = np.where((position_servo | velocity_servo) & (kv > 0.0), kv,
                   2.0 * np.sqrt(np.maximum(kp * inertia, 0.0)))
     return kp, kv
-
-
-class DryFriction:
-    """
-    The dry friction of joints at a velocity.
-
-    MuJoCo's noslip solver, which all worlds have, lets friction act in full at any velocity. Here
-    it sets in over a small velocity, so that joints at rest are not pushed to and fro.
-
-    :param model: the compiled ``mujoco.MjModel``
-    :param dofs: of the joints, shape (n,)
-    """
-
-    def __init__(self, model: mujoco.MjModel, dofs: IntArray) -> None:
-        self.look(model, dofs)
-
-    def look(self, model: mujoco.MjModel, dofs: IntArray) -> None:
-        """Take over what a model has now; arguments are as for the constructor."""
-        self._largest: FloatArray = model.dof_frictionloss[dofs].copy()
-        self._none = not self._largest.any()
-
-    @property
-    def acts(self) -> bool:
-        """Whether any joint has dry friction."""
-        return not self._none
-
-    def at(self, velocity: FloatArray) -> FloatArray:
-        """Return the effort that overcomes it [N m or N], shape of ``velocity``."""
-        if self._none:
-            return self._largest
-        return np.asarray(self._largest * np.minimum(np.maximum(velocity / _SLIDING, -1.0), 1.0))
 
 
 def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:

@@ -21,7 +21,7 @@ PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 class WorldArrays(NamedTuple):
     """
-    Arrays of ``MjData`` that laws of control read, as views.
+    Arrays of ``MjData`` that laws of control read and write, as views.
 
     :ivar positions: ``qpos``, shape (nq,)
     :ivar velocities: ``qvel``, shape (nv,)
@@ -30,6 +30,8 @@ class WorldArrays(NamedTuple):
     :ivar carried: ``qfrc_gravcomp``, shape (nv,)
     :ivar motions: ``cdof``, shape (nv, 6)
     :ivar centers: ``subtree_com``, that these are about [m], shape (nbody, 3)
+    :ivar activations: ``act``, shape (na,)
+    :ivar controls: ``ctrl``, shape (nu,)
     """
 
     positions: FloatArray
@@ -39,6 +41,16 @@ class WorldArrays(NamedTuple):
     carried: FloatArray
     motions: FloatArray
     centers: FloatArray
+    activations: FloatArray
+    controls: FloatArray
+
+
+def places_of_inertia(model: mujoco.MjModel, dofs: IntArray) -> IntArray:
+    """Return where the inertia of degrees of freedom is in ``M``, -1 where it is zero, (n, n)."""
+    places = np.full((model.nv, model.nv), -1)
+    rows, columns = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
+    places[rows, columns] = places[columns, rows] = np.arange(len(columns))
+    return places[np.ix_(dofs, dofs)]
 
 
 class Physics:
@@ -77,7 +89,7 @@ class Physics:
         self.qpos, self.qvel, self.act, self.ctrl = data.qpos, data.qvel, data.act, data.ctrl
         self.bias, self.gravcomp = data.qfrc_bias, data.qfrc_gravcomp
         self.arrays = WorldArrays(self.qpos, self.qvel, data.M, self.bias, self.gravcomp,
-                                  data.cdof, data.subtree_com)
+                                  data.cdof, data.subtree_com, self.act, self.ctrl)
         for adapt in self._adapt:
             adapt()
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import contextlib
 from functools import partial
+import threading
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -32,7 +33,6 @@ from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, offer_actions
-from manip_sim.ros.background import begin
 from manip_sim.ros.camera_publishers import offer_cameras
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.declared_parameters import Parameters
@@ -56,7 +56,6 @@ from manip_sim.ros.state_publishers import ClockPublisher, ModelPublisher
 from manip_sim.ros.surroundings_topics import SurroundingsTopics
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.laws import load_laws
 
 #: How many publications may wait, by stepping: states would become old in ``free``, else as many
 #: as a second of states, while a reader does not acknowledge.
@@ -347,7 +346,8 @@ class SimNode(Node):
         if self._command_thread is not None:
             self._command_thread.start()
         if self.declared.value('stepping') == 'realtime':
-            begin(load_laws)  # The first command should not wait for them.
+            # The first command should not wait for them.
+            threading.Thread(target=_load_laws, name='laws').start()
         # The first state should not wait for these, which take longer.
         for publish in self._at_start:
             publish()
@@ -376,3 +376,8 @@ class SimNode(Node):
     def stop(self) -> None:
         """End the simulation and all threads of the node; again, this does nothing."""
         self._ends.close()
+
+
+def _load_laws() -> None:
+    from manip_sim.control.law.loading import load_laws  # It imports numba.
+    load_laws()

@@ -42,10 +42,14 @@ class Interval:
                  compute: Callable[[], object]) -> None:
         self.robots, self.duration_s, self.compute = robots, duration_s, compute
 
-    def run(self) -> None:
-        """Run control and physics."""
+    def control(self) -> None:
+        """Write the controls."""
         for robot in self.robots:
             robot.tick(self.duration_s)
+
+    def run(self) -> None:
+        """Run control and physics."""
+        self.control()
         self.compute()
 
 

@@ -396,14 +396,6 @@ class SimulatedRobot:
         :param duration_s: length of the interval [s]
         """
         self.joints.tick(self._physics.data, self._clock.control_s, duration_s)
-        self.tick_grippers(duration_s)
-
-    def tick_grippers(self, duration_s: float) -> None:
-        """
-        Write the controls of the grippers for the next interval.
-
-        :param duration_s: length of the interval [s]
-        """
         for gripper in self.grippers.values():
             if gripper.moving:
                 gripper.tick(self._physics.data, duration_s)

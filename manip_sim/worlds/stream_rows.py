@@ -12,17 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.commands import JointSetpoint, Status
+from manip_sim.control.joint_controller import JointController
+from manip_sim.control.law.joint_records import records
 from manip_sim.control.modes import POSITION
 from manip_sim.control.planned_controls import PlannedRates
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.worlds.joint_rows import takes
-from manip_sim.worlds.servo_rows import ServoRows
-from manip_sim.worlds.setpoint_rows import SetpointRows
 
 #: With fewer worlds, one by one is as fast.
 _LEAST = 3
@@ -51,10 +51,12 @@ class StreamRows:
         #: Of all rows: simulation time, and the period that new goals are meant for.
         self._clock, self._period_s = self._robots[0]._clock, self._robots[0]._period_s
         self._ran_s = 0.0
-        generators = [joints._setpoints for joints in self._joints]
-        for generator in generators:
-            generator.now_s = self._clock.control_s
-        self._setpoints, self._servos = SetpointRows(generators), ServoRows(self._robots)
+        self._setpoints = [joints._setpoints for joints in self._joints]
+        self._servos = [joints._servos for joints in self._joints]
+        #: Until when setpoints were advanced before a plan.
+        self._now_s = self._clock.control_s
+        #: The records of all setpoints, shape (rows, n, fields).
+        self._state = np.stack([setpoints._state for setpoints in self._setpoints])
         #: The goals that came last: those that wait, and those that were taken, and when.
         self._waiting: FloatArray | None = None
         self._taken: tuple[FloatArray, float] | None = None
@@ -101,7 +103,11 @@ class StreamRows:
         self.holds = False
         for joints in self._joints:
             joints.holder = None
-        self._setpoints.release(range(len(self._joints)))
+        for setpoints, state in zip(self._setpoints, self._state):
+            setpoints._state[:] = state
+            setpoints.now_s = self._now_s
+            setpoints.planned, setpoints.row = 1, 0
+            setpoints.find_moving()
         if self._waiting is not None:
             for robot, command in self._commands(self._waiting):
                 robot.joints.apply(
@@ -147,23 +153,60 @@ class StreamRows:
                 and not any([gripper.moving for gripper in self._grippers]))
 
     def _plan(self, steps: int) -> FloatArray | None:
-        """Return the rates of setpoints in the intervals of a period, or None without a plan."""
-        setpoints, now_s = self._setpoints, self._clock.control_s
-        plan = setpoints.plan_period(
-            now_s, self.simulations[0]._periods.ends_s(steps), self._waiting, self._period_s)
-        if plan is None or not self._servos.keep_up(plan):
+        """Return the rates of servos in the intervals of a period, or None without a plan."""
+        from manip_sim.control.law.setpoint_motion import advance_rows  # It imports numba.
+        from manip_sim.control.law.stream_timing import wait
+        now_s, ends_s = self._clock.control_s, self.simulations[0]._periods.ends_s(steps)[:, 0]
+        before, joints = self._state.copy(), records(self._state)
+        if self._waiting is not None:
+            for row, goals in zip(joints, self._waiting):
+                wait(row, self._everything, goals, self._period_s, 1.0, 0.0, False)
+        states = np.empty((len(joints), len(ends_s), *self._state.shape[1:]))
+        ahead, now = records(states), np.full(len(joints), now_s)
+        rates = None
+        if len(ends_s) > 1 and (advance_rows(joints, ahead, now, ends_s) == len(ends_s)).all():
+            rates = self._rates(ahead, ends_s)
+        if rates is None:
+            self._state = before
             return None
         if self._waiting is not None:
             self._taken, self._waiting = (self._waiting, now_s), None
-        setpoints.follow_plan()
+        self._follow(states)
+        self._now_s = now_s + float(ends_s[0])
         period_s = steps * self.simulations[0].timestep_s
         if period_s != self._ran_s:
             self._ran_s = self._period_s = period_s
             for robot in self._robots:
                 robot._period_s = robot.joints.cartesian.period_s = period_s
-        return self._servos.rates(
-            range(len(self._joints)), plan.durations_s.reshape(1, -1, 1),
-            *(np.swapaxes(part, 0, 1) for part in plan[1:]))
+        return rates
+
+    def _rates(self, ahead: Any, ends_s: FloatArray) -> FloatArray | None:
+        """Return the rates of servos, (rows, k, n), or None where joints have to be watched."""
+        rates = np.empty(ahead.shape)
+        for row, servos in enumerate(self._servos):
+            found = servos.find_rates(ahead[row, 0], ahead[row], ends_s)
+            if len(found) < len(ends_s):
+                return None
+            rates[row] = found
+        return rates
+
+    def _follow(self, states: FloatArray) -> None:
+        """Take over where a plan ends, and count what has been limited and lost."""
+        first = records(states[:, 0])
+        for setpoints, joints in zip(self._setpoints, first):
+            if np.count_nonzero(joints['limited']) or np.count_nonzero(joints['lost']):
+                setpoints.limited += joints['limited'].astype(np.int64)
+                setpoints.lost += joints['lost'].astype(np.int64)
+        self._state = states[:, -1].copy()
+        joints = records(self._state)
+        joints['limited'] = joints['lost'] = 0.0
+
+
+def takes(joints: JointController) -> bool:
+    """Return whether joints do nothing but follow setpoints, until the next command."""
+    return (joints._setpoints.moving and not joints._efforts_due
+            and not joints.commands.waiting and not joints._servos._sources
+            and all([type(command) is JointSetpoint for command in joints.commands.running]))
 
 
 def stream_rows(simulations: Iterable[Simulation]) -> StreamRows | None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import BoolArray, IntArray
+from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
 from manip_sim.errors import (
     CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models.initialization_noise import checked_seed
@@ -21,7 +22,6 @@ from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
 from manip_sim.validation import whole_number
-from manip_sim.worlds.control_together import ControlTogether, has_cartesian_commands
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
 from manip_sim.worlds.rows import chosen
@@ -61,7 +61,7 @@ class Worlds:
         template = Template(first)
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
-        self._control, self._streams = ControlTogether(), Streams(self.simulations)
+        self._streams = Streams(self.simulations)
         self._closed = False
         self.robots = {name: RobotInWorlds([simulation.robots[name]
                                             for simulation in self.simulations],
@@ -166,7 +166,7 @@ class Worlds:
 
     def _advance_together(self, simulations: list[Simulation], steps: int) -> None:
         """Run a control period in worlds whose control may be computed together."""
-        cartesian = [has_cartesian_commands(simulation) for simulation in simulations]
+        cartesian = [_has_cartesian_commands(simulation) for simulation in simulations]
         led = [simulation for simulation, has in zip(simulations, cartesian) if has]
         count = _IN_CACHE * self._threads.count
         for some in ([simulation for simulation, has in zip(simulations, cartesian) if not has],
@@ -176,12 +176,13 @@ class Worlds:
 
     def _run(self, periods: list[Iterator[Interval]]) -> None:
         """Run control periods, each interval in all worlds before the next one."""
-        with self._control.period():
-            while periods:
-                periods, intervals = _next_intervals(periods)
-                self._control.run(intervals)
-                self._threads.run([interval.compute for interval in intervals])
-        self._streams.likely |= self._control.planned
+        while periods:
+            periods, intervals = _next_intervals(periods)
+            robots = [robot for interval in intervals for robot in interval.robots]
+            for interval in intervals:
+                interval.control()
+            self._streams.likely |= sum(robot.plans for robot in robots) > 1
+            self._threads.run([interval.compute for interval in intervals])
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:
@@ -262,6 +263,12 @@ class Worlds:
             return self.simulations
         mask = chosen(where, len(self))
         return [simulation for simulation, wanted in zip(self.simulations, mask) if wanted]
+
+
+def _has_cartesian_commands(simulation: Simulation) -> bool:
+    """Return whether a robot has Cartesian commands, for which control acts in each interval."""
+    return any([isinstance(command, CartesianCommand) for robot in simulation.robots.values()
+                for command in robot.joints.commands.running])
 
 
 def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[], None]:

@@ -78,6 +78,38 @@ def test_laws_are_compiled_once_and_that_is_logged(tmp_path):
     assert second == ''
 
 
+USING = """
+import sys
+from manip_sim.control.law.loading import load_laws
+from manip_sim.models import compose
+from manip_sim.simulation import Simulation
+load_laws()
+laws = {f'{name}.{law}': found for name, room in list(sys.modules.items())
+        if name.startswith('manip_sim.control.law.')
+        for law, found in vars(room).items() if hasattr(found, 'signatures')}
+before = {name: law.signatures for name, law in laws.items()}
+simulation = Simulation(compose('Panda'))
+robot, names = simulation.robot, simulation.robot.joint_names[:7]
+for mode in ('effort', 'position'):
+    robot.set_control_mode('arm', mode)
+    for _ in range(4):
+        robot.apply(robot.parse_cartesian.action('right', [0.1] * 6), period_s=0.02)
+        simulation.advance(10)
+    robot.apply(robot.parse_cartesian.twist('right', [0.1] * 3, [0.1] * 3), period_s=0.02)
+    simulation.advance(10)
+for _ in range(4):
+    robot.apply(*robot.parse.joint_command(names, position=robot.measured('arm')[:7]),
+                period_s=0.02)
+    simulation.advance(10)
+later = {name: law.signatures for name, law in laws.items() if law.signatures != before[name]}
+assert not later, later
+"""
+
+
+def test_loaded_laws_are_those_that_commands_need():
+    run(USING)
+
+
 def test_laws_of_old_versions_do_not_pile_up(tmp_path):
     parent = tmp_path / 'manip_sim/laws'
     for number in range(6):

@@ -179,7 +179,6 @@ def test_stamps_and_the_parameters_of_streams_count_for_target_poses_too(arm, se
     arm.client.publish('right/target_pose', pose)
     targets = served.simulation.robot.joints.cartesian._targets
     arm.client.spin_until(lambda: 'right' in targets and targets['right'].stream is not None)
-    clocks = targets['right'].stream._estimator.clocks
-    arm.client.spin_until(lambda: any(
-        clock is not None and clock._stamp_s == pytest.approx(1234.05) for clock in clocks._of))
-    assert set(clocks._settings) == {(4.0, 0.5)}
+    joints = targets['right'].stream._joints
+    arm.client.spin_until(lambda: np.allclose(joints['stamp'], 1234.05))
+    assert (joints['longest'] == 4.0).all() and (joints['hold'] == 0.5).all()

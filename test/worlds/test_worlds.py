@@ -324,7 +324,7 @@ def test_a_stream_whose_goals_are_off_at_random_is_averaged_in_its_own_world_alo
         pair._both('joint_command', (names,), None, position=goals)
         pair.advance(steps)
     pair.check_equal()
-    joints = [of.robot.joints._setpoints._joints[0] for of in pair.simulations]
+    joints = [of.robot.joints._setpoints.joints[0] for of in pair.simulations]
     assert [of['memory'] > 0.01 for of in joints] == [False, True, False]
 
 

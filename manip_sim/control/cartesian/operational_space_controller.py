@@ -16,7 +16,7 @@ from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.cartesian.targets import Target
 from manip_sim.control.law.arm_records import Arm, Goal, Motion, Spring
 from manip_sim.control.servos import Servos
-from manip_sim.physics.physics import Physics
+from manip_sim.physics.physics import Physics, places_of_inertia
 from manip_sim.physics.robot_frames import Frame
 
 #: A pose is reached within this [m, rad], by an end effector that is slower [m/s, rad/s].
@@ -120,7 +120,7 @@ class OperationalSpaceController:
         weakest, strongest = np.ascontiguousarray(servos.ranges['effort'][indices].T)
         return Arm(
             indices, servos.qpos[indices], dofs, _moving(model, tip.body)[dofs],
-            _places_of_inertia(model, dofs), self._low[indices], self._high[indices],
+            places_of_inertia(model, dofs), self._low[indices], self._high[indices],
             servos.velocity_limit[indices], weakest, strongest, servos.passive_damping[indices],
             servos.turn[indices], int(model.body_rootid[tip.body]))
 
@@ -132,11 +132,3 @@ def _moving(model: mujoco.MjModel, body: int) -> BoolArray:
         body = int(model.body_parentid[body])
         bodies.add(body)
     return np.isin(model.dof_bodyid, list(bodies))
-
-
-def _places_of_inertia(model: mujoco.MjModel, dofs: IntArray) -> IntArray:
-    """Return where the inertia of degrees of freedom is in ``M``, -1 where it is zero, (n, n)."""
-    places = np.full((model.nv, model.nv), -1)
-    rows, columns = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
-    places[rows, columns] = places[columns, rows] = np.arange(len(columns))
-    return places[np.ix_(dofs, dofs)]

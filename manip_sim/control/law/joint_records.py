@@ -10,11 +10,11 @@ A coordinate is a joint, or any other number with limits, such as a component of
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 
 #: Fields of a record, each a float [s, rad or m, and per s]; flags are 0 or 1.
@@ -57,6 +57,40 @@ JOINT = np.dtype([(name, np.float64) for name in FIELDS])
 _PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'
 #: Time constant of what is tracked beside the reference, at least [s].
 SMOOTHING_S = 0.02
+
+
+class Drives(NamedTuple):
+    """
+    The servos of the joints of a robot.
+
+    :ivar qpos: addresses of the joints in ``qpos``, shape (n,)
+    :ivar dofs: in ``qvel``, shape (n,)
+    :ivar activations: of their actuators in ``act``, shape (n,)
+    :ivar controls: in ``ctrl``, shape (n,)
+    :ivar places: of their inertia in ``M``, -1 where it is zero, shape (n, n)
+    :ivar gear: joint to actuator, shape (n,)
+    :ivar stiffness: [N m/rad or N/m], shape (n,)
+    :ivar drag: damping of servos and joints [N m s/rad or N s/m], shape (n,)
+    :ivar friction: dry [N m or N], shape (n,)
+    :ivar compensated: whether the weight is, shape (n,)
+    :ivar gives: which are sources of effort, shape (n,)
+    :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
+    :ivar top: velocity limit [rad/s or m/s], shape (n,)
+    """
+
+    qpos: IntArray
+    dofs: IntArray
+    activations: IntArray
+    controls: IntArray
+    places: IntArray
+    gear: FloatArray
+    stiffness: FloatArray
+    drag: FloatArray
+    friction: FloatArray
+    compensated: BoolArray
+    gives: BoolArray
+    lead: FloatArray
+    top: FloatArray
 
 
 def records(state: FloatArray) -> Any:

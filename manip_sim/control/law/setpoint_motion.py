@@ -137,7 +137,7 @@ def rest(x: Any) -> None:
 
 
 @compiled
-def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> int:
+def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> tuple[int, bool]:
     """
     Take in goals that wait, and move the setpoints of a robot in the intervals of a period.
 
@@ -145,10 +145,13 @@ def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> int:
     :param states: are set to the records at the ends of intervals, shape (k, n)
     :param now: simulation time [s]
     :param ends: of the intervals, since now [s], shape (k,)
-    :returns: how many intervals that is: one, or all where only references move
+    :returns: how many intervals that is: one, or all where only references move; and whether
+        anything is counted in the first of them
     """
     take_waiting(joints, now)
-    begin = 0.0
+    begin, counted = 0.0, False
+    for i in range(len(joints)):
+        counted = counted or joints[i].limited != 0.0 or joints[i].lost != 0.0
     for k in range(len(ends)):
         plain, moves = True, False
         for i in range(len(joints)):
@@ -162,8 +165,8 @@ def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> int:
         begin = ends[k]
         if not (plain and moves):
             # What follows may depend on what is measured after this interval.
-            return 1
-    return len(ends)
+            return 1, counted
+    return len(ends), counted
 
 
 @compiled
@@ -179,5 +182,5 @@ def advance_rows(joints: Any, states: Any, now: FloatArray, ends: FloatArray) ->
     """
     counts = np.empty(len(joints), np.int64)
     for world in range(len(joints)):
-        counts[world] = advance(joints[world], states[world], now[world], ends)
+        counts[world], _ = advance(joints[world], states[world], now[world], ends)
     return counts

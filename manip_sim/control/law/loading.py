@@ -1,0 +1,46 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Load the compiled laws before a command needs them, and compile them if need be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manip_sim.control.law.arm_records import Arm, Goal, Motion, Spring
+from manip_sim.control.law.displacement import displace
+from manip_sim.control.law.joint_records import blank_state, Drives, records
+from manip_sim.control.law.operational_space import exert
+from manip_sim.control.law.servo_rates import drive, find_rates
+from manip_sim.control.law.setpoint_motion import advance
+from manip_sim.control.law.singular_directions import limit_rate
+from manip_sim.control.law.stream_goals import take_alone
+from manip_sim.control.law.stream_timing import wait
+from manip_sim.physics.physics import WorldArrays
+
+#: Joints of an arm that nobody sees.
+_COUNT = 6
+
+
+def load_laws() -> None:
+    """Load or compile what a simulation calls, in calls of no consequence; in any thread."""
+    none, one, places = np.zeros(_COUNT), np.ones(_COUNT), np.arange(_COUNT)
+    nowhere, no = np.full((_COUNT, _COUNT), -1), none > 0.0
+    world = WorldArrays(none, none, none, none, none, np.zeros((_COUNT, 6)), np.zeros((1, 3)),
+                        none.copy(), none.copy())
+    state, ahead = blank_state(one), np.zeros((1, *blank_state(one).shape))
+    joints, states, ends_s = records(state), records(ahead), np.ones(1)
+    wait(joints, places, none, 0.01, 1.0, 0.0, False)
+    advance(joints, states, 0.0, ends_s)
+    drives = Drives(places, places, places, places, nowhere, one, one, one, none, no, no, one, one)
+    drive(world, drives, joints, states, ends_s, np.empty((1, _COUNT)))
+    find_rates(world, drives, joints, 1.0, one.copy(), none.copy())
+    take_alone(joints, 0.0)
+    jacobian = np.eye(_COUNT)
+    displace(jacobian, none, -one, one, none, False, none.copy(), none.copy(), no.copy(),
+             jacobian.copy())
+    limit_rate(jacobian, none, one, 1.0)
+    arm = Arm(places, places, places, ~no, nowhere, -one, one, one, -one, one, none, none, 0)
+    exert(world, arm, np.zeros(3), np.eye(3),
+          Goal(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3), none), none,
+          Spring(1.0, 1.0, 1.0, 1.0), False, Motion.of(_COUNT))
