@@ -16,7 +16,12 @@ import shutil
 import subprocess
 import sys
 
+from manip_sim.startup import use_one_blas_thread
 from manip_sim.testing.domains import reserve_domain
+if 'numpy' not in sys.modules:
+    # As in the programs of the package: idle threads of workers and of what they start busy-wait,
+    # which takes a fifth of the processor time of tests that compute.
+    use_one_blas_thread()
 import numpy as np
 from operators import Operator
 import pytest
