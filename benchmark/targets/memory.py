@@ -29,7 +29,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
         begin, taken, simulated_h = time.monotonic(), [], 0.0
         while _goes_on(settings, time.monotonic() - begin, simulated_h):
             taken.append(memory_mb(node.pid))
-            time.sleep(_BETWEEN_S)
+            time.sleep(min(_BETWEEN_S, _WATCHED_S * settings.scale))
             # It keeps what came; that is forgotten here.
             simulated_h += listener.ask('report')[0] * 1e-9 / _HOUR_S
             listener.ask('begin')

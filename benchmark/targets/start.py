@@ -29,11 +29,12 @@ def measure(settings: Settings) -> Iterator[Figure]:
         model = Path(folder, 'model.xml')
         model.write_text(compose('Panda').to_xml())
         rounds = []
-        for n in range(settings.rounds + 1):
+        # The first round reads from the disk.
+        before = 0 if settings.smoke else 1
+        for n in range(before + settings.rounds):
             settings.report(f'start, {n} of {settings.rounds}')
             rounds.append((_bare_s(model), _first_state_s(), _first_state_s(model)))
-    # The first round reads from the disk.
-    rounds = rounds[1:]
+    rounds = rounds[before:]
     settings.report('start [s]: ' + '; '.join(
         f'{what} {[round(times[n], 2) for times in rounds]}'
         for n, what in enumerate(('bare', 'node', 'plain loop'))))
