@@ -232,7 +232,7 @@ def test_objects_that_came_and_went_leave_nothing_and_dumps_start_identical_node
 
 
 @pytest.mark.full
-def test_500_objects_that_came_and_went_leave_nothing(serve, tmp_path):
+def test_50_objects_that_came_and_went_leave_nothing(serve, tmp_path):
     (tmp_path / 'mechanism.xml').write_text(MECHANISM)
     node = serve(robot='UR5e', gripper='none', start_paused=True)
 
@@ -255,7 +255,7 @@ def test_500_objects_that_came_and_went_leave_nothing(serve, tmp_path):
     come_and_go(1)
     first = *ledger(node), len(list(node.waitables)), len(list(node.guards)), len(
         node.thread.observers._all)
-    for number in range(2, 500):
+    for number in range(2, 50):
         come_and_go(number)
     assert (*ledger(node), len(list(node.waitables)), len(list(node.guards)), len(
         node.thread.observers._all)) == first
