@@ -25,6 +25,7 @@ if 'numpy' not in sys.modules:
 import numpy as np
 from operators import Operator
 import pytest
+from robot_kinds import KINDS
 from sampling import whole_robot
 
 from manip_sim.models.arenas.arena import ARENAS
@@ -103,7 +104,7 @@ REPRESENTATIVES = {'Panda', 'Tiago', 'GR1', 'PandaGripper', 'PalGripper', 'Inspi
 CATALOGUE = {*ROBOTS.names(), *GRIPPERS.names()}
 #: Of the others it runs as many cases, spread over all: 402 s of CPU time in all on two cores.
 MOST_CASES = 4
-#: A test whose cases name at least as many of them is repeated over the catalogue.
+#: A test whose cases name at least as many of them, or each kind of robot, is repeated over it.
 REPEATED = 9
 
 
@@ -123,7 +124,8 @@ def mark_full(config, items):
     for item in items:
         tests[item.path, getattr(item, 'originalname', None)].append(item)
     for cases in tests.values():
-        if len(set().union(*(named[item] for item in cases))) >= REPEATED:
+        names = set().union(*(named[item] for item in cases))
+        if len(names) >= REPEATED or names >= set(KINDS):
             for item in cases:
                 if not named[item] <= REPRESENTATIVES:
                     item.add_marker('full')

@@ -7,9 +7,9 @@ from end_effector_operator import EndEffectorOperator
 import mujoco
 import numpy as np
 import pytest
+from robot_kinds import KINDS
 from sampling import whole_robot
 
-from manip_sim.models.robots import robot_names
 
 #: Rest [rad/s], and how long after the end effector it comes [s].
 REST, REST_S = 0.002, 3.0
@@ -62,7 +62,7 @@ def place(ops, random, at_ends):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('name', robot_names())
+@pytest.mark.parametrize('name', KINDS)
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_a_target_out_of_reach_ends_in_rest(name, mode):
     simulation = whole_robot(name)

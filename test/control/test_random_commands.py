@@ -5,10 +5,10 @@
 
 import numpy as np
 import pytest
+from robot_kinds import KINDS
 
 from manip_sim.errors import CommandError
 from manip_sim.models import compose
-from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation
 
 #: The seed is one with which errors that control had were found.
@@ -116,7 +116,7 @@ class Driver:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('name', robot_names())
+@pytest.mark.parametrize('name', KINDS)
 def test_no_valid_commands_stop_a_robot_from_being_simulated(name):
     random = np.random.default_rng(SEED)
     driver = Driver(Simulation(compose(name, arena='table')), random)

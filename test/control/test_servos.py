@@ -8,11 +8,10 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
-
+from robot_kinds import KINDS
 from sampling import Driven, sampled, whole_robot
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.models.robots import robot_names
 from manip_sim.models.setpoint_activation import is_position_servo, position_servos
 from manip_sim.models.world import World
 from manip_sim.physics.actuator_properties import stiffness_and_damping
@@ -367,7 +366,7 @@ def swing(joints, mode, share):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('name', robot_names())
+@pytest.mark.parametrize('name', KINDS)
 def test_every_change_of_mode_keeps_the_acceleration_limits(name):
     simulation = whole_robot(name)
     joints, robot = Driven(simulation, 'right'), simulation.robot
@@ -396,7 +395,7 @@ def test_every_change_of_mode_keeps_the_acceleration_limits(name):
 
 @pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'velocity'])
-@pytest.mark.parametrize('name', robot_names())
+@pytest.mark.parametrize('name', KINDS)
 def test_a_runaway_in_effort_mode_brakes_within_the_acceleration_limit(name, mode):
     simulation = whole_robot(name)
     joints, robot = Driven(simulation, 'right'), simulation.robot

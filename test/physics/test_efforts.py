@@ -6,11 +6,10 @@
 import mujoco
 import numpy as np
 import pytest
-
+from robot_kinds import all_and_kinds
 from sampling import Driven, whole_robot
 
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
@@ -71,8 +70,8 @@ def start_of_swing(joints):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('timestep_s', [0.001, 0.005])
-@pytest.mark.parametrize('name', robot_names())
+@pytest.mark.parametrize(('name', 'timestep_s'), all_and_kinds(
+    0.005, 0.001, kinds=('Panda', 'Jaco')))
 def test_inertia_identified_from_published_effort_is_that_of_the_model(name, timestep_s):
     simulation = whole_robot(name, timestep_s=timestep_s)
     joints, robot = Driven(simulation), simulation.robot

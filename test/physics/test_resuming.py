@@ -6,11 +6,11 @@
 import mujoco
 import numpy as np
 import pytest
+from robot_kinds import KINDS
 
 from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
-from manip_sim.models.robots import robot_names
 from manip_sim.physics import physics_steps as module
 from manip_sim.simulation import Simulation
 
@@ -65,7 +65,7 @@ def count(monkeypatch):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('name', robot_names())
+@pytest.mark.parametrize('name', KINDS)
 @pytest.mark.parametrize('integrator', ['EULER', 'IMPLICITFAST'])
 def test_the_states_are_those_of_whole_steps_to_the_last_bit(
         name, integrator, monkeypatch, count):
@@ -126,7 +126,7 @@ def test_positions_and_velocities_that_were_changed_from_outside_are_noticed(mon
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('name', robot_names())
+@pytest.mark.parametrize('name', KINDS)
 def test_idle_periods_at_once_are_those_one_by_one_to_the_last_bit(name):
     one_by_one, at_once = (
         Simulation(compose(name, arena=create_arena('table', cube=True))) for _ in range(2))

@@ -8,12 +8,12 @@ import weakref
 
 import numpy as np
 import pytest
+from robot_kinds import KINDS
 
 from manip_sim.control.commands import Status
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot, create_arena, World
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.robots import robot_names
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import robot_spawning, Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot
@@ -94,8 +94,8 @@ def test_a_spawned_robot_makes_the_world_that_it_would_have_been_in_from_the_sta
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('kind', robot_names())
-def test_each_robot_can_come_rest_move_and_go(kind):
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_robot_of_each_kind_can_come_rest_move_and_go(kind):
     simulation = Simulation(World([], create_arena('empty')))
     for name, y in (('first', 3.0), ('second', -3.0)):
         simulation.spawn_robot(robot_at(name, y, kind))

@@ -13,13 +13,13 @@ import threading
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
+from robot_kinds import KINDS as ROBOT_KINDS
 
 from manip_sim.errors import (
     CommandError, DivergenceError, ManipSimError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.composing import compose_robot
-from manip_sim.models.robots import ROBOTS
 from manip_sim.models.world import World
 from manip_sim.physics.object_spawning import plan_without
 from manip_sim.simulation import Simulation
@@ -242,8 +242,8 @@ def test_whatever_is_given_is_taken_or_rejected_with_a_reason(
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('name', ROBOTS.names())
-def test_worlds_of_every_robot_are_simulations(name):
+@pytest.mark.parametrize('name', ROBOT_KINDS)
+def test_worlds_of_robots_of_each_kind_are_simulations(name):
     pair = Pair(name, initialization_noise=None)
     for number, kind in enumerate(KINDS[:6]):
         pair.command(kind, number)
