@@ -57,9 +57,14 @@ def test_the_agentview_of_a_handover_shows_both_grippers_from_the_front(robot):
     assert axes[2, 1] > 0.7  # Upright.
 
 
+#: Two robots do all tasks, each other one a third of them, so that each task has three or four.
+BY_EXPERTS = [(name, robot) for number, name in enumerate(task_names())
+              for place, robot in enumerate(ARMS)
+              if robot in ('Panda', 'UR5e') or (number + place) % 3 == 0]
+
+
 @pytest.mark.full
-@pytest.mark.parametrize('robot', ARMS)
-@pytest.mark.parametrize('name', task_names())
+@pytest.mark.parametrize(('name', 'robot'), BY_EXPERTS)
 def test_an_expert_does_its_task(name, robot):
     episode = episode_of(name, robot)
     expert = episode.task.expert(episode.simulation)
