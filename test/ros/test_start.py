@@ -10,6 +10,7 @@ import subprocess
 import sys
 
 import pytest
+import rclpy
 from rclpy.executors import InvalidHandle
 from starts import starts
 
@@ -107,10 +108,12 @@ def test_a_home_that_cannot_be_written_is_named(process, monkeypatch):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('folder', ['/proc/self', '/dev/null/log'])
-@pytest.mark.parametrize('program', [
-    ['manip_sim'], ['manip_sim.viewer', '--port', '0'], ['manip_sim.cli', 'record', 'new.mcap'],
-    ['manip_sim.cli', 'topic', 'list'], ['manip_sim.examples', 'pick_cube']], ids=' '.join)
+@pytest.mark.parametrize(('program', 'folder'), [
+    (['manip_sim'], '/proc/self'), (['manip_sim'], '/dev/null/log'),
+    (['manip_sim.viewer', '--port', '0'], '/proc/self'),
+    (['manip_sim.cli', 'record', 'new.mcap'], '/dev/null/log'),
+    (['manip_sim.cli', 'topic', 'list'], '/proc/self'),
+    (['manip_sim.examples', 'pick_cube'], '/dev/null/log')])
 def test_a_log_folder_that_cannot_be_written_is_one_line(program, folder, tmp_path):
     done = subprocess.run(
         [sys.executable, '-m', *program], cwd=tmp_path, capture_output=True, text=True,
@@ -136,14 +139,33 @@ def test_an_empty_list_of_lockstep_parts_is_a_list(process, client):
     assert not warnings
 
 
+def file_for(key, folder):
+    file = folder / 'parameters.yaml'
+    file.write_text(f'"{key}":\n  ros__parameters:\n    idn: 7\n')
+    return file
+
+
 @pytest.mark.full
 @pytest.mark.parametrize('key, effect', [
     ('sim_node', False), ('/ns/manip_sim', False), ('/*/*', False),
     ('manip_sim', True), ('/manip_sim', True), ('/**', True), ('/**/manip_sim', True),
     ('/*', True)])
+def test_a_parameters_file_is_for_the_nodes_that_rcl_gives_it_to(key, effect, domain, tmp_path):
+    arguments = ['--ros-args', '--params-file', str(file_for(key, tmp_path))]
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node('manip_sim', context=context, cli_args=arguments,
+                             automatically_declare_parameters_from_overrides=True)
+    given = node.has_parameter('idn')
+    node.destroy_node()
+    context.shutdown()
+    assert (given, not list(for_other_nodes(arguments, '/manip_sim'))) == (effect, effect)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('key, effect', [('/ns/manip_sim', False), ('/*', True)])
 def test_a_parameters_file_for_other_nodes_is_told(key, effect, process, client, tmp_path):
-    file = tmp_path / 'parameters.yaml'
-    file.write_text(f'"{key}":\n  ros__parameters:\n    idn: 7\n')
+    file = file_for(key, tmp_path)
     joint, warnings = first_joint_and_warnings(process, client, '--params-file', str(file))
     assert joint == ('robot7_joint1' if effect else 'robot0_joint1')
     if effect:
