@@ -30,6 +30,9 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 #: OpenGL in software, and no sandbox, which a container does not have.
 ARGUMENTS = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
              '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist']
+#: The picture is drawn less often: in software, that takes a core as often as it can.
+SLOWLY = ('const draw = requestAnimationFrame; requestAnimationFrame = '
+          'callback => setTimeout(() => draw(callback), {})')
 #: A browser on a busy machine without a graphics card is slow [ms].
 PATIENCE_MS = 300_000
 VIEWER = [sys.executable, '-m', 'manip_sim.viewer']
@@ -54,6 +57,71 @@ def node():
     served = Served({'arena': 'table'})
     yield served.node
     served.close()
+
+
+@pytest.mark.parametrize('number', END_SIGNALS)
+def test_a_signal_ends_it_cleanly(number):
+    process, address = start_viewer('--node', 'nobody')
+    assert address.startswith('http://127.0.0.1:')
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=300.0)
+    assert (process.returncode, output, errors) == (0, '', '')
+
+
+def test_the_window_of_mujoco_ends_cleanly_too(node):
+    if shutil.which('Xvfb') is None:
+        pytest.skip('there is no Xvfb')
+    screen = subprocess.Popen(['Xvfb', '-displayfd', '1', '-screen', '0', '640x480x24'],
+                              text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    try:
+        process = subprocess.Popen(
+            [*VIEWER, '--native'], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            env={**os.environ, 'DISPLAY': f':{screen.stdout.readline().strip()}'})
+        assert process.stdout.readline() == 'sim_view: waiting for the node /manip_sim\n'
+        assert process.stdout.readline() == 'sim_view: a window shows /manip_sim\n'
+        time.sleep(1.0)  # While it draws.
+        _, errors = end(process)
+        assert (process.returncode, errors) == (0, '')
+    finally:
+        end(screen)
+
+
+def test_the_window_of_mujoco_says_at_once_that_it_waits(monkeypatch):
+    monkeypatch.delenv('PYTHONUNBUFFERED', raising=False)
+    process = subprocess.Popen(
+        [*VIEWER, '--native', '--node', 'nobody'], text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, env={**os.environ, 'DISPLAY': ':0'})
+    assert process.stdout.readline() == 'sim_view: waiting for the node /nobody\n'
+    _, errors = end(process)
+    assert (process.returncode, errors) == (0, '')
+
+
+def run_viewer(*arguments, environment=None):
+    return subprocess.run([*VIEWER, *arguments], capture_output=True, text=True, timeout=300.0,
+                          env=environment, check=False)
+
+
+def test_a_port_that_is_taken_is_told_in_one_line():
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        done = run_viewer('--port', str(port))
+    assert done.returncode == 1
+    assert done.stdout == ''
+    assert done.stderr == (f'sim_view: cannot listen on 127.0.0.1:{port}: Address already in use; '
+                           'choose another port with --port, or another address with --listen\n')
+
+
+@pytest.mark.parametrize('arguments, code, told', [
+    (['--ros-args', '-r', 'nonsense'], 1, "bad ROS arguments: '-r nonsense' must be -r OLD:=NEW"),
+    (['robot:=Panda'], 2, "unknown argument 'robot:=Panda'"),
+    (['--port', 'x'], 2, "argument --port: invalid int value: 'x'; see --help")])
+def test_bad_arguments_are_told_in_one_line(arguments, code, told):
+    done = run_viewer(*arguments)
+    assert done.returncode == code
+    assert done.stderr.startswith(f'sim_view: {told}')
+    assert done.stderr.count('\n') == 1
 
 
 @pytest.fixture(scope='module')
@@ -82,6 +150,7 @@ def page(browser, address):
     """Return the page when the robot is on it."""
     page = browser.new_page(viewport={'width': 800, 'height': 500})
     page.set_default_timeout(PATIENCE_MS)
+    page.add_init_script(SLOWLY.format(150))
     page.goto(address)
     page.get_by_text('arm [rad]').wait_for()
     yield page
@@ -231,13 +300,20 @@ def test_an_object_that_is_spawned_comes_into_the_picture_and_goes_with_it(page,
     wait(lambda count: count == 0)
 
 
+def leave_pages(browser):
+    """Let no page draw: without a graphics card one that nobody looks at takes as much."""
+    for context in browser.contexts:
+        for page in context.pages:
+            page.goto('about:blank')
+
+
 def test_the_picture_is_not_pale_for_ever_where_it_is_drawn_slowly(browser):
+    leave_pages(browser)
     process, address = start_viewer('--node', 'nobody')
     page = browser.new_page(viewport={'width': 480, 'height': 360})
     page.set_default_timeout(PATIENCE_MS)
     try:
-        page.add_init_script('const draw = requestAnimationFrame; requestAnimationFrame = '
-                             'callback => setTimeout(() => draw(callback), 1000)')
+        page.add_init_script(SLOWLY.format(1000))
         page.goto(address)
         page.get_by_text('waiting for the node').wait_for()
         page.wait_for_function(
@@ -251,13 +327,11 @@ def test_the_picture_is_not_pale_for_ever_where_it_is_drawn_slowly(browser):
 
 @pytest.mark.timeout(300)  # Two nodes after each other, and a page for each.
 def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(browser):
-    # Without a graphics card a page that nobody looks at takes as much of the processor.
-    for context in browser.contexts:
-        for other in context.pages:
-            other.goto('about:blank')
+    leave_pages(browser)
     process, address = start_viewer('--node', 'late', '--ros-args', '-r', '__ns:=/cell')
     page = browser.new_page(viewport={'width': 480, 'height': 360})
     page.set_default_timeout(PATIENCE_MS)
+    page.add_init_script(SLOWLY.format(150))
     try:
         page.goto(address)
         page.get_by_text('waiting for the node /cell/late').wait_for()
@@ -277,68 +351,3 @@ def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(br
         page.close()
         _, errors = end(process)
     assert (process.returncode, errors) == (0, '')
-
-
-@pytest.mark.parametrize('number', END_SIGNALS)
-def test_a_signal_ends_it_cleanly(number):
-    process, address = start_viewer('--node', 'nobody')
-    assert address.startswith('http://127.0.0.1:')
-    process.send_signal(number)
-    output, errors = process.communicate(timeout=300.0)
-    assert (process.returncode, output, errors) == (0, '', '')
-
-
-def test_the_window_of_mujoco_ends_cleanly_too(node):
-    if shutil.which('Xvfb') is None:
-        pytest.skip('there is no Xvfb')
-    screen = subprocess.Popen(['Xvfb', '-displayfd', '1', '-screen', '0', '640x480x24'],
-                              text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    try:
-        process = subprocess.Popen(
-            [*VIEWER, '--native'], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            env={**os.environ, 'DISPLAY': f':{screen.stdout.readline().strip()}'})
-        assert process.stdout.readline() == 'sim_view: waiting for the node /manip_sim\n'
-        assert process.stdout.readline() == 'sim_view: a window shows /manip_sim\n'
-        time.sleep(1.0)  # While it draws.
-        _, errors = end(process)
-        assert (process.returncode, errors) == (0, '')
-    finally:
-        end(screen)
-
-
-def test_the_window_of_mujoco_says_at_once_that_it_waits(monkeypatch):
-    monkeypatch.delenv('PYTHONUNBUFFERED', raising=False)
-    process = subprocess.Popen(
-        [*VIEWER, '--native', '--node', 'nobody'], text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, env={**os.environ, 'DISPLAY': ':0'})
-    assert process.stdout.readline() == 'sim_view: waiting for the node /nobody\n'
-    _, errors = end(process)
-    assert (process.returncode, errors) == (0, '')
-
-
-def run_viewer(*arguments, environment=None):
-    return subprocess.run([*VIEWER, *arguments], capture_output=True, text=True, timeout=300.0,
-                          env=environment, check=False)
-
-
-def test_a_port_that_is_taken_is_told_in_one_line():
-    with socket.socket() as taken:
-        taken.bind(('127.0.0.1', 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        done = run_viewer('--port', str(port))
-    assert done.returncode == 1
-    assert done.stdout == ''
-    assert done.stderr == (f'sim_view: cannot listen on 127.0.0.1:{port}: Address already in use; '
-                           'choose another port with --port, or another address with --listen\n')
-
-
-@pytest.mark.parametrize('arguments, code, told', [
-    (['--ros-args', '-r', 'nonsense'], 1, "bad ROS arguments: '-r nonsense' must be -r OLD:=NEW"),
-    (['robot:=Panda'], 2, "unknown argument 'robot:=Panda'"),
-    (['--port', 'x'], 2, "argument --port: invalid int value: 'x'; see --help")])
-def test_bad_arguments_are_told_in_one_line(arguments, code, told):
-    done = run_viewer(*arguments)
-    assert done.returncode == code
-    assert done.stderr.startswith(f'sim_view: {told}')
-    assert done.stderr.count('\n') == 1

@@ -14,13 +14,10 @@ import pytest
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
-from test_viewer import browser, end, PATIENCE_MS, start_viewer  # noqa: E402
+from test_viewer import browser, end, PATIENCE_MS, SLOWLY, start_viewer  # noqa: E402
 
 assert browser  # A fixture.
 pytestmark = pytest.mark.full
-#: The picture is drawn twice a second: these tests are about the panel.
-SLOWLY = ('const draw = requestAnimationFrame; requestAnimationFrame = '
-          'callback => setTimeout(() => draw(callback), 500)')
 
 
 @pytest.fixture(scope='module')
@@ -42,7 +39,7 @@ def opened(browser, address):
         page = browser.new_page(viewport={'width': width, 'height': height})
         pages.append(page)
         page.set_default_timeout(PATIENCE_MS)
-        page.add_init_script(SLOWLY)
+        page.add_init_script(SLOWLY.format(500))  # These tests are about the panel.
         page.goto(address)
         page.get_by_text('arm [rad]').wait_for()
         page.get_by_label('Mode', exact=True).first.wait_for(state='attached')
