@@ -11,6 +11,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def test_a_run_that_was_killed_goes_on_and_doubles_nothing(whole, tmp_path):
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     file = out / 'rows-1-of-1.jsonl'
     while process.poll() is None and not (file.exists() and file.read_text().count('\n') >= 2):
-        pass
+        time.sleep(0.005)
     process.kill()
     process.communicate()
     done = file.read_text().count('\n')
@@ -174,7 +175,7 @@ def test_an_interrupted_run_says_that_it_goes_on(tmp_path):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     file = out / 'rows-1-of-1.jsonl'
     while process.poll() is None and not (file.exists() and file.read_text()):
-        pass
+        time.sleep(0.005)
     os.killpg(process.pid, signal.SIGINT)
     text, errors = process.communicate()
     assert process.returncode == 130, errors

@@ -145,6 +145,9 @@ class PageRunner:
             subprocess.run([sys.executable, '-m', 'manip_sim.cli', *rest], check=True,
                            timeout=300.0, stdout=subprocess.DEVNULL)
         elif first == 'manip_sim':
+            if rest[0] == 'run':  # Four seeds, in one process more, show as much.
+                rest = [re.sub(r'^0:\d\d+$', '0:4', word) for word in rest]
+                rest += ['--worlds', '1']
             if '>' in rest:
                 *rest, _, file = rest
                 with open(self._folder / file, 'w') as output, redirect_stdout(output):
