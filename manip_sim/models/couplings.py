@@ -65,7 +65,7 @@ class JointCouplings:
                     continue
                 offset = known[joint] - self._zeros[joint]
                 value = (self._solve(polynomial, offset, other) if inverse
-                         else float(np.polyval(polynomial[::-1], offset)))
+                         else _value(polynomial, offset))
                 if value is not None:
                     known[other] = value + self._zeros[other]
                     waiting.append(other)
@@ -92,3 +92,11 @@ class JointCouplings:
             low, high = self._ranges[joint] - self._zeros[joint]
             real = real[(real > low - _STEP) & (real < high + _STEP)]
         return float(real[np.argmin(np.abs(real))]) if len(real) else None
+
+
+def _value(polynomial: FloatArray, offset: float) -> float:
+    """Return the value of a polynomial by Horner's rule; ``np.polyval`` takes far longer."""
+    value = 0.0
+    for coefficient in polynomial[::-1].tolist():
+        value = value * offset + coefficient
+    return value

@@ -113,6 +113,7 @@ class _Sampler:
             joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in set(tree)
             and int(model.jnt_type[joint]) in (int(mujoco.mjtJoint.mjJNT_HINGE),
                                                int(mujoco.mjtJoint.mjJNT_SLIDE))]
+        self._index = {joint: index for index, joint in enumerate(self._joints)}
         self._qpos = np.asarray(model.jnt_qposadr[self._joints], dtype=np.int64)
         self._low, self._high = np.where(
             model.jnt_limited[self._joints, None], model.jnt_range[self._joints], _ANYWHERE).T
@@ -125,41 +126,44 @@ class _Sampler:
         """Return what touches with joints at positions by name."""
         for name, value in position.items():
             self._data.joint(name).qpos[0] = value
-        return self._of_numbers(self._contacts(_TOUCH_M))
+        numbers, distances = self._contacts()
+        return self._of_numbers(numbers[distances < _TOUCH_M])
 
     def always_and_never(self) -> tuple[set[Pair], set[Pair]]:
         """Return what collided in every random configuration, and what never came near."""
         random, count = np.random.default_rng(_SEED), len(self.bodies)
-        always = near = None
+        always = np.ones(self._model.nbody ** 2, dtype=bool)
+        near = np.zeros_like(always)
         for _ in range(_SAMPLES):
             self._place_at_random(random)
-            contacts = self._contacts(np.inf)
-            inside = self._contacts(0.0, again=False)
-            always = inside if always is None else np.intersect1d(always, inside)
-            near = contacts if near is None else np.union1d(near, contacts)
-        assert always is not None and near is not None
+            numbers, distances = self._contacts()
+            near[numbers] = True
+            inside = np.zeros_like(always)
+            inside[numbers[distances < 0.0]] = True
+            always &= inside
         every = self.names((self.bodies[i], self.bodies[j])
                            for i in range(count) for j in range(i))
-        return self._of_numbers(always), every - self._of_numbers(near)
+        return (self._of_numbers(np.flatnonzero(always)),
+                every - self._of_numbers(np.flatnonzero(near)))
 
     def _place_at_random(self, random: Any) -> None:
         positions = random.uniform(self._low, self._high)
         self._data.qpos[self._qpos] = positions
         for group in self._groups:
             # One joint of those that are coupled says where the others are.
-            leader = random.choice(group)
-            follow = self._couplings.follow({leader: positions[self._joints.index(leader)]})
-            for joint, value in follow.items():
-                self._data.qpos[self._model.jnt_qposadr[joint]] = value
+            leader = group[random.integers(len(group))]
+            follow = self._couplings.follow({leader: float(positions[self._index[leader]])})
+            self._data.qpos[[self._qpos[self._index[joint]] for joint in follow]] = [
+                *follow.values()]
 
-    def _contacts(self, below_m: float, again: bool = True) -> Any:
-        """Return pairs of bodies that are nearer than a distance, each as one number, sorted."""
-        if again:
-            mujoco.mj_kinematics(self._model, self._data)
-            mujoco.mj_collision(self._model, self._data)
+    def _contacts(self) -> tuple[Any, Any]:
+        """Return pairs of bodies that are near, each as one number, and distances [m]."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
         contacts = self._data.contact
-        bodies = np.sort(self._body_of_geom[contacts.geom[contacts.dist < below_m]], axis=1)
-        return np.unique(bodies[:, 0] * self._model.nbody + bodies[:, 1])
+        first, second = self._body_of_geom[contacts.geom].T
+        return (np.minimum(first, second) * self._model.nbody + np.maximum(first, second),
+                contacts.dist)
 
     def _of_numbers(self, numbers: Any) -> set[Pair]:
         return self.names(divmod(int(number), self._model.nbody) for number in numbers)
