@@ -119,10 +119,12 @@ def test_fingers_of_any_mass_stay_together_at_any_timestep(tmp_path, kind, times
     # MuJoCo's contacts are too soft for light fingers, so the range of the second one stops it.
     ratios = ((1.0, 0.0), (-2.0, 0.01), (0.25, -0.02))
     masses, efforts = (0.001, 0.03, 1.0), (2.0, 20.0, 80.0)
-    # An orthogonal array: each two of mass, effort and ratio meet once.
+    # An orthogonal array: each two of mass, effort and ratio meet once. Every second timestep
+    # stops those fingers by the range that the others do not.
+    other = (kind == 'revolute') != (timestep_s in (0.001, 0.005))
     for (row, mass), (column, effort) in itertools.product(enumerate(masses), enumerate(efforts)):
-        for block in ('range', ''):
-            check(tmp_path, kind, mass, effort, *ratios[(row + column) % 3], timestep_s, block)
+        check(tmp_path, kind, mass, effort, *ratios[(row + column) % 3], timestep_s,
+              ('range', '')[(row + column + other) % 2])
 
 
 @pytest.mark.parametrize('pushed', ['driven_finger_joint', 'follower_finger_joint'])

@@ -85,7 +85,7 @@ def main() -> None:
     """Serve a Panda at a table until the standard input ends."""
     rclpy.init()
     node = SimNode(parameter_overrides=[
-        Parameter('stepping', value='free'), Parameter('arena', value='table')])
+        Parameter('real_time_factor', value=2.0), Parameter('arena', value='table')])
     SpawningByParameters(node, '.')
     executor = GuardedExecutor(node.rejections)
     executor.add_node(node)

@@ -12,7 +12,7 @@ import pytest
 @pytest.mark.full
 @pytest.mark.parametrize('prefix', ['cell/', ''])
 def test_commands_take_frames_as_the_messages_of_the_node_call_them(prefix, serve, client):
-    serve(robot='UR5e', stepping='free', frame_prefix='cell/')
+    serve(robot='UR5e', frame_prefix='cell/')
     poses = client.listen(PoseStamped, 'right/eef_pose')
     client.spin_until(lambda: poses)
     target = copy.deepcopy(poses[-1])

@@ -7,6 +7,7 @@ from pathlib import Path
 import re
 import signal
 
+from harness import Served
 import pytest
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import (
@@ -136,8 +137,9 @@ def test_every_parameter_is_described(serve, client):
     ('panda.yaml', 'robot0_joint1'), ('topic_based_ros2_control.yaml', 'panda_joint1'),
     ('hand_over.yaml', 'left_joint1'), ('noise_franka.yaml', 'robot0_joint1'),
     ('noise_ideal.yaml', 'robot0_joint1'), ('noise_ur.yaml', 'robot0_joint1')])
-def test_the_files_of_the_folder_config_start_a_node(file, joint, process, client):
-    process('--ros-args', '--params-file', str(CONFIG / file))
+def test_the_files_of_the_folder_config_start_a_node(file, joint, request, client):
+    served = Served({}, ['--ros-args', '--params-file', str(CONFIG / file)])
+    request.addfinalizer(served.close)
     topic = 'left/joint_states' if joint.startswith('left') else 'joint_states'
     assert client.state(topic).name[0] == joint
     assert {path.name for path in CONFIG.glob('*.yaml')} == {

@@ -32,8 +32,7 @@ def force_on_table(simulation):
 
 @pytest.mark.full
 @pytest.mark.parametrize('gripper, force_n, rate_hz', [
-    ('PandaGripper', 20.0, 500.0), ('PandaGripper', 20.0, 100.0),
-    ('JacoThreeFingerGripper', 20.0, 100.0)])
+    ('PandaGripper', 20.0, 500.0), ('JacoThreeFingerGripper', 20.0, 100.0)])
 def test_a_client_presses_within_half_a_newton_still_and_sliding(
         serve, client, pressing, gripper, force_n, rate_hz):
     node = serve(**pressing.PARAMETERS, gripper=gripper, publish_rate=rate_hz)

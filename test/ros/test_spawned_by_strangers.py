@@ -138,7 +138,7 @@ def test_an_object_that_is_made_in_the_background_comes(serve, client, tmp_path)
 
 def test_an_arm_that_is_spawned_takes_commands_by_its_actuators(serve, client):
     folder = Path(__file__).resolve().parents[1] / 'data/files'
-    node = serve(arena='table', stepping='free')
+    node = serve(arena='table')
     spawning = TriggeredSpawning(node, folder)
     spawning.request = request(uri='stand_arm.xml')
     assert client.node.count_publishers('actuators/states') == 0

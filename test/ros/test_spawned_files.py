@@ -42,7 +42,7 @@ def roots(tmp_path):
 def spawning(serve, roots):
     """Return a function that starts a node with the services of spawning."""
     def start(**parameters):
-        node = serve(**{'stepping': 'free', 'arena': 'table', **parameters})
+        node = serve(**{'real_time_factor': 2.0, 'arena': 'table', **parameters})
         SpawningByParameters(node, roots)
         return node
     return start

@@ -42,7 +42,7 @@ UR5E = '{robot: UR5e}'
 def spawning(serve, tmp_path):
     """Return a function that starts a node with the services of spawning."""
     def start(**parameters):
-        node = serve(**{'stepping': 'free', 'arena': 'table', **parameters})
+        node = serve(**{'real_time_factor': 2.0, 'arena': 'table', **parameters})
         SpawningByParameters(node, tmp_path)
         return node
     return start

@@ -30,7 +30,7 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 #: OpenGL in software, and no sandbox, which a container does not have.
 ARGUMENTS = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
              '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist']
-#: The picture is drawn less often: in software, that takes a core as often as it can.
+#: Draws the picture less often: so many milliseconds later than the browser would.
 SLOWLY = ('const draw = requestAnimationFrame; requestAnimationFrame = '
           'callback => setTimeout(() => draw(callback), {})')
 #: A browser on a busy machine without a graphics card is slow [ms].
@@ -150,7 +150,6 @@ def page(browser, address):
     """Return the page when the robot is on it."""
     page = browser.new_page(viewport={'width': 800, 'height': 500})
     page.set_default_timeout(PATIENCE_MS)
-    page.add_init_script(SLOWLY.format(150))
     page.goto(address)
     page.get_by_text('arm [rad]').wait_for()
     yield page
@@ -331,7 +330,6 @@ def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(br
     process, address = start_viewer('--node', 'late', '--ros-args', '-r', '__ns:=/cell')
     page = browser.new_page(viewport={'width': 480, 'height': 360})
     page.set_default_timeout(PATIENCE_MS)
-    page.add_init_script(SLOWLY.format(150))
     try:
         page.goto(address)
         page.get_by_text('waiting for the node /cell/late').wait_for()

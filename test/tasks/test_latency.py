@@ -183,8 +183,7 @@ def test_objects_and_images_are_as_old_as_the_states_of_the_robot(renderer):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('robot', ['Panda', 'UR5e'])
-@pytest.mark.parametrize('rate_hz', [20, 10])
+@pytest.mark.parametrize(('robot', 'rate_hz'), [('Panda', 20), ('UR5e', 10)])
 @pytest.mark.parametrize('action', ACTIONS)
 def test_a_delayed_action_never_moves_an_arm_farther_than_one_without_delay(
         action, rate_hz, robot):
