@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, nullcontext, redirect_stdout
 import importlib
 from pathlib import Path
@@ -58,6 +59,12 @@ class Enough(Exception):
 def end() -> None:
     """End the spinning of the thread that calls this."""
     raise Enough
+
+
+def run_here(experiment: Any, seeds: Sequence[int], count: int) -> Iterator[Any]:
+    """Yield the rows of a run as ``run_in_processes`` does."""
+    from manip_sim.experiments import Worker
+    return map(Worker(experiment).run, seeds)
 
 
 def needed_program(words: list[str]) -> str | None:
@@ -145,9 +152,9 @@ class PageRunner:
             subprocess.run([sys.executable, '-m', 'manip_sim.cli', *rest], check=True,
                            timeout=300.0, stdout=subprocess.DEVNULL)
         elif first == 'manip_sim':
-            if rest[0] == 'run':  # Four seeds, in one process more, show as much.
+            if rest[0] == 'run':  # Four seeds, without processes of their own, show as much.
                 rest = [re.sub(r'^0:\d\d+$', '0:4', word) for word in rest]
-                rest += ['--worlds', '1']
+                self._patch.setattr('manip_sim.cli.run.run_in_processes', run_here)
             if '>' in rest:
                 *rest, _, file = rest
                 with open(self._folder / file, 'w') as output, redirect_stdout(output):

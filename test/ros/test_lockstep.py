@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.errors import CommandError
 
-CYCLES = 500
+CYCLES = 250
 PERIOD_NS = 2_000_000
 BUSY = 'import time; end = time.time() + 120\nwhile time.time() < end: pass'
 

@@ -57,21 +57,31 @@ def test_white_noise_has_the_moments_of_a_normal_distribution_and_no_memory():
     assert np.abs(correlation - np.diag(np.diag(correlation))).max() < error
 
 
+@pytest.fixture(scope='module')
+def white_noise():
+    """Return noise of a force, shape (n, 3)."""
+    return samples(channel_with(WrenchChannel, 6, noise__wrench_force=1.0))[:, :3]
+
+
+@pytest.fixture(scope='module')
+def drift():
+    """Return the drift of a wrench, shape (n, 6)."""
+    return samples(channel_with(WrenchChannel, 6, noise__wrench_drift=3.0))
+
+
 @pytest.mark.full
 @pytest.mark.parametrize('length', [1, 10, 100, 1000])
-def test_allan_variance_of_white_noise_falls_with_the_length(length):
-    noise = samples(channel_with(WrenchChannel, 6, noise__wrench_force=1.0))[:, :3]
+def test_allan_variance_of_white_noise_falls_with_the_length(length, white_noise):
     # Independent clusters: the estimate of a variance v has the standard error v sqrt(3 / n).
     clusters = COUNT / length
     expected = 1.0 / length
-    np.testing.assert_allclose(allan_variance(noise, length), expected,
+    np.testing.assert_allclose(allan_variance(white_noise, length), expected,
                                rtol=ERRORS * np.sqrt(3.0 / clusters))
 
 
 @pytest.mark.full
 @pytest.mark.parametrize('length', [10, 100, 1000])
-def test_allan_variance_of_drift_rises_with_the_length(length):
-    drift = samples(channel_with(WrenchChannel, 6, noise__wrench_drift=3.0))
+def test_allan_variance_of_drift_rises_with_the_length(length, drift):
     expected = 9.0 * TIMESTEP_S * (2.0 * length**2 + 1.0) / (6.0 * length)
     scale = np.repeat([1.0, TORQUE_PER_FORCE_M], 3)**2
     np.testing.assert_allclose(allan_variance(drift, length) / scale, expected,
