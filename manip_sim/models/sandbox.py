@@ -65,7 +65,7 @@ def try_to_do(name: str, function: Callable[..., Any], *arguments: Any,
 
 def _tried(work: bytes, cpu_s: int) -> str:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path)),
-                   'OPENBLAS_NUM_THREADS': '1'}
+                   'OPENBLAS_NUM_THREADS': '1', 'MUJOCO_GL': 'disable'}  # It renders nothing.
     program = f'from {__name__} import main; main()'
     with subprocess.Popen([sys.executable, '-c', program], env=environment, cwd='/',
                           stdin=subprocess.PIPE, stdout=subprocess.PIPE,

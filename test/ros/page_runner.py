@@ -64,7 +64,7 @@ def end() -> None:
 def run_here(experiment: Any, seeds: Sequence[int], count: int) -> Iterator[Any]:
     """Yield the rows of a run as ``run_in_processes`` does."""
     from manip_sim.experiments import Worker
-    return map(Worker(experiment).run, seeds)
+    yield from map(Worker(experiment).run, seeds)
 
 
 def needed_program(words: list[str]) -> str | None:

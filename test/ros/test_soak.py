@@ -19,7 +19,7 @@ def test_the_soak_scripts_run_and_lose_nothing():
          'time', 'requests', 'viewer', 'spawns', 'actions', 'changes', '--messages', '200',
          '--flood', '0.1', '--stops', '2', '--starts', '4', '--hours', '0.003',
          '--requests', '100', '--viewer', '100', '--spawns', '50', '--goals', '150',
-         '--changes', '30'],
+         '--changes', '60'],
         capture_output=True, text=True, timeout=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [line for line in done.stdout.splitlines() if line.startswith('|')]
