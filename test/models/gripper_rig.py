@@ -92,6 +92,12 @@ class GripperRig:
         self.model, self.data = self.simulation.model, self.simulation.data
         self.fingers = self.simulation.robot.grippers['right/gripper']
         self.height_m, self.action = PARK_HEIGHT_M, None
+        self._geoms = {role: [self.model.geom(geom).id for geom in geoms]
+                       for role, geoms in self.gripper.important_geoms.items()}
+        own = {self.model.body(name).id for name in self.gripper.bodies}
+        self._colliding = [(geom, self.model.geom_bodyid[geom])
+                           for geom in colliding_geoms(self.model)
+                           if self.model.geom_bodyid[geom] in own]
 
     def apply(self, action):
         """
@@ -149,7 +155,7 @@ class GripperRig:
 
     def geoms(self, role):
         """Return the ids of the gripper's geoms of a role, such as ``left_fingerpad``."""
-        return [self.model.geom(geom).id for geom in self.gripper.important_geoms[role]]
+        return self._geoms[role]
 
     def pad_gap(self):
         """Return how far the pads of both sides are apart [m]."""
@@ -166,10 +172,7 @@ class GripperRig:
     def lowest_point(self):
         """Return the height of the gripper's lowest collision shape [m]."""
         heights = []
-        for geom in colliding_geoms(self.model):
-            body = self.model.geom_bodyid[geom]
-            if self.model.body(body).name not in self.gripper.bodies:
-                continue
+        for geom, body in self._colliding:
             down = -self.data.xmat[body].reshape(3, 3)[2]
             heights.append(self.data.xpos[body, 2] - support(self.model, geom, down))
         return min(heights)
