@@ -141,8 +141,8 @@ def test_a_single_point_after_a_pause_is_a_motion():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('name', ['Panda', 'Sawyer'])
-@pytest.mark.parametrize('gap_s', [0.15, 0.5, 0.9])
+@pytest.mark.parametrize(('name', 'gap_s'), [
+    ('Panda', 0.15), ('Sawyer', 0.5), ('Panda', 0.9)])
 def test_a_point_after_a_gap_of_a_stream_is_approached_within_the_limits(name, gap_s):
     sender = Sender(name)
     gap = range(150, 150 + round(gap_s * 100))
