@@ -152,8 +152,8 @@ class PageRunner:
             subprocess.run([sys.executable, '-m', 'manip_sim.cli', *rest], check=True,
                            timeout=300.0, stdout=subprocess.DEVNULL)
         elif first == 'manip_sim':
-            if rest[0] == 'run':  # Four seeds, without processes of their own, show as much.
-                rest = [re.sub(r'^0:\d\d+$', '0:4', word) for word in rest]
+            if rest[0] == 'run':  # Two seeds, without processes of their own, show as much.
+                rest = [re.sub(r'^0:\d+$', '0:2', word) for word in rest]
                 self._patch.setattr('manip_sim.cli.run.run_in_processes', run_here)
             if '>' in rest:
                 *rest, _, file = rest
