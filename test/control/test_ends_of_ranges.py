@@ -104,5 +104,5 @@ def test_setpoints_keep_ranges_and_velocity_limits_whatever_is_commanded(name):
                 assert 'would have to move at' in str(error)
         simulation.advance(int(random.choice([1, 5, 5, 10])))
         assert (np.abs(setpoints.velocity) <= 1.02 * robot.joints._servos.velocity_limit).all()
-        assert (setpoints.velocity <= 1e-9)[setpoints.position >= setpoints._joints['high']].all()
-        assert (setpoints.velocity >= -1e-9)[setpoints.position <= setpoints._joints['low']].all()
+        assert (setpoints.velocity <= 1e-9)[setpoints.position >= setpoints.joints['high']].all()
+        assert (setpoints.velocity >= -1e-9)[setpoints.position <= setpoints.joints['low']].all()

@@ -36,9 +36,9 @@ FIELDS = (
     # When messages came and were sent: the last arrival, its stamp and number in the stream; the
     # line through the arrivals (time due, time per message or per stamped second); interval,
     # deviations from the line, the last one; how many in a row were on it, far off, or after lost
-    # ones, and how many these were.
+    # ones, how many these were, and how many had no stamp among stamped ones.
     'velocities', 'arrived', 'stamp', 'number', 'due', 'scale', 'interval', 'jitter', 'off',
-    'even', 'astray', 'skipped', 'skipped_lost',
+    'even', 'astray', 'skipped', 'skipped_lost', 'guessed',
     # Times of sending between the line and the arrivals: share of the arrivals, errors of goals
     # predicted by both, the last two intervals by both; the slack of ramps.
     'share', 'line_error', 'arrival_error', 'line_1', 'line_2', 'arrival_1', 'arrival_2', 'sent',

@@ -29,6 +29,8 @@ TRUSTED = 8.0
 UNSURE = 0.15
 #: A goal that comes again in less than this share of the last interval is a copy.
 COPY = 0.7
+#: So many messages in a row without a stamp may be in a stamped stream; they are on schedule.
+GUESSED = 3.0
 #: Slack of ramps that is kept per message, and how much of the time of lost messages is in it.
 SLACK_KEPT, MISSED = 0.93, 1.5
 #: How long a stream goes on after a message was due, unless set otherwise [intervals].
@@ -136,6 +138,9 @@ def take_time(joints: Any, members: IntArray, now: float, velocities: bool) -> b
     """
     x = joints[members[0]]
     period, stamp, messages = x.waiting_period, x.waiting_stamp, x.waiting_messages
+    guessed = 0.0
+    if stamp == 0.0 and x.stamp > 0.0 and x.number > 2.0 and x.guessed < GUESSED:
+        stamp, guessed = x.stamp + messages * x.interval / x.scale, x.guessed + 1.0
     live = goes_on(x, now, messages, stamp, velocities)
     since = max(now - x.arrived, 1e-9) if live else period
     number = x.number + 1.0 if live else 1.0
@@ -146,6 +151,8 @@ def take_time(joints: Any, members: IntArray, now: float, velocities: bool) -> b
     elif known:
         unit = sent_since(joints, members, now, messages, velocities)
     scale = x.scale if known else since / unit
+    if not live:
+        stamp, guessed = x.waiting_stamp, 0.0
     if stamped and not known and 0.5 < scale < 2.0:
         # Most senders have the clock of the simulation, to within the jitter of two messages.
         scale, number = 1.0, 20.0
@@ -215,7 +222,7 @@ def take_time(joints: Any, members: IntArray, now: float, velocities: bool) -> b
             now, stamp, number, due, scale, interval)
         x.jitter, x.off, x.astray, x.skipped, x.skipped_lost = (
             jitter, off, astray, skipped, skipped_lost)
-        x.even = x.even + 1.0 if even else 0.0
+        x.guessed, x.even = guessed, x.even + 1.0 if even else 0.0
         x.share, x.line_error, x.arrival_error, x.sent, x.slack, x.until = (
             share, by_line, by_arrival, sent, slack, until)
         x.lost += min(lost, 2.0**31)
