@@ -85,7 +85,7 @@ def kept_in(folder: Path) -> Iterator[None]:
 _PLAIN = bool(config.DISABLE_JIT)
 _FOLDER = None if _PLAIN else _writable_folder()
 if not _PLAIN and (_FOLDER is None or next(_FOLDER.rglob('*.nbi'), None) is None):
-    _LOGGER.warning('Compiling control laws, which takes some 20 s, %s',
+    _LOGGER.warning('Compiling control laws, which takes up to a minute, %s',
                     f'once: they are kept in {_FOLDER}' if _FOLDER else
                     'in every process: no folder for them can be written')
 

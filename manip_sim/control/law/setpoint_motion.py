@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.compiling import compiled
+from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import SMOOTHING_S
 from manip_sim.control.law.stream_goals import take_waiting
 from manip_sim.control.law.stream_timing import clip
@@ -27,7 +27,7 @@ from manip_sim.control.law.stream_timing import clip
 ARRIVED = 1e-10
 
 
-@compiled
+@inner
 def braking_velocity(distance: float, limit: float, duration: float) -> float:
     """Return the highest velocity in the next interval that still allows braking before a goal."""
     size, change = min(abs(distance), 1e6), limit * duration
@@ -36,14 +36,14 @@ def braking_velocity(distance: float, limit: float, duration: float) -> float:
         change + math.sqrt(change * change + 2.0 * limit * size)), distance)
 
 
-@compiled
+@inner
 def end_stream(x: Any) -> None:
     """Let a reference without messages come to rest, and the setpoint go to the last goal."""
     x.until, x.rate_goal, x.slope, x.bound = math.inf, 0.0, x.limit, x.limit
     x.target, x.smoothing = x.goal, SMOOTHING_S
 
 
-@compiled
+@inner
 def missing_way(x: Any, now: float) -> float:
     """Return how far the setpoint will be behind its target if only the reference ramps."""
     if x.brakes != 0.0 and x.rate == 0.0:
@@ -56,7 +56,7 @@ def missing_way(x: Any, now: float) -> float:
                  + change * abs(change) / (2.0 * x.slope) - x.smoothing * (x.first + x.second))
 
 
-@compiled
+@inner
 def track(x: Any, missing: float, duration: float) -> None:
     """Let what is tracked beside the reference come nearer."""
     change = x.limit * duration
@@ -70,7 +70,7 @@ def track(x: Any, missing: float, duration: float) -> None:
     x.raw, x.first, x.second = raw, first, second
 
 
-@compiled
+@inner
 def limited(x: Any, velocity: float, duration: float) -> float:
     """Return a velocity at the end of an interval that keeps to limits, and ends in the range."""
     if x.seeks != 0.0:
@@ -89,7 +89,7 @@ def limited(x: Any, velocity: float, duration: float) -> float:
     return clip(velocity, begin - change, begin + change)
 
 
-@compiled
+@inner
 def move(x: Any, now: float, duration: float) -> bool:
     """
     Move a setpoint in an interval.
@@ -125,7 +125,7 @@ def move(x: Any, now: float, duration: float) -> bool:
     return not tracks
 
 
-@compiled
+@inner
 def rest(x: Any) -> None:
     """Let a setpoint rest that has arrived."""
     away = abs(x.goal - x.position) if x.seeks != 0.0 else 0.0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.control.law.compiling import compiled
+from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import SMOOTHING_S
 from manip_sim.control.law.stream_timing import (
     clip, DECAY, is_copy, next_members, take_time, TRUSTED)
@@ -23,7 +23,7 @@ NOISE, LONGEST_S = 0.04, 0.1
 SMOOTHING_JITTERS = 20.0
 
 
-@compiled
+@inner
 def fit_goal(x: Any, live: bool) -> float:
     """
     Take in a goal that has come.
@@ -78,7 +78,7 @@ def fit_goal(x: Any, live: bool) -> float:
     return float(x.pace - x.bend * interval / 2.0)
 
 
-@compiled
+@inner
 def own_acceleration(x: Any, velocity: float) -> float:
     """Return the acceleration of a stream to a velocity, zero unless it is on schedule."""
     for goal in (x.goal, x.goal - x.step_1, x.goal - x.step_1 - x.step_2):
@@ -90,7 +90,7 @@ def own_acceleration(x: Any, velocity: float) -> float:
     return float(abs(velocity - x.rate_goal) * 2.0 / (x.elapsed + x.elapsed_before))
 
 
-@compiled
+@inner
 def follow_goal(x: Any, live: bool, now: float) -> None:
     """Let the reference come to the velocity of goals of which another one has come."""
     if not live:
@@ -112,7 +112,7 @@ def follow_goal(x: Any, live: bool, now: float) -> None:
         interval, SMOOTHING_JITTERS * (1.0 - x.share) * x.jitter, SMOOTHING_S)
 
 
-@compiled
+@inner
 def take_velocity(x: Any, live: bool, now: float) -> None:
     """Take in a velocity of a stream of which another one has come."""
     velocity = x.waiting_goal
@@ -123,7 +123,7 @@ def take_velocity(x: Any, live: bool, now: float) -> None:
     x.goal, x.change = velocity, change
 
 
-@compiled
+@inner
 def follow_velocity(x: Any, live: bool, now: float) -> None:
     """Let the reference come to a velocity of which another one has come."""
     take_velocity(x, live, now)
@@ -133,7 +133,7 @@ def follow_velocity(x: Any, live: bool, now: float) -> None:
     x.slope = min(max(abs(x.goal - x.velocity) / interval, 1e-9), x.bound)
 
 
-@compiled
+@inner
 def come_to(x: Any, velocity: float) -> None:
     """Let the reference come to a velocity with the acceleration limit, and seek no goal."""
     x.rate, x.rate_goal, x.slope, x.until = x.velocity, velocity, x.limit, math.inf
@@ -141,7 +141,7 @@ def come_to(x: Any, velocity: float) -> None:
     x.moves = 1.0
 
 
-@compiled
+@inner
 def take_waiting(joints: Any, now: float) -> None:
     """Take in the goals that came at this instant."""
     members = np.empty(len(joints), np.int64)

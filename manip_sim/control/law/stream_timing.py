@@ -15,7 +15,7 @@ import math
 from typing import Any
 
 from manip_sim.arrays import IntArray
-from manip_sim.control.law.compiling import compiled
+from manip_sim.control.law.compiling import compiled, inner
 
 #: So many messages back the line through the arrivals remembers.
 MEMORY = 40.0
@@ -37,13 +37,13 @@ SLACK_KEPT, MISSED = 0.93, 1.5
 HOLD = 2.0
 
 
-@compiled
+@inner
 def clip(value: float, low: float, high: float) -> float:
     """Return a number, or the bound that it is beyond."""
     return min(max(value, low), high)
 
 
-@compiled
+@inner
 def alike(x: Any, y: Any, now: float) -> bool:
     """Return whether two coordinates have had the same messages, so that one clock is for both."""
     if (x.waiting_messages != y.waiting_messages or x.waiting_stamp != y.waiting_stamp
@@ -55,14 +55,14 @@ def alike(x: Any, y: Any, now: float) -> bool:
                 or not (in_time(x, now) or in_time(y, now)))
 
 
-@compiled
+@inner
 def in_time(x: Any, now: float) -> bool:
     """Return whether a message may continue the stream now."""
     return bool(now - x.arrived <= x.longest
                 or now <= x.until < math.inf and x.interval <= x.longest)
 
 
-@compiled
+@inner
 def goes_on(x: Any, now: float, messages: float, stamp: float, velocities: bool) -> bool:
     """Return whether messages continue a stream, and do not begin one."""
     if not in_time(x, now) or (x.velocities != 0.0) != velocities or x.number == 0.0:
@@ -75,7 +75,7 @@ def goes_on(x: Any, now: float, messages: float, stamp: float, velocities: bool)
                 and x.due + sent - now > x.longest + 3.0 * x.jitter)
 
 
-@compiled
+@inner
 def sent_since(joints: Any, members: IntArray, now: float, messages: float,
                velocities: bool) -> float:
     """Return how many messages were sent, by the time and by how far the goals went."""
@@ -107,7 +107,7 @@ def sent_since(joints: Any, members: IntArray, now: float, messages: float,
     return float(max(min(math.floor(mean / sure + 0.5), most), messages))
 
 
-@compiled
+@inner
 def compare(joints: Any, members: IntArray, line: float, since: float) -> tuple[float, float]:
     """Return squares of errors of goals predicted from three before, by the line and arrivals."""
     x = joints[members[0]]
@@ -126,7 +126,7 @@ def compare(joints: Any, members: IntArray, line: float, since: float) -> tuple[
     return by_line, by_arrival
 
 
-@compiled
+@inner
 def take_time(joints: Any, members: IntArray, now: float, velocities: bool) -> bool:
     """
     Take in when messages came.
@@ -229,7 +229,7 @@ def take_time(joints: Any, members: IntArray, now: float, velocities: bool) -> b
     return live
 
 
-@compiled
+@inner
 def is_copy(joints: Any, members: IntArray, now: float) -> bool:
     """Return whether messages that wait are copies of the last ones, by their goals and times."""
     x = joints[members[0]]
@@ -243,7 +243,7 @@ def is_copy(joints: Any, members: IntArray, now: float) -> bool:
                 or x.waiting_stamp > 0.0 and x.waiting_stamp == x.stamp)
 
 
-@compiled
+@inner
 def next_members(joints: Any, begin: int, now: float, members: IntArray) -> int:
     """
     Find coordinates that one message has brought, and which have had the same ones before.
