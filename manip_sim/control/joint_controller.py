@@ -391,6 +391,32 @@ class JointController(ControlledJoints):
         return (bool(self.plan) and not self._ledger.waiting
                 and all([type(c) is JointSetpoint for c in self._ledger.running]))
 
+    @property
+    def exerts_alone(self) -> CartesianCommand | None:
+        """The command that exerts the efforts of all joints, to a target that rests, if one."""
+        running = self._ledger.running
+        if len(running) != 1 or self._ledger.waiting or not self._servos.all_give_effort:
+            return None
+        (command,) = running
+        return (command if isinstance(command, CartesianCommand)
+                and len(command.indices) == len(self.names)
+                and self._generator.settled and self.cartesian.rests_in_effort_mode(command)
+                else None)
+
+    def step(self, command: CartesianCommand, intervals: IntArray, touch: Any,
+             last_s: tuple[float, float]) -> tuple[int, bool]:
+        """
+        Run the physics of intervals of a command that :attr:`exerts_alone`, as ticks would.
+
+        :param intervals: physics steps of each, shape (k,)
+        :param touch: what touches the tool, see ``law.stepping.Touch``
+        :param last_s: when the last interval begins, and how long it takes [s]
+        :returns: in how many steps something touched the tool, and whether contacts came or went
+        """
+        begin_s, duration_s = last_s
+        self._generator.now_s = begin_s + duration_s
+        return self.cartesian.step(command, intervals, touch, self._effort)
+
     def _end_trajectory(self, command: JointTrajectory, data: mujoco.MjData,
                         position: FloatArray) -> None:
         self._finish(command, data, position)

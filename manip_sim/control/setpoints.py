@@ -116,6 +116,11 @@ class SetpointGenerator:
         """Return whether all of the given setpoints rest at their goals."""
         return not self.moving or not np.count_nonzero(self.joints['moves'][indices])
 
+    @property
+    def settled(self) -> bool:
+        """Whether :meth:`advance` has nothing to do."""
+        return not (self.moving or np.count_nonzero(self.joints['held']))
+
     def wake(self) -> None:
         """Resume setpoints that were held back after they had come to rest."""
         joints = self.joints
@@ -289,7 +294,7 @@ class SetpointGenerator:
             self._follow(self.row + 1, duration_s)
             return
         self.planned, self.row = 1, 0
-        if not (self.moving or np.count_nonzero(self.joints['held'])):
+        if self.settled:
             self.now_s += duration_s
             return
         from manip_sim.control.law.setpoint_motion import advance  # It imports numba.

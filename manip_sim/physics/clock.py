@@ -35,6 +35,10 @@ class Clock:
         """Simulation time since the last reset [s]."""
         return self.control_steps * self._timestep_ns * 1e-9
 
+    def in_steps_s(self, steps: int) -> float:
+        """Return what :attr:`control_s` will be after some steps [s]."""
+        return (self.control_steps + steps) * self._timestep_ns * 1e-9
+
     def since_reset_s(self, time_ns: int) -> float:
         """Return the time from the last reset to a simulation time [s]."""
         return (time_ns - (self.step_count - self.control_steps) * self._timestep_ns) * 1e-9

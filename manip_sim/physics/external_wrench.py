@@ -101,6 +101,30 @@ class ExternalWrench:
             if len(self._rows) == _ROWS:
                 self._sum_up()
 
+    @property
+    def is_touched_only(self) -> bool:
+        """Whether contacts alone exert forces on the tool."""
+        return (self.uncollected.is_empty and not self.uncollected.adhesions
+                and not has_fluid(self._physics.model.opt))
+
+    @property
+    def centre(self) -> FloatArray:
+        """The centre of mass of the tree, which :attr:`forces` are about, a view [m], (3,)."""
+        return self._centre
+
+    def record_rows(self, rows: FloatArray, centres: FloatArray) -> None:
+        """
+        Record what has been noted in several steps.
+
+        :param rows: forces that are not zero, shape (k, m, 6)
+        :param centres: where the centre of mass of the tree was [m], shape (k, 3)
+        """
+        for forces, centre in zip(rows, centres):
+            self._rows.append(forces.tobytes())
+            self._centres.append(centre.tobytes())
+            if len(self._rows) == _ROWS:
+                self._sum_up()
+
     def _sum_up(self) -> None:
         count = len(self._rows)
         rows = np.frombuffer(b''.join(self._rows)).reshape(count, -1, 6)

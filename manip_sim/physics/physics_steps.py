@@ -253,6 +253,27 @@ class PhysicsSteps:
             self._clock.count(steps)
         self._contacts = contacts
 
+    @property
+    def data(self) -> mujoco.MjData:
+        """What the steps change."""
+        return self._data
+
+    @property
+    def lets_laws_step(self) -> bool:
+        """Whether compiled laws may run steps, as nothing but contacts has to be watched."""
+        return not (self._laws or self._pushed or self.measuring) and len(self.tools) == 1 and (
+            self.tools[0].is_touched_only)
+
+    def took_steps(self, steps: int, changed: bool) -> None:
+        """
+        Count steps that a law has run.
+
+        :param changed: whether contacts came or went
+        """
+        self.contacts_change |= changed
+        self._contacts = self._data.ncon
+        self._clock.count(steps)
+
     def _interrupted(self, intervals: Iterable[int]) -> Iterator[int]:
         """Divide intervals where something is measured within the period."""
         for steps in intervals:

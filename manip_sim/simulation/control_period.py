@@ -254,9 +254,34 @@ class ControlPeriods:
             self._run([robot.joints.plan.take() for robot in awake], self._cut(steps))
         else:
             self._run((), (steps,))
+            if steps < self._left and len(awake) == 1 and self._exert(
+                    awake[0], self._cut(self._left - steps)):
+                steps = self._left
         self._left -= steps
         if not (self._left or self._later):
             self._steps.finish()
+
+    def _exert(self, robot: SimulatedRobot, intervals: Sequence[int]) -> bool:
+        """
+        Run intervals in compiled code in which only operational space control of an arm acts.
+
+        :returns: whether that is so, and they were run
+        """
+        command = robot.exerts_alone
+        if command is None or not self._steps.lets_laws_step or self._free_roots.is_needed:
+            return False
+        steps, last_s = sum(intervals), intervals[-1] * self._timestep_s
+        from manip_sim.control.law.stepping import touch_of  # It imports numba.
+        (tool,) = self._steps.tools
+        touch = touch_of(self._steps.data, tool.forces, tool.centre, steps)
+        if touch is None:
+            return False
+        begin_s = self._clock.in_steps_s(steps - intervals[-1])
+        count, changed = robot.joints.step(
+            command, np.array(intervals), touch, (begin_s, last_s))
+        tool.record_rows(touch.rows[:count], touch.centres[:count])
+        self._steps.took_steps(steps, changed)
+        return True
 
     def _run(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> None:
         """Run intervals, before each of which only what was planned is written."""

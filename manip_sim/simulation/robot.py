@@ -10,6 +10,7 @@ from typing import Any
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
+from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.commands import (
@@ -122,6 +123,12 @@ class SimulatedRobot:
     def plans(self) -> bool:
         """Whether all intervals that follow in the control period are planned."""
         return self.joints.plans and not any([g.moving for g in self.grippers.values()])
+
+    @property
+    def exerts_alone(self) -> CartesianCommand | None:
+        """The command that is all that control does until the next one, by efforts, if one."""
+        moves = any([g.moving for g in self.grippers.values()])
+        return None if moves else self.joints.exerts_alone
 
     def apply(self, *commands: Command, period_s: float | None = None) -> None:
         """

@@ -259,6 +259,27 @@ class CartesianController:
             target.solve_s = now_s + interval_s
             self._solve(command, target, data, now_s, interval_s)
 
+    def rests_in_effort_mode(self, command: CartesianCommand) -> bool:
+        """Return whether the target of a command rests, to which efforts lead the arm."""
+        target = self._targets[command.arm]
+        return (target.twists is None and (target.stream is None or target.stream.at_rest)
+                and self._servos.any_gives_effort_of(command.indices))
+
+    def step(self, command: CartesianCommand, intervals: IntArray, touch: Any,
+             efforts: FloatArray) -> tuple[int, bool]:
+        """
+        Run the physics of intervals in which efforts lead an arm to a target that rests.
+
+        :param intervals: physics steps of each, shape (k,)
+        :param touch: what touches the tool, see ``law.stepping.Touch``
+        :param efforts: of all joints, changed in place [N m], shape (n,)
+        :returns: in how many steps something touched the tool, and whether contacts came or went
+        """
+        efforts[command.indices], count, changed = self._operational.step(
+            self._chains[command.arm].tip, self._targets[command.arm], command.indices,
+            self.settings[command.arm], intervals, touch)
+        return count, changed
+
     @staticmethod
     def _end_twist(command: CartesianCommand, target: Target, now_s: float) -> None:
         if target.twists is not None and now_s >= target.until_s - 1e-9:

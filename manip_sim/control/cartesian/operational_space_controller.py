@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -103,11 +104,36 @@ class OperationalSpaceController:
         target.rests, singular, slowed = exert(
             self._physics.arrays, arm, *tip.view(data),
             Goal(position, rotation, origin, axes, _RESTING if along is None else along),
-            self._posture, Spring(
-                settings.stiffness, settings.damping, settings.linear_velocity,
-                settings.angular_velocity), target.rests, motion)
+            self._posture, self._spring(settings), target.rests, motion)
         return EffortSolution(motion.efforts, motion.error, motion.twist, motion.held, singular,
                               slowed, still)
+
+    def step(self, tip: Frame, target: Target, indices: IntArray, settings: CartesianSettings,
+             intervals: IntArray, touch: Any) -> tuple[FloatArray, int, bool]:
+        """
+        Run the physics of intervals in which an end effector follows a target that rests.
+
+        :param intervals: physics steps of each, shape (k,)
+        :param touch: what touches the tool, see ``law.stepping.Touch``
+        :returns: the last efforts of the joints [N m], shape (n,), in how many steps something
+            touched the tool, and whether contacts came or went
+        """
+        from manip_sim.control.law.stepping import addresses, step_and_exert  # It imports numba.
+        physics, servos, motion = self._physics, self._servos, Motion.of(len(indices))
+        origin, axes = target.anchor.view(physics.data)
+        drives = servos.drives
+        target.rests, count, changed = step_and_exert(
+            *addresses(physics.model, physics.data), intervals, physics.arrays,
+            self._arm(tip, indices), *tip.view(physics.data),
+            Goal(target.position, target.rotation, origin, axes, _RESTING), self._posture,
+            self._spring(settings), target.rests, motion, drives.activations[indices],
+            drives.gear[indices], touch)
+        return motion.efforts, count, changed
+
+    @staticmethod
+    def _spring(settings: CartesianSettings) -> Spring:
+        return Spring(settings.stiffness, settings.damping, settings.linear_velocity,
+                      settings.angular_velocity)
 
     def _arm(self, tip: Frame, indices: IntArray) -> Arm:
         key = tip.name, indices.tobytes()

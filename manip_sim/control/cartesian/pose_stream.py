@@ -127,6 +127,11 @@ class PoseStream:
             before, self._own, (length(self._slope[:3]), length(self._slope[3:])))
             if size > _STEADY), default=1.0)
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves until the next pose."""
+        return not self.moving and self._waiting is None
+
     def twist(self, now_s: float) -> FloatArray:
         """Return the velocity of the reference [m/s, rad/s], shape (6,)."""
         return self._velocity - self._slope * max(self._ramp_end_s - now_s, 0.0)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 
 from manip_sim.control.law.arm_records import Arm, Goal, Motion, Spring
@@ -14,6 +15,7 @@ from manip_sim.control.law.operational_space import exert
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.singular_directions import limit_rate
+from manip_sim.control.law.stepping import addresses, step_and_exert, touch_of
 from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait
 from manip_sim.physics.physics import WorldArrays
@@ -41,6 +43,13 @@ def load_laws() -> None:
              jacobian.copy())
     limit_rate(jacobian, none, one, 1.0)
     arm = Arm(places, places, places, ~no, nowhere, -one, one, one, -one, one, none, none, 0)
+    goal = Goal(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3), none)
+    spring = Spring(1.0, 1.0, 1.0, 1.0)
     exert(world, arm, np.zeros(3), np.eye(3),
-          Goal(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3), none), none,
-          Spring(1.0, 1.0, 1.0, 1.0), False, Motion.of(_COUNT))
+          goal, none, spring, False, Motion.of(_COUNT))
+    model = mujoco.MjModel.from_xml_string('<mujoco/>')
+    data = mujoco.MjData(model)
+    touch = touch_of(data, np.zeros((1, 6)), np.zeros(3), 1)
+    if touch is not None:  # In no step, so that nothing of this is used.
+        step_and_exert(*addresses(model, data), places[:0].copy(), world, arm, np.zeros(3),
+                       np.eye(3), goal, none, spring, False, Motion.of(_COUNT), places, one, touch)
