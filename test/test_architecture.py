@@ -26,7 +26,7 @@ MAY_IMPORT = {
     # Files of others may have meshes that MuJoCo does not read.
     'models/files': ({'models'}, PURE | {'trimesh', 'xacro'}),
     'physics': ({'models', 'physics'}, PURE),
-    'control/law': ({'control', 'physics'}, PURE | {'numba'}),
+    'control/law': ({'control', 'physics'}, PURE | {'llvmlite', 'numba'}),
     'control': ({'control', 'models', 'physics', 'sensing'}, PURE),
     'simulation': ({'control', 'models', 'physics', 'sensing', 'simulation'}, PURE),
     'worlds': ({'control', 'models', 'physics', 'simulation', 'worlds'}, PURE),

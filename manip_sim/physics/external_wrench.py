@@ -110,7 +110,7 @@ class ExternalWrench:
     @property
     def centre(self) -> FloatArray:
         """The centre of mass of the tree, which :attr:`forces` are about, a view [m], (3,)."""
-        return self._centre
+        return np.asarray(self._centre)
 
     def record_rows(self, rows: FloatArray, centres: FloatArray) -> None:
         """

@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
+from manip_sim.control.law.kept import all_are_kept
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
@@ -339,13 +340,17 @@ class SimNode(Node):
 
         :raises ManipSimError: if the world cannot be described
         """
+        kept = all_are_kept()
+        if not kept:
+            self.get_logger().info('Compiling control laws, once, which takes up to a minute')
+            _load_laws()
         self.cameras.start()
         self._episode.begin()
         self._show_settings()
         self.thread.start()
         if self._command_thread is not None:
             self._command_thread.start()
-        if self.declared.value('stepping') == 'realtime':
+        if kept and self.declared.value('stepping') == 'realtime':
             # The first command should not wait for them.
             threading.Thread(target=_load_laws, name='laws').start()
         # The first state should not wait for these, which take longer.

@@ -61,7 +61,7 @@ def assert_shown(path, state):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('number', END_SIGNALS[1:2])  # SIGINT ends those of test_journal.py.
+@pytest.mark.parametrize('number', END_SIGNALS[-1:])  # SIGINT ends those of test_journal.py.
 def test_all_topics_of_a_node_are_recorded_until_a_signal(
         number, sim_process, record, client, tmp_path):
     sim_process('arena:=table', 'robot:=UR5e')

@@ -25,7 +25,8 @@ def pressed(name, periods):
             action = np.clip(0.3 * draw.normal(size=6) - [0, 0, 1.5, 0, 0, 0], -1.0, 1.0)
             robot.apply(robot.parse_cartesian.action('right', action), period_s=PERIOD_S)
         simulation.advance(STEPS)
-        found.append((simulation.digest(), repr(robot.state().end_effectors['right'].external_wrench)))
+        effector = robot.state().end_effectors['right']
+        found.append((simulation.digest(), repr(effector.external_wrench)))
         contacts.add(int(simulation.data.ncon))
     return found, contacts
 

@@ -9,8 +9,10 @@ import mujoco
 import numpy as np
 
 from manip_sim.control.law.arm_records import Arm, Goal, Motion, Spring
+from manip_sim.control.law.compiling import PLAIN
 from manip_sim.control.law.displacement import displace
 from manip_sim.control.law.joint_records import blank_state, Drives, records
+from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.operational_space import exert
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_motion import advance
@@ -45,11 +47,12 @@ def load_laws() -> None:
     arm = Arm(places, places, places, ~no, nowhere, -one, one, one, -one, one, none, none, 0)
     goal = Goal(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3), none)
     spring = Spring(1.0, 1.0, 1.0, 1.0)
-    exert(world, arm, np.zeros(3), np.eye(3),
-          goal, none, spring, False, Motion.of(_COUNT))
+    exert(world, arm, np.zeros(3), np.eye(3), goal, none, spring, False, Motion.of(_COUNT))
     model = mujoco.MjModel.from_xml_string('<mujoco/>')
     data = mujoco.MjData(model)
     touch = touch_of(data, np.zeros((1, 6)), np.zeros(3), 1)
     if touch is not None:  # In no step, so that nothing of this is used.
         step_and_exert(*addresses(model, data), places[:0].copy(), world, arm, np.zeros(3),
                        np.eye(3), goal, none, spring, False, Motion.of(_COUNT), places, one, touch)
+    if not PLAIN:
+        note_that_all_are_kept()

@@ -84,7 +84,7 @@ def touch_of(data: mujoco.MjData, forces: FloatArray, centre: FloatArray, steps:
     if place is None or data.maxuse_arena > _MEMORY * data.narena:
         return None
     words = (ctypes.c_int32 * 1).from_address(data._address + place)
-    return Touch(np.frombuffer(words, dtype=np.int32), forces, centre,
+    return Touch(np.ctypeslib.as_array(words), forces, centre,
                  np.empty((steps, *forces.shape)), np.empty((steps, 3)))
 
 

@@ -1,0 +1,85 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where compiled laws of control are kept, for each version of all that they depend on."""
+
+from __future__ import annotations
+
+import contextlib
+from functools import cache
+import hashlib
+from importlib.metadata import PackageNotFoundError, version
+import os
+from pathlib import Path
+import platform
+import shutil
+import tempfile
+
+import mujoco
+import numpy as np
+
+from manip_sim.resources import cache_folder, package_version
+
+#: So many folders of other versions stay, those used last.
+_OTHERS = 12
+#: File in a folder of laws, once all of them are there.
+_ALL = 'all'
+
+
+def _version() -> str:
+    """Return a name for all that the compiled code depends on, beside the processor."""
+    content = hashlib.sha256()
+    for number in (package_version(), _version_of_numba(), mujoco.__version__, np.__version__,
+                   platform.python_version()):
+        content.update(f'{number}\n'.encode())
+    # numba looks only at the file of the function that is called, not at those it calls.
+    for path in sorted(Path(__file__).parent.glob('*.py')):
+        content.update(path.read_bytes())
+    return content.hexdigest()[:16]
+
+
+def _version_of_numba() -> str:
+    """Return the version of numba, if possible without importing it."""
+    try:
+        return version('numba')
+    except PackageNotFoundError:
+        import numba
+        return str(numba.__version__)
+
+
+@cache
+def laws_folder() -> Path | None:
+    """Return where compiled laws are kept, or None if they can be kept nowhere."""
+    for parent in (cache_folder('laws'), Path(tempfile.gettempdir(), f'manip_sim-{os.getuid()}')):
+        folder = parent / _version()
+        with contextlib.suppress(OSError):
+            if not folder.exists():
+                _remove_old(parent)
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            # What is kept there is run: nobody else may put it there.
+            if os.access(folder, os.W_OK) and all(
+                    path.stat().st_uid == os.getuid() for path in (folder, parent)):
+                os.utime(folder)
+                return folder
+    return None
+
+
+def _remove_old(parent: Path) -> None:
+    """Remove the laws of all but some of other versions; a process has what it runs."""
+    with contextlib.suppress(OSError):  # Another process may remove the same.
+        others = sorted(parent.glob('[0-9a-f]' * 16), key=lambda folder: folder.stat().st_mtime)
+        for folder in others[:-_OTHERS]:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def all_are_kept() -> bool:
+    """Return whether nothing has to be compiled."""
+    folder = laws_folder()
+    return folder is not None and (folder / _ALL).exists()
+
+
+def note_that_all_are_kept() -> None:
+    """Note that the folder holds all laws."""
+    folder = laws_folder()
+    if folder is not None:
+        (folder / _ALL).touch()
