@@ -15,9 +15,6 @@ import platform
 import shutil
 import tempfile
 
-import mujoco
-import numpy as np
-
 from manip_sim.resources import cache_folder, package_version
 
 #: So many folders of other versions stay, those used last.
@@ -29,8 +26,7 @@ _ALL = 'all'
 def _version() -> str:
     """Return a name for all that the compiled code depends on, beside the processor."""
     content = hashlib.sha256()
-    for number in (package_version(), _version_of_numba(), mujoco.__version__, np.__version__,
-                   platform.python_version()):
+    for number in (package_version(), _version_of_numba(), platform.python_version()):
         content.update(f'{number}\n'.encode())
     # numba looks only at the file of the function that is called, not at those it calls.
     for path in sorted(Path(__file__).parent.glob('*.py')):
