@@ -110,7 +110,9 @@ def swinger(served, client):
 @pytest.mark.full
 def test_goal_succeeds_and_its_client_hears_of_it_twenty_times_a_second(swinger):
     assert swinger.run(10) == SUCCEEDED
-    assert 10 <= len(swinger.told) <= 26
+    # On a busy machine, the simulation takes longer than its time.
+    seconds = max(1.0, swinger.told[-1][0] - swinger.told[0][0])
+    assert 10 <= len(swinger.told) <= 26 * seconds
     times = [time_ms for _, time_ms in swinger.told]
     assert times == sorted(set(times))
 

@@ -28,6 +28,7 @@ from test_standard_services import BALL, MJCF, spawn_request, Standard
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from usage import Usage
 
+from manip_sim.control.law.loading import load_laws
 from manip_sim.errors import SimulationEnded
 from manip_sim.models import compose
 from manip_sim.ros.action_servers import messages_of
@@ -177,6 +178,7 @@ def actions(count: int, seed: int) -> Row:
     tracker = GoalTracker(thread, simulation, count_end)
     offered = list(messages_of(TYPES, simulation.robot, lambda: thread.progress.time_ns))
     started = rejected = 0
+    load_laws()  # They stay for good, and are no growth.
     thread.start()
     try:
         begin, before = time.monotonic(), Usage.of(os.getpid())
