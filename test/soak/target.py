@@ -70,6 +70,16 @@ class Watched:
         """Return what the process holds more than at the start."""
         return Usage.of(self.process.pid).since(self.before)
 
+    def settle(self) -> None:
+        """Wait until the process has loaded what it loads while it runs, such as laws."""
+        last, end = -1.0, time.monotonic() + 20.0
+        while time.monotonic() < end:
+            present = Usage.of(self.process.pid).memory_mb
+            if abs(present - last) < 0.5:
+                return
+            last = present
+            time.sleep(0.7)
+
     def checked_growth(self, most_mb: float = MAX_GROWTH_MB) -> str:
         """
         Return what the process holds more than at the start.
