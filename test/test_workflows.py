@@ -56,7 +56,7 @@ def test_containers_are_the_image_of_the_dockerfile():
 
 def test_a_job_that_says_so_installs_what_is_locked(tmp_path):
     script = (ROOT / '.ci' / 'run').read_text()
-    (condition,) = re.findall(r'^if \[ "\$\{LOCKED:-\}" = 1 \]; then.*?^fi$', script,
+    (condition,) = re.findall(r'^  if \[ "\$\{LOCKED:-\}" = 1 \]; then.*?^  fi$', script,
                               re.MULTILINE | re.DOTALL)
     done = subprocess.run(
         ['bash', '-euc', condition + '\necho "$PIP_CONSTRAINT"'], cwd=ROOT, check=True,
@@ -68,7 +68,7 @@ def test_a_job_that_says_so_installs_what_is_locked(tmp_path):
     assert not [one for one in found if one.name.startswith('mujoco')]  # The lowest, not locked.
     # All that it installs from then on is under these constraints, but for a NumPy of its own.
     free = re.findall(r'^.*pip install.*$', script.partition(condition)[2].partition(
-        'unset PIP_CONSTRAINT')[0], re.MULTILINE)
+        '\n}\n')[0], re.MULTILINE)
     assert [line.split()[-1] for line in free if 'env -u PIP_CONSTRAINT' in line] == [
         "'numpy==1.26.4'"]
     locked = [name for _, name, job in JOBS if job.get('env', {}).get('LOCKED') == '1']
