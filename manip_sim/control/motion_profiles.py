@@ -1,20 +1,13 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Motion within limits: functions of arrays without state, and what a plan consists of."""
+"""Motion within limits: functions of arrays without state."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-
-
-def within(values: FloatArray, low: FloatArray | float, high: FloatArray | float) -> FloatArray:
-    """Return values clipped to a range; np.clip takes several times as long for few of them."""
-    return np.asarray(np.minimum(np.maximum(values, low), high))
 
 
 def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float) -> FloatArray:
@@ -32,22 +25,6 @@ def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float)
     # The root of v^2 + 2 change v = 2 limit size, written so that it is exact for small sizes.
     return np.asarray(np.sign(distance) * 2.0 * limit * size / (
         change + np.sqrt(change**2 + 2.0 * limit * size)))
-
-
-class Plan(NamedTuple):
-    """
-    Where coordinates are at the ends of several intervals, and how they move.
-
-    :ivar durations_s: of the intervals [s], shape (k, 1 ...)
-    :ivar positions: [rad or m], shape (k, ..., n); velocities and accelerations have the same
-    :ivar velocities: [rad/s or m/s]
-    :ivar accelerations: means over the intervals [rad/s^2 or m/s^2]
-    """
-
-    durations_s: FloatArray
-    positions: FloatArray
-    velocities: FloatArray
-    accelerations: FloatArray
 
 
 def evenly_braked(velocity: FloatArray, position: FloatArray, low: FloatArray, high: FloatArray,

@@ -30,7 +30,7 @@ class PlannedRates(NamedTuple):
 
 class PlannedControls:
     """
-    How servos follow their setpoints, in an interval or in several that are planned.
+    Rates of servos that follow their setpoints, in an interval or in several planned ones.
 
     :param servos: of all driven joints
     :param setpoints: of all driven joints
@@ -41,7 +41,7 @@ class PlannedControls:
 
     def __init__(self, servos: Servos, setpoints: SetpointGenerator) -> None:
         self._servos, self._setpoints = servos, setpoints
-        #: How fast the setpoints of servos change.
+        #: Rates of the setpoints of servos.
         self._rates = np.zeros((1, len(servos.lead)))
 
     def __bool__(self) -> bool:

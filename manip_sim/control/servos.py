@@ -195,7 +195,7 @@ class Servos:
 
     @property
     def all_give_effort(self) -> bool:
-        """Whether all actuators are sources of effort."""
+        """True if all actuators are sources of effort."""
         return self._sources == len(self._ids)
 
     def gives_effort(self, indices: IntArray) -> BoolArray:
@@ -273,7 +273,7 @@ class Servos:
 
     @property
     def drives(self) -> Drives:
-        """What the compiled law is told of the servos."""
+        """Arrays of the servos for the compiled law."""
         if self._drives is None:
             model = self._physics.model
             self._drives = Drives(

@@ -103,7 +103,7 @@ class ExternalWrench:
 
     @property
     def is_touched_only(self) -> bool:
-        """Whether contacts alone exert forces on the tool."""
+        """True if contacts alone exert forces on the tool."""
         return (self.uncollected.is_empty and not self.uncollected.adhesions
                 and not has_fluid(self._physics.model.opt))
 

@@ -255,12 +255,12 @@ class PhysicsSteps:
 
     @property
     def data(self) -> mujoco.MjData:
-        """What the steps change."""
+        """The ``MjData`` that the steps change."""
         return self._data
 
     @property
     def lets_laws_step(self) -> bool:
-        """Whether compiled laws may run steps, as nothing but contacts has to be watched."""
+        """True if compiled laws may run steps: nothing but contacts has to be watched."""
         return not (self._laws or self._pushed or self.measuring) and len(self.tools) == 1 and (
             self.tools[0].is_touched_only)
 

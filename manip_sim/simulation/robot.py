@@ -352,11 +352,6 @@ class SimulatedRobot:
         self.reflexes.check(self._physics.data)
         self.joints.begin_period(self._physics.data, self._clock.control_s, period_s, ends_s)
 
-    @property
-    def has_late_commands(self) -> bool:
-        """True if delayed commands have not yet taken effect."""
-        return bool(self._late)
-
     def next_arrival(self, count: int) -> int | None:
         """
         Return when the next late command takes effect, or None.

@@ -25,7 +25,7 @@ IMAGE = 'image/'
 
 
 class _Scene(NamedTuple):
-    """What surrounds the robots at an instant: arrays by key, and what cameras show."""
+    """Surroundings of the robots at an instant: arrays by key, and pictures of cameras."""
 
     surroundings: Observation
     snapshot: Snapshot
@@ -55,7 +55,7 @@ class Observer:
                  ) -> None:
         self._simulation = simulation
         self.pictures = pictures
-        #: What is seen later, by steps from the reset to its instant.
+        #: Observations to be seen later, by steps from the reset to their instant.
         self._scenes: dict[int, _Scene] = {}
         self._sensing = simulation.robots[task.robot.name_in_world].sensing
         for robot in simulation.robots.values():

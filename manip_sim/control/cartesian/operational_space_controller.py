@@ -69,7 +69,7 @@ class OperationalSpaceController:
     :param posture: positions that redundant arms are drawn to [rad], shape (n,)
     """
 
-    #: What follows from the rest.
+    #: Derived from the other attributes.
     not_in_digest = ('_arms',)
 
     def __init__(self, physics: Physics, servos: Servos, posture: FloatArray) -> None:

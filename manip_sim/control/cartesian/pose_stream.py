@@ -129,7 +129,7 @@ class PoseStream:
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing moves until the next pose."""
+        """True while nothing moves until the next pose."""
         return not self.moving and self._waiting is None
 
     def twist(self, now_s: float) -> FloatArray:

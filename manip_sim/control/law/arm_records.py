@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What operational space control is told of an arm, and what it writes; numba is not needed."""
+"""Inputs and outputs of operational space control of an arm; numba is not needed."""
 
 from __future__ import annotations
 

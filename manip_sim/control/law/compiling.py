@@ -38,7 +38,7 @@ def kept_in(folder: Path) -> Iterator[None]:
         settings.CACHE_DIR = before
 
 
-#: Whether the laws are plain Python.
+#: True if the laws are plain Python.
 PLAIN = bool(config.DISABLE_JIT)
 _FOLDER = None if PLAIN else laws_folder()
 if not PLAIN and (_FOLDER is None or next(_FOLDER.rglob('*.nbi'), None) is None):

@@ -24,7 +24,7 @@ from manip_sim.control.law.small_matrices import (
     clip, dot, factorize, minimize_in_box, multiply, multiply_matrices, multiply_transposed, norm,
     solve)
 
-#: What needs larger displacements of a joint is not possible here [rad].
+#: Tasks that need larger displacements of a joint are not possible here [rad].
 _LARGEST = 1.0
 #: Keeps the least squares regular; it is compensated, so the solution is exact.
 _REGULAR = 1e-9

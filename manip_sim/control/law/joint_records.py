@@ -26,10 +26,10 @@ FIELDS = (
     'position', 'velocity', 'acceleration',
     # The reference: its velocity, what that comes to and how fast, until when.
     'rate', 'rate_goal', 'slope', 'until',
-    # What is tracked beside it: the target, velocities before and after two low-pass stages, and
-    # their time constant; the limit of all accelerations.
+    # The motion tracked beside it: the target, velocities before and after two low-pass stages,
+    # and their time constant; the limit of all accelerations.
     'target', 'raw', 'first', 'second', 'smoothing', 'bound',
-    # Whether it comes to the target, brakes before that, moves, or was held back at rest.
+    # Flags: comes to the target, brakes before that, moves, was held back at rest.
     'seeks', 'brakes', 'moves', 'held',
     # A goal that came at this instant: how many messages, their stamp and the control period.
     'waiting', 'waiting_goal', 'waiting_messages', 'waiting_stamp', 'waiting_period',
@@ -53,7 +53,7 @@ FIELDS = (
     # Counts: goals beyond the velocity limit, messages that seem to have been lost.
     'limited', 'lost')
 JOINT = np.dtype([(name, np.float64) for name in FIELDS])
-#: Whether laws are plain Python, which reads attributes of records of another type alone.
+#: True for plain Python, which reads attributes of records of another type alone.
 _PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'
 #: Time constant of what is tracked beside the reference, at least [s].
 SMOOTHING_S = 0.02

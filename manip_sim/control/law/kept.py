@@ -52,7 +52,7 @@ def laws_folder() -> Path | None:
             if not folder.exists():
                 _remove_old(parent)
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            # What is kept there is run: nobody else may put it there.
+            # Code of this folder is run: nobody else may put it there.
             if os.access(folder, os.W_OK) and all(
                     path.stat().st_uid == os.getuid() for path in (folder, parent)):
                 os.utime(folder)

@@ -111,7 +111,7 @@ def move(x: Any, now: float, duration: float) -> bool:
     if velocity != rate + x.second:
         tracks = True
         if x.seeks != 0.0:
-            # What the limits take away is not tracked at once.
+            # The part that the limits take away is not tracked at once.
             x.second = velocity - rate
         else:
             rate = velocity
@@ -164,7 +164,7 @@ def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> tuple[int
             moves = moves or x.rate_goal != 0.0
         begin = ends[k]
         if not (plain and moves):
-            # What follows may depend on what is measured after this interval.
+            # Later intervals may depend on measurements after this one.
             return 1, counted
     return len(ends), counted
 

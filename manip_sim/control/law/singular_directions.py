@@ -54,7 +54,7 @@ def find_bend(jacobian: FloatArray, step: FloatArray, result: FloatArray) -> Non
     for i in range(6):
         direction[i], centripetal[i], turned[i % 3] = _EVEN, 0.0, 0.0
     square = _find_hard_direction(jacobian, direction)
-    # How each joint is turned by those before it, and with itself: twice its mean.
+    # Rotation of each joint by those before it, and with itself: twice its mean.
     for j in range(len(step)):
         for k in range(3):
             one, two = (k + 1) % 3, (k + 2) % 3

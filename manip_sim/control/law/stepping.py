@@ -43,7 +43,7 @@ _mj_step = types.ExternalFunction('mj_step', types.void(types.uintp, types.uintp
 
 class Touch(NamedTuple):
     """
-    What touches a tool, and where it is noted.
+    Contact forces on a tool, and the arrays that note them.
 
     :ivar contacts: number of all contacts, a view into ``MjData``, shape (1,)
     :ivar forces: on the bodies of the tool, a view, shape (m, 6)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How the goals of a stream move: a parabola whose memory is as long as their noise demands."""
+"""Motion of the goals of a stream: a parabola whose memory is as long as their noise demands."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def own_acceleration(x: Any, velocity: float) -> float:
 def follow_goal(x: Any, live: bool, now: float) -> None:
     """Let the reference come to the velocity of goals of which another one has come."""
     if not live:
-        # What the reference of a setpoint does that is no stream becomes a way to its goal.
+        # The reference of a setpoint without a stream becomes a way to its goal.
         x.raw, x.first, x.second = x.raw + x.rate, x.first + x.rate, x.second + x.rate
         x.rate = x.rate_goal = x.own = 0.0
     wanted = fit_goal(x, live)

@@ -33,7 +33,7 @@ COPY = 0.7
 GUESSED = 3.0
 #: Slack of ramps that is kept per message, and how much of the time of lost messages is in it.
 SLACK_KEPT, MISSED = 0.93, 1.5
-#: How long a stream goes on after a message was due, unless set otherwise [intervals].
+#: Continuation of a stream after a message was due, unless set otherwise [intervals].
 HOLD = 2.0
 
 

@@ -77,7 +77,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         state_periods = number_of_parts(late.state_s, period_s, 'latency of a state with a node',
                                         'control periods')
         self._images = {key: value.shape for key, value in seen.items() if key.startswith(IMAGE)}
-        #: What is seen later of all but the robots, whose states the node delays.
+        #: Late observations of all but the robots, whose states the node delays.
         self._scenes: deque[Observation] = deque(maxlen=state_periods + 1)
         self._context = rclpy.Context()
         start_rclpy(context=self._context, domain_id=domain_id)
