@@ -30,14 +30,17 @@ _MARK, _WORDS = 987654321, 45000
 _MEMORY = 0.5
 
 
-def _load_mj_step() -> None:
-    """Let compiled code call MuJoCo by name, so that numba can keep it."""
-    (library,) = Path(mujoco.__path__[0]).glob('libmujoco*')
-    address = ctypes.cast(ctypes.CDLL(str(library)).mj_step, ctypes.c_void_p).value
-    llvmlite.binding.add_symbol('mj_step', address)
+def _load_mj_step() -> bool:
+    """Let compiled code call MuJoCo by name, so that numba can keep it; return False if not."""
+    for library in sorted(Path(mujoco.__path__[0]).glob('libmujoco*')):
+        address = ctypes.cast(ctypes.CDLL(str(library)).mj_step, ctypes.c_void_p).value
+        llvmlite.binding.add_symbol('mj_step', address)
+        return True
+    return False
 
 
-_load_mj_step()
+#: False where MuJoCo's library lies elsewhere than in its package.
+_LOADED = _load_mj_step()
 _mj_step = types.ExternalFunction('mj_step', types.void(types.uintp, types.uintp))
 
 
@@ -79,7 +82,7 @@ def touch_of(data: mujoco.MjData, forces: FloatArray, centre: FloatArray, steps:
     :param centre: that these are about [m], a view, shape (3,)
     :param steps: how many there will be
     """
-    place = None if config.DISABLE_JIT else _place_of_contacts()
+    place = None if config.DISABLE_JIT or not _LOADED else _place_of_contacts()
     # Out of memory, MuJoCo ends the process, where Python would get an exception.
     if place is None or data.maxuse_arena > _MEMORY * data.narena:
         return None
