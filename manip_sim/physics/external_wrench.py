@@ -96,10 +96,13 @@ class ExternalWrench:
             self._sum = self._sum + uncollected.wrench(model, self._physics.data)
         forces = self.forces.tobytes()
         if forces != self._no_rows:
-            self._rows.append(forces)
-            self._centres.append(self._centre.tobytes())
-            if len(self._rows) == _ROWS:
-                self._sum_up()
+            self._add(forces, self._centre.tobytes())
+
+    def _add(self, forces: bytes, centre: bytes) -> None:
+        self._rows.append(forces)
+        self._centres.append(centre)
+        if len(self._rows) == _ROWS:
+            self._sum_up()
 
     @property
     def is_touched_only(self) -> bool:
@@ -120,10 +123,7 @@ class ExternalWrench:
         :param centres: where the centre of mass of the tree was [m], shape (k, 3)
         """
         for forces, centre in zip(rows, centres):
-            self._rows.append(forces.tobytes())
-            self._centres.append(centre.tobytes())
-            if len(self._rows) == _ROWS:
-                self._sum_up()
+            self._add(forces.tobytes(), centre.tobytes())
 
     def _sum_up(self) -> None:
         count = len(self._rows)

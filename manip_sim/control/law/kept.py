@@ -24,14 +24,23 @@ _ALL = 'all'
 
 
 def _version() -> str:
-    """Return a name for all that the compiled code depends on, beside the processor."""
+    """Return a name for all that the compiled code depends on."""
     content = hashlib.sha256()
-    for number in (package_version(), _version_of_numba(), platform.python_version()):
-        content.update(f'{number}\n'.encode())
+    for word in (package_version(), _version_of_numba(), platform.python_version(), _processor()):
+        content.update(f'{word}\n'.encode())
     # numba looks only at the file of the function that is called, not at those it calls.
     for path in sorted(Path(__file__).parent.glob('*.py')):
         content.update(path.read_bytes())
     return content.hexdigest()[:16]
+
+
+def _processor() -> str:
+    """Return the kind of the processor; a home may be on several machines."""
+    with contextlib.suppress(OSError):
+        first, _, _ = Path('/proc/cpuinfo').read_text().partition('\n\n')
+        return '\n'.join(line for line in first.splitlines() if line.startswith(
+            ('model name', 'flags', 'Features', 'CPU part')))
+    return f'{platform.machine()} {platform.processor()}'
 
 
 def _version_of_numba() -> str:
