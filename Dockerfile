@@ -11,20 +11,21 @@ COPY . src/manip_sim
 RUN grep -oE '^[a-z0-9.-]+==[^\\]+' src/manip_sim/requirements/run.txt \
     | grep -v '^numpy==' > locked.txt \
     && echo 'numpy==1.26.4' >> locked.txt
-# rosdep installs what package.xml names; numba from pip is built for this Python. OpenGL is for cameras, viser and trimesh for the viewer.
+# rosdep installs what package.xml names; numba from pip is built for this Python. OpenGL is for
+# cameras, viser and trimesh for the viewer.
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends libegl1 libgl1-mesa-dri python3-pip \
     && rosdep update --rosdistro jazzy \
     && rosdep install --from-paths src --ignore-src --default-yes \
-    && python3 -m pip install --no-cache-dir numba 'numpy<2' trimesh 'viser>=1.1,<2' \
+    && python3 -m pip install --no-cache-dir 'numba>=0.58,<1' 'numpy<2' trimesh 'viser>=1.1,<2' \
     && rm -rf /var/lib/apt/lists/*
 RUN . /opt/ros/jazzy/setup.sh && colcon build && useradd --create-home manip_sim
 # Nothing below needs more rights; logs and caches are in the user's home.
 USER manip_sim
 WORKDIR /home/manip_sim
-# On another kind of processor, the first node compiles them again.
+# Laws of control, in the user's cache; on another kind of processor, the first node compiles again.
 RUN . /ws/install/setup.sh \
-    && python3 -c 'from manip_sim.control.law.loading import load_laws; load_laws()'
+    && python3 -m manip_sim.control.law.loading
 
 ENTRYPOINT ["/bin/bash", "-c", "source /ws/install/setup.bash && exec \"$@\"", "manip_sim"]
 CMD ["ros2", "run", "manip_sim", "sim_node"]

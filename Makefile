@@ -146,7 +146,7 @@ $(READY): setup.py
 	$(call install,the package and what it runs with,$(RUN_PACKAGES))
 	@[ '$(LOCKED)' != 1 ] \
 		|| $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
-	@$(BIN)/python -c 'from manip_sim.control.law.loading import load_laws; load_laws()'
+	@$(BIN)/python -m manip_sim.control.law.loading
 	@touch $@
 
 $(TEST_READY): $(READY)

@@ -45,7 +45,10 @@ def test_what_it_runs_has_the_rights_of_a_user_that_it_makes():
     assert user != 'root' and any(f'useradd --create-home {user}' in run
                                   for run in arguments('RUN'))
     words = [word for word, _ in INSTRUCTIONS]
-    assert words.index('USER') > max(i for i, word in enumerate(words) if word == 'RUN')
+    as_root = words[:words.index('USER')].count('RUN')
+    as_user = arguments('RUN')[as_root:]
+    assert [run for run in as_user if 'install ' in run or 'useradd' in run] == []
+    assert words.index('USER') < words.index('ENTRYPOINT') < words.index('CMD')
 
 
 def test_pip_installs_the_versions_of_the_requirements_but_for_numpy(tmp_path):

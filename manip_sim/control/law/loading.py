@@ -56,3 +56,7 @@ def load_laws() -> None:
                        np.eye(3), goal, none, spring, False, Motion.of(_COUNT), places, one, touch)
     if not PLAIN:
         note_that_all_are_kept()
+
+
+if __name__ == '__main__':
+    load_laws()
