@@ -376,7 +376,7 @@ class JointController(ControlledJoints):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
             elif isinstance(command, BaseTwist):
                 self._base.follow(command, data, now_s, duration_s)
-        setpoints.advance(duration_s, plans=not others)
+        setpoints.advance(duration_s, min([self._decides_at(c) for c in others], default=np.inf))
         for command in others:
             if isinstance(command, JointTrajectory):
                 position = self._trajectories.follow(command, now_s + duration_s)
@@ -385,11 +385,16 @@ class JointController(ControlledJoints):
         self._written, self._efforts_due = True, False
         self.plan.write(duration_s, self._effort)
 
+    def _decides_at(self, command: Command) -> float:
+        """Return when a command may move setpoints in another way than by now [s]."""
+        if isinstance(command, CartesianCommand):
+            return self.cartesian.decides_at(command)
+        return -np.inf
+
     @property
-    def plans(self) -> bool:
-        """Whether all intervals that follow in the control period are planned."""
-        return (bool(self.plan) and not self._ledger.waiting
-                and all([type(c) is JointSetpoint for c in self._ledger.running]))
+    def planned(self) -> int:
+        """How many intervals of the control period are planned, the present one too."""
+        return 1 if self._ledger.waiting else self.plan.intervals
 
     @property
     def exerts_alone(self) -> CartesianCommand | None:

@@ -44,9 +44,10 @@ class PlannedControls:
         #: Rates of the setpoints of servos.
         self._rates = np.zeros((1, len(servos.lead)))
 
-    def __bool__(self) -> bool:
-        """Return whether all intervals that follow in the control period are planned."""
-        return self._setpoints.planned > 1
+    @property
+    def intervals(self) -> int:
+        """How many intervals are planned, the present one too."""
+        return self._setpoints.planned - self._setpoints.row
 
     def write(self, duration_s: float, efforts: FloatArray) -> None:
         """
@@ -61,8 +62,9 @@ class PlannedControls:
             setpoints.keep(len(self._rates))
         self._servos.write(self._rates[setpoints.row], efforts)
 
-    def take(self) -> PlannedRates:
-        """Return the controls from the present interval of a plan on, which then is past."""
-        rates = self._rates[self._setpoints.row:]
-        self._setpoints.end_plan()
+    def take(self, count: int) -> PlannedRates:
+        """Return the controls of planned intervals from the present one on, which then are past."""
+        row = self._setpoints.row
+        rates = self._rates[row:row + count]
+        self._setpoints.follow_plan(count)
         return PlannedRates(*self._servos.controls, rates)

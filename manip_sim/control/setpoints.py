@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.joint_records import blank_state, records, SMOOTHING_S
-from manip_sim.control.motion_profiles import evenly_braked
+from manip_sim.control.law.joint_records import blank_state, PLACES, records
 
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
 #: servos add up to 15 % while they take over.
@@ -61,20 +61,24 @@ class SetpointGenerator:
         """The state as records, a view."""
         return records(self._state)
 
+    def _numbers_of(self, field: str) -> FloatArray:
+        """Return a field of all joints, a view, sooner than :attr:`joints` does."""
+        return self._state[:, PLACES[field]]
+
     @property
     def position(self) -> FloatArray:
         """Setpoints at the end of the last interval [rad or m], shape (n,), a copy."""
-        return np.array(self.joints['position'])
+        return self._numbers_of('position').copy()
 
     @property
     def velocity(self) -> FloatArray:
         """Their velocity there [rad/s or m/s], shape (n,), a copy."""
-        return np.array(self.joints['velocity'])
+        return self._numbers_of('velocity').copy()
 
     @property
     def acceleration(self) -> FloatArray:
         """Their acceleration there [rad/s^2 or m/s^2], shape (n,), a copy."""
-        return np.array(self.joints['acceleration'])
+        return self._numbers_of('acceleration').copy()
 
     def reset(self, position: FloatArray) -> None:
         """
@@ -89,8 +93,7 @@ class SetpointGenerator:
         self.now_s = self._begin_s = 0.0
         self._states: FloatArray | None = None
         self.planned, self.row = 1, 0
-        self.place(np.arange(len(position)), position, np.zeros(len(position)))
-        joints['moves'] = 0.0
+        joints['position'] = np.clip(position, joints['low'], joints['high'])
         self.moving = False
 
     def set_stream(self, indices: IntArray, longest_s: float | None = None,
@@ -114,12 +117,12 @@ class SetpointGenerator:
 
     def at_rest(self, indices: IntArray) -> bool:
         """Return whether all of the given setpoints rest at their goals."""
-        return not self.moving or not np.count_nonzero(self.joints['moves'][indices])
+        return not self.moving or not np.count_nonzero(self._numbers_of('moves')[indices])
 
     @property
     def settled(self) -> bool:
         """Whether :meth:`advance` has nothing to do."""
-        return not (self.moving or np.count_nonzero(self.joints['held']))
+        return not (self.moving or np.count_nonzero(self._numbers_of('held')))
 
     def wake(self) -> None:
         """Resume setpoints that were held back after they had come to rest."""
@@ -129,7 +132,7 @@ class SetpointGenerator:
 
     def find_moving(self) -> None:
         """Find out whether any setpoint moves."""
-        self.moving = bool(np.count_nonzero(self.joints['moves']))
+        self.moving = bool(np.count_nonzero(self._numbers_of('moves')))
 
     # ------------------------------------------------------------------ goals
 
@@ -142,13 +145,15 @@ class SetpointGenerator:
         :param position: [rad or m], shape of ``indices``
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        joints = self.joints
-        low, high = joints['low'][indices], joints['high'][indices]
-        joints['position'][indices] = np.clip(position, low, high)
-        joints['velocity'][indices] = np.clip(velocity, np.where(position < low, 0.0, -np.inf),
-                                              np.where(position > high, 0.0, np.inf))
-        joints['acceleration'][indices] = 0.0
-        self.set_velocity(indices, np.zeros(len(indices)))
+        self._place(indices, position, velocity, np.zeros(len(indices)))
+
+    def _place(self, indices: IntArray, *motion: FloatArray) -> None:
+        from manip_sim.control.law.setpoint_changes import place  # It imports numba.
+        place(self.joints, np.array(indices), *map(_numbers, motion))
+        self._start()
+
+    def _start(self) -> None:
+        self.moving, self.planned, self.row = True, 1, 0
 
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
         """
@@ -156,16 +161,9 @@ class SetpointGenerator:
 
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        joints = self.joints
-        joints['rate'][indices], joints['rate_goal'][indices] = (
-            joints['velocity'][indices], velocity)
-        joints['slope'][indices], joints['smoothing'][indices] = (
-            joints['limit'][indices], SMOOTHING_S)
-        for name in ('raw', 'first', 'second', 'seeks', 'brakes', 'waiting', 'number', 'held'):
-            joints[name][indices] = 0.0
-        joints['until'][indices], joints['arrived'][indices] = np.inf, -np.inf
-        joints['moves'][indices] = 1.0
-        self.moving, self.planned, self.row = True, 1, 0
+        from manip_sim.control.law.setpoint_changes import set_velocity  # It imports numba.
+        set_velocity(self.joints, np.array(indices), _numbers(velocity))
+        self._start()
 
     def ramp_to(self, indices: IntArray, velocity: FloatArray, duration_s: float,
                 limit: FloatArray | None = None) -> None:
@@ -177,14 +175,10 @@ class SetpointGenerator:
         :param limit: of the acceleration, if it is not that of the joints
             [rad/s^2 or m/s^2], shape of ``indices``
         """
-        self.set_velocity(indices, velocity)
-        joints = self.joints
-        change = np.abs(velocity - joints['rate'][indices])
-        if limit is None:
-            limit = joints['limit'][indices]
-        else:
-            joints['bound'][indices] = np.maximum(limit, joints['bound'][indices])
-        joints['slope'][indices] = np.clip(change / duration_s, 1e-9, limit)
+        from manip_sim.control.law.setpoint_changes import ramp_to  # It imports numba.
+        ramp_to(self.joints, np.array(indices), _numbers(velocity), float(duration_s),
+                _numbers(() if limit is None else limit))
+        self._start()
 
     def brake(self, indices: IntArray) -> None:
         """
@@ -196,7 +190,7 @@ class SetpointGenerator:
         velocity = joints['velocity'][indices]
         self.set_velocity(indices, np.zeros(len(indices)))
         # They are at rest at the end of an interval, at the earliest of the first one.
-        slope = evenly_braked(
+        slope = _evenly_braked(
             velocity, joints['position'][indices], joints['low'][indices], joints['high'][indices],
             _BRAKING * joints['limit'][indices],
             float(self._ends_s[0]) if len(self._ends_s) else 0.0)
@@ -233,9 +227,9 @@ class SetpointGenerator:
     def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
               stamp_s: float, velocities: bool) -> None:
         from manip_sim.control.law.stream_timing import wait  # It imports numba.
-        wait(self.joints, np.array(indices), np.array(goals, dtype=np.float64),
+        wait(self.joints, np.array(indices), _numbers(goals),
              float(period_s), float(messages), float(stamp_s), velocities)
-        self.moving, self.planned, self.row = True, 1, 0
+        self._start()
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -259,8 +253,8 @@ class SetpointGenerator:
         """
         joints = self.joints
         inside = (position >= joints['low'][indices]) & (position <= joints['high'][indices])
-        self.place(indices, position, np.where(inside, velocity, 0.0))
-        joints['acceleration'][indices] = np.where(inside, acceleration, 0.0)
+        self._place(indices, position, np.where(inside, velocity, 0.0),
+                    np.where(inside, acceleration, 0.0))
 
     def shift(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """
@@ -283,12 +277,13 @@ class SetpointGenerator:
         self._ends_s, self._begin_s = ends_s[:, 0], self.now_s
         self.planned, self.row = 1, 0
 
-    def advance(self, duration_s: float, plans: bool = True) -> None:
+    def advance(self, duration_s: float, until_s: float = np.inf) -> None:
         """
         Advance all setpoints that move.
 
         :param duration_s: length of the interval [s]
-        :param plans: whether the rest of the period may be planned, as nothing else moves them
+        :param until_s: simulation time until which nothing else moves them, so that the rest of
+            the period may be planned up to then [s]
         """
         if self.row + 1 < self.planned:
             self._follow(self.row + 1, duration_s)
@@ -298,7 +293,7 @@ class SetpointGenerator:
             self.now_s += duration_s
             return
         from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
-        self._ends_ahead_s = self._ends_left(duration_s) if plans else np.array([duration_s])
+        self._ends_ahead_s = self._ends_left(duration_s, until_s)
         self._states = np.empty((len(self._ends_ahead_s), *self._state.shape))
         self.planned, counted = advance(self.joints, records(self._states), self.now_s,
                                         self._ends_ahead_s)
@@ -306,8 +301,8 @@ class SetpointGenerator:
             self._count(self._states)
         self._follow(0, duration_s)
 
-    def _ends_left(self, duration_s: float) -> FloatArray:
-        """Return when the intervals that are left of the period end, since now [s], shape (k,)."""
+    def _ends_left(self, duration_s: float, until_s: float) -> FloatArray:
+        """Return when the intervals end that are left of the period, since now [s], shape (k,)."""
         ends_s, since_s = self._ends_s, self.now_s - self._begin_s
         if since_s > 1e-9:
             first = int(np.count_nonzero(ends_s <= since_s + 1e-9))
@@ -315,7 +310,8 @@ class SetpointGenerator:
                 ends_s = ends_s[first:] - ends_s[first - 1]
         if len(ends_s) < 2 or abs(ends_s[0] - duration_s) > 1e-9:
             return np.array([duration_s])
-        return ends_s
+        # Those that begin before.
+        return ends_s[:1 + int(np.count_nonzero(ends_s[:-1] < until_s - self.now_s - 1e-9))]
 
     def _count(self, states: FloatArray) -> None:
         """Count what was limited and lost, and begin anew."""
@@ -348,6 +344,29 @@ class SetpointGenerator:
         self.now_s += duration_s
         self.find_moving()
 
-    def end_plan(self) -> None:
-        """Follow the plan through all intervals that are left in it."""
-        self._follow(self.planned - 1, 0.0)
+    def follow_plan(self, count: int) -> None:
+        """Follow the plan through intervals, of which the first one is the last one so far."""
+        self._follow(self.row + count - 1, 0.0)
+
+
+def _numbers(values: ArrayLike) -> FloatArray:
+    """Return numbers as the law takes them, of one type and writable."""
+    return np.array(values, dtype=np.float64)
+
+
+def _evenly_braked(velocity: FloatArray, position: FloatArray, low: FloatArray, high: FloatArray,
+                   limit: FloatArray, shortest_s: float) -> FloatArray:
+    """
+    Return decelerations with which velocities end together, and before their ranges do.
+
+    :param velocity: now [rad/s or m/s], shape (n,)
+    :param position: now [rad or m], shape (n,); ``low`` and ``high`` end its range
+    :param limit: of the deceleration, unless a range ends before [rad/s^2 or m/s^2], shape (n,)
+    :param shortest_s: the least time that it takes [s]
+    :returns: above 0 [rad/s^2 or m/s^2], shape (n,)
+    """
+    size, ahead = np.abs(velocity), np.where(velocity > 0.0, high - position, position - low)
+    shortest_s = max(shortest_s, 1e-9)
+    needed = np.minimum(size**2 / (2.0 * np.maximum(ahead, 1e-6)), size / shortest_s)
+    longest_s = (size / np.maximum(limit, needed)).max(initial=0.0)
+    return np.asarray(np.maximum(np.maximum(size / max(longest_s, shortest_s), needed), 1e-9))

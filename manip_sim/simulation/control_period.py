@@ -31,8 +31,8 @@ class Interval:
 
     :param robots: whose controls are written
     :param duration_s: length of the interval [s]
-    :param compute: computes the physics of this interval, and of the rest of the period if control
-        is planned for it; it may be called in another thread, and spends most of its time without
+    :param compute: computes the physics of this interval, and of those after it for which control
+        is planned; it may be called in another thread, and spends most of its time without
         Python's global interpreter lock
     """
 
@@ -244,14 +244,16 @@ class ControlPeriods:
 
     def _compute(self, awake: Sequence[SimulatedRobot], steps: int) -> None:
         """
-        Compute the physics of an interval, or of all that are left if control is planned for them.
+        Compute the physics of an interval, and of those after it for which control is planned.
 
         :param awake: robots whose control acts in it
         :param steps: of the interval
         """
-        if steps < self._left and all([robot.plans for robot in awake]):
-            steps = self._left
-            self._run([robot.joints.plan.take() for robot in awake], self._cut(steps))
+        planned = min([robot.planned for robot in awake], default=1) if steps < self._left else 1
+        if planned > 1:
+            chunks = self._cut(self._left)[:planned]
+            steps = sum(chunks)
+            self._run([robot.joints.plan.take(len(chunks)) for robot in awake], chunks)
         else:
             self._run((), (steps,))
             if steps < self._left and len(awake) == 1 and self._exert(

@@ -120,9 +120,10 @@ class SimulatedRobot:
                 and not any([g.moving for g in self.grippers.values()]))
 
     @property
-    def plans(self) -> bool:
-        """Whether all intervals that follow in the control period are planned."""
-        return self.joints.plans and not any([g.moving for g in self.grippers.values()])
+    def planned(self) -> int:
+        """How many intervals of the control period are planned, the present one too."""
+        moves = any([gripper.moving for gripper in self.grippers.values()])
+        return 1 if moves else self.joints.planned
 
     @property
     def exerts_alone(self) -> CartesianCommand | None:

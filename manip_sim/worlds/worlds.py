@@ -15,12 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import BoolArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
+from manip_sim.control.commands import JointSetpoint
 from manip_sim.errors import (
     CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
+from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.validation import whole_number
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
@@ -181,7 +183,7 @@ class Worlds:
             robots = [robot for interval in intervals for robot in interval.robots]
             for interval in intervals:
                 interval.control()
-            self._streams.likely |= sum(robot.plans for robot in robots) > 1
+            self._streams.likely |= sum(_follows_stream(robot) for robot in robots) > 1
             self._threads.run([interval.compute for interval in intervals])
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
@@ -263,6 +265,12 @@ class Worlds:
             return self.simulations
         mask = chosen(where, len(self))
         return [simulation for simulation, wanted in zip(self.simulations, mask) if wanted]
+
+
+def _follows_stream(robot: SimulatedRobot) -> bool:
+    """Return whether control is planned by goals of joints alone."""
+    return robot.planned > 1 and all([
+        isinstance(command, JointSetpoint) for command in robot.joints.commands.running])
 
 
 def _has_cartesian_commands(simulation: Simulation) -> bool:

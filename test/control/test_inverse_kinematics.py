@@ -3,15 +3,18 @@
 
 """Differential inverse kinematics alone, on arms that are so simple that the answer is known."""
 
+from typing import NamedTuple
+
 from end_effector_operator import operator_of
 import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.control.cartesian.end_effector_velocities import (
-    approach, follow_twist, JointState, stop)
-from manip_sim.control.cartesian.inverse_kinematics import displace, limit_rate
-from manip_sim.control.law.singular_directions import find_bend
+from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.control.law import approach as law
+from manip_sim.control.law.arm_records import ArmMotion, Velocities
+from manip_sim.control.law.displacement import displace as write_displacements
+from manip_sim.control.law.singular_directions import find_bend, limit_rate
 from manip_sim.control.law.small_matrices import minimize_in_box
 from manip_sim.physics.robot_frames import RobotFrames
 
@@ -23,16 +26,51 @@ def bend(jacobian, step):
     return result
 
 
+class Solution(NamedTuple):
+    """Velocities of joints at the end of an interval, and what limits them."""
+
+    velocity: FloatArray
+    held: BoolArray
+    pace: float
+    progress: float
+    singular: bool
+    slowed: bool
+    rests: bool
+
+
+def approach(jacobian, error, state, interval_s, linear_velocity, angular_velocity):
+    result, still = Velocities.of(len(state.position)), np.zeros(6)
+    return Solution(result.velocity, result.held, *law.approach(
+        jacobian, error, state, interval_s, linear_velocity, angular_velocity, still, still,
+        False, 0.0, False, result))
+
+
+def follow_twist(jacobian, twist, state, interval_s):
+    result = Velocities.of(len(state.position))
+    return Solution(result.velocity, result.held, *law.follow_twist(
+        jacobian, twist, state, interval_s, False, result))
+
+
+def displace(jacobian, task, low, high, away):
+    """Return displacements for a task, and those towards a posture."""
+    count = len(away)
+    step, drift = np.empty(count), np.empty(count)
+    write_displacements(jacobian, task, low, high, away, False, step, drift,
+                        np.empty(count, dtype=bool), np.empty((count, count)))
+    return step, drift
+
+
 #: A gantry: each joint moves the end effector along or about one axis.
 GANTRY = np.eye(6)
 
 
 def joints(position, velocity=None, low=-np.inf, high=np.inf):
     count = len(position)
-    return JointState(
-        np.array(position, dtype=float), np.zeros(count) if velocity is None else velocity,
+    position = np.array(position, dtype=float)
+    return ArmMotion(
+        position, np.zeros(count) if velocity is None else velocity,
         np.full(count, low), np.full(count, high), np.full(count, 1.0), np.full(count, 4.0),
-        np.zeros(count))
+        position, np.zeros(count))
 
 
 def drive(solve, interval_s, seconds, velocity=None, **limits):
@@ -110,8 +148,9 @@ def test_a_joint_at_its_limit_is_held_and_another_does_its_part():
     # Two joints move the end effector along x, the first has come to its end.
     jacobian = np.zeros((6, 2))
     jacobian[0] = [1.0, 0.5]
-    state = JointState(np.array([1.0, 0.0]), np.zeros(2), np.array([-1.0, -1.0]),
-                       np.array([1.0, 1.0]), np.ones(2), np.full(2, 1e3), np.zeros(2))
+    at = np.array([1.0, 0.0])
+    state = ArmMotion(at, np.zeros(2), np.array([-1.0, -1.0]), np.array([1.0, 1.0]), np.ones(2),
+                      np.full(2, 1e3), at, np.zeros(2))
     solution = follow_twist(jacobian, np.array([0.1, 0, 0, 0, 0, 0]), state, 0.01)
     np.testing.assert_allclose(solution.velocity, [0.0, 0.2], atol=1e-9)
     np.testing.assert_array_equal(solution.held, [True, False])
@@ -144,9 +183,7 @@ def test_near_a_singularity_velocities_stay_bounded(small):
 
 
 def test_a_twist_that_is_too_fast_is_slowed_down_in_its_direction():
-    state = joints([0.0] * 6)
-    state = JointState(state.position, np.array([1.0, 0.5, 0, 0, 0, 0]), state.low, state.high,
-                       state.velocity_limit, state.acceleration_limit, state.away)
+    state = joints([0.0] * 6, np.array([1.0, 0.5, 0, 0, 0, 0]))
     solution = follow_twist(GANTRY, np.array([4.0, 2.0, 0, 0, 0, 0]), state, 0.01)
     assert solution.slowed
     np.testing.assert_allclose(solution.velocity, [1.0, 0.5, 0, 0, 0, 0], atol=1e-12)
@@ -155,8 +192,8 @@ def test_a_twist_that_is_too_fast_is_slowed_down_in_its_direction():
 def test_what_is_left_free_goes_to_the_posture_and_does_not_move_the_end_effector():
     # The first and the last of seven joints both move the end effector along x.
     jacobian = np.hstack([np.eye(6), np.eye(6)[:, :1]])
-    state = JointState(np.zeros(7), np.zeros(7), np.full(7, -9.0), np.full(7, 9.0), np.ones(7),
-                       np.full(7, 1e3), np.array([0.1, 0.2, 0, 0, 0, 0, -0.1]))
+    state = ArmMotion(np.zeros(7), np.zeros(7), np.full(7, -9.0), np.full(7, 9.0), np.ones(7),
+                      np.full(7, 1e3), np.array([0.1, 0.2, 0, 0, 0, 0, -0.1]), np.zeros(7))
     solution = approach(jacobian, np.zeros(6), state, 0.01, 1.0, 1.0)
     np.testing.assert_allclose(solution.velocity, [0.3, 0, 0, 0, 0, 0, -0.3], atol=1e-12)
 
@@ -224,14 +261,13 @@ def test_displacements_without_bounds_are_those_of_the_bounded_search():
         jacobian[0] *= draw.uniform(0.01, 1.0)
         if np.linalg.norm(np.linalg.pinv(jacobian) @ task) > 0.99:  # Not possible here.
             continue
-        free = displace(jacobian, task, np.full(7, -9.0), np.full(7, 9.0), away)
+        free, _ = displace(jacobian, task, np.full(7, -9.0), np.full(7, 9.0), away)
         taken += 1
-        low, high = free.step - 1e-9, free.step + 1e-9
-        searched = displace(jacobian, task, low, high, draw.normal(size=7))
-        np.testing.assert_allclose(free.step, searched.step, atol=1e-8)
+        searched, drift = displace(jacobian, task, free - 1e-9, free + 1e-9, draw.normal(size=7))
+        np.testing.assert_allclose(free, searched, atol=1e-8)
         np.testing.assert_allclose(
-            jacobian @ free.step, task, atol=1e-6 * np.linalg.norm(task) + 1e-12)
-        assert np.abs(searched.drift).max() <= 2e-9
+            jacobian @ free, task, atol=1e-6 * np.linalg.norm(task) + 1e-12)
+        assert np.abs(drift).max() <= 2e-9
     assert 50 < taken < 200
 
 
@@ -264,12 +300,7 @@ def test_a_minimum_within_bounds_that_allow_nothing_is_at_them():
     np.testing.assert_array_equal(minimum(np.eye(3), 1e-9, np.ones(3), low, low), low)
 
 
-def test_a_stop_brakes_with_the_limit():
-    state = joints([0.0] * 6, np.array([0.5, -0.01, 0, 0, 0, 0]))
-    np.testing.assert_allclose(stop(state, 0.01), [0.46, 0.0, 0, 0, 0, 0])
-
-
 def test_a_joint_beyond_its_range_comes_back_where_nothing_is_wanted():
     high = np.array([-1e-4, *[1.0] * 5])
-    found = displace(GANTRY, np.zeros(6), np.full(6, -1.0), high, np.zeros(6))
-    np.testing.assert_allclose(found.step, [-1e-4, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
+    step, _ = displace(GANTRY, np.zeros(6), np.full(6, -1.0), high, np.zeros(6))
+    np.testing.assert_allclose(step, [-1e-4, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-9)

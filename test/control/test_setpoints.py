@@ -8,7 +8,7 @@ import pytest
 
 from manip_sim.control.law.joint_records import Drives
 from manip_sim.control.law.servo_rates import drive
-from manip_sim.control.motion_profiles import braking_velocity
+from manip_sim.control.law import setpoint_motion
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.physics.physics import WorldArrays
 
@@ -484,11 +484,14 @@ def test_joints_do_not_know_of_each_other():
 @pytest.mark.parametrize('interval_s', [0.001, 0.02])
 @pytest.mark.parametrize('distance', [-2.0, -1e-9, 1e-4, 0.3])
 def test_braking_velocity_leaves_the_way_of_a_constant_deceleration(interval_s, distance):
-    (velocity,) = braking_velocity(np.array([distance]), np.array([A]), interval_s)
+    # Compiled, only other laws call it.
+    law = setpoint_motion.braking_velocity
+    braking_velocity = getattr(law, 'py_func', law)
+    velocity = braking_velocity(distance, A, interval_s)
     left = abs(distance) - abs(velocity) * interval_s
     assert velocity * distance > 0.0
     assert velocity**2 / (2.0 * A) == pytest.approx(left, rel=1e-6, abs=1e-16)
-    assert braking_velocity(np.zeros(1), np.ones(1), interval_s)[0] == 0.0
+    assert braking_velocity(0.0, 1.0, interval_s) == 0.0
 
 
 def hold_back(setpoints, measured, lead):

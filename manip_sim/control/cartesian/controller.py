@@ -17,9 +17,6 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.cartesian.end_effector_velocities import (
-    approach, follow_twist, JointState, STILL, stop)
-from manip_sim.control.cartesian.inverse_kinematics import way_to_posture
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.operational_space_controller import (
     EffortSolution, OperationalSpaceController)
@@ -28,6 +25,7 @@ from manip_sim.control.cartesian.reports import CartesianReport, MISSED
 from manip_sim.control.cartesian.targets import pose_error, Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.joint_accelerations import SPEED_UP_S
+from manip_sim.control.law.arm_records import ArmMotion, Velocities
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
@@ -48,6 +46,8 @@ _SLOW_PACE = 0.005
 _AT_REST = 1e-4
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
+#: The velocity of a pose that rests.
+_STILL = np.zeros(6)
 
 
 class CartesianController:
@@ -259,6 +259,14 @@ class CartesianController:
             target.solve_s = now_s + interval_s
             self._solve(command, target, data, now_s, interval_s)
 
+    def decides_at(self, command: CartesianCommand) -> float:
+        """Return when a command solves the kinematics again, or exerts other efforts [s]."""
+        target = self._targets[command.arm]
+        if self._servos.any_gives_effort_of(command.indices):
+            return -math.inf
+        ends_s = target.until_s if target.twists is not None else math.inf
+        return min(ends_s, target.solve_s if target.settled_in is None else math.inf)
+
     def rests_in_effort_mode(self, command: CartesianCommand) -> bool:
         """Return whether the target of a command rests, to which efforts lead the arm."""
         target = self._targets[command.arm]
@@ -291,48 +299,48 @@ class CartesianController:
 
     def _solve(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
                interval_s: float) -> None:
+        from manip_sim.control.law import approach as law  # It imports numba.
         indices, settings = command.indices, self.settings[command.arm]
-        joints = self._joints(indices, interval_s)
+        arm, result = self._arm(indices, interval_s), Velocities.of(len(indices))
         scratch = self._scratch
         scratch.qpos[:] = data.qpos
         # Velocities are sought for the end of the interval, so the arm is put where it is then.
-        scratch.qpos[self._servos.qpos[indices]] = joints.position
+        scratch.qpos[self._servos.qpos[indices]] = arm.position
         mujoco.mj_kinematics(self._physics.model, scratch)
         mujoco.mj_comPos(self._physics.model, scratch)
         tip = self._chains[command.arm].tip
         jacobian = tip.jacobian(self._physics.model, scratch, self._servos.dofs[indices])
-        still, limit = True, None
+        still, velocity, limit = True, result.velocity, None
         if target.until_s == -math.inf:
-            velocity = stop(joints, interval_s)
+            change = interval_s * arm.acceleration_limit
+            velocity = np.clip(0.0, arm.velocity - change, arm.velocity + change)
         elif target.twists is not None:
             twist = target.in_world(target.twists.at(now_s + interval_s), scratch)
-            solution = follow_twist(jacobian, twist, joints, interval_s)
-            self._see(command, 'the twist', solution.held, solution.singular, solution.slowed)
+            _, _, singular, slowed, _ = law.follow_twist(
+                jacobian, twist, arm, interval_s, False, result)
+            self._see(command, 'the twist', result.held, singular, slowed)
             target.stay_at(tip.pose(scratch), scratch)
-            velocity = solution.velocity
         else:
-            still = target.ends_stream(now_s)
+            still, limit = target.ends_stream(now_s), result.acceleration_limit
             if still:
-                before = twist = STILL
-                error = pose_error(target.goal(scratch), tip.pose(scratch))
+                before = twist = _STILL
+                error = pose_error(target.goal(scratch), tip.view(scratch))
             else:
                 _, before, _ = target.reference(scratch, now_s)
                 goal, twist, _ = target.reference(scratch, now_s + interval_s)
-                error = pose_error(goal, tip.pose(scratch)) - (twist - before) * interval_s / 2.0
-            solution = approach(
-                jacobian, error, joints, interval_s, settings.linear_velocity,
-                settings.angular_velocity, before, twist, target.smooth, target.rests)
-            target.rests = solution.rests
-            behind = not still and solution.slowed and bool((np.abs(error) > MISSED).any())
+                error = pose_error(goal, tip.view(scratch)) - (twist - before) * interval_s / 2.0
+            pace, progress, singular, slowed, target.rests = law.approach(
+                jacobian, error, arm, interval_s, settings.linear_velocity,
+                settings.angular_velocity, before, twist, not still, target.smooth, target.rests,
+                result)
+            behind = not still and slowed and bool((np.abs(error) > MISSED).any())
             self._see(command, 'the stream of poses' if behind else 'the motion to the target',
-                      solution.held, solution.singular, behind)
-            near = (still and solution.pace < _SLOW_PACE
-                    and bool((np.abs(error) <= _REACHED).all()))
-            self._look(command, target, data, now_s, error, near, solution.progress)
-            velocity, limit = solution.velocity, solution.acceleration_limit
+                      result.held, singular, behind)
+            near = still and pace < _SLOW_PACE and bool((np.abs(error) <= _REACHED).all())
+            self._look(command, target, data, now_s, error, near, progress)
         self._setpoints.ramp_to(indices, velocity, interval_s, limit)
-        if max(np.abs(velocity).max(), np.abs(joints.velocity).max()) < _AT_REST and (
-                target.twists is None and still):
+        if (still and target.twists is None
+                and max(np.abs(velocity).max(), np.abs(arm.velocity).max()) < _AT_REST):
             self._setpoints.ramp_to(indices, np.zeros(len(indices)), interval_s)
             target.settled_in = self._place(command, target, data)
 
@@ -341,14 +349,12 @@ class CartesianController:
         names = [self._names[i] for i in command.indices[held]] if np.count_nonzero(held) else []
         self.reports[command.arm].see_motion(what, names, singular, slowed)
 
-    def _joints(self, indices: IntArray, interval_s: float) -> JointState:
-        setpoints, servos = self._setpoints, self._servos
-        velocity = setpoints.velocity[indices]
-        position = setpoints.position[indices] + interval_s * velocity
-        return JointState(
-            position, velocity, self._low[indices], self._high[indices],
-            servos.cruising_velocity[indices], servos.acceleration_limit[indices],
-            way_to_posture(self._posture[indices], position, servos.turn[indices]))
+    def _arm(self, indices: IntArray, interval_s: float) -> ArmMotion:
+        servos, velocity = self._servos, self._setpoints.velocity[indices]
+        return ArmMotion(
+            self._setpoints.position[indices] + interval_s * velocity, velocity,
+            self._low[indices], self._high[indices], servos.cruising_velocity[indices],
+            servos.acceleration_limit[indices], self._posture[indices], servos.turn[indices])
 
     def _look(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
               error: FloatArray, reached: bool, progress: float) -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 import math
 from typing import ClassVar
@@ -75,11 +75,11 @@ class CartesianReport:
         :param slowed: whether limits of joints slow a twist or a stream of poses down
         """
         self._note('joint_limit', bool(held),
-                   f'{what} is limited by the range of {", ".join(held)}')
+                   lambda: f'{what} is limited by the range of {", ".join(held)}')
         self._note('singular', singular,
-                   f'{what} leads to a singularity, where the end effector can hardly move')
+                   lambda: f'{what} leads to a singularity, where the end effector can hardly move')
         self._note('slowed', slowed,
-                   f'{what} is slowed down to keep to the limits of the joints')
+                   lambda: f'{what} is slowed down to keep to the limits of the joints')
 
     def see_target(self, error: FloatArray, progress: float, now_s: float) -> None:
         """
@@ -93,12 +93,14 @@ class CartesianReport:
         if first or progress > _STALLED_PROGRESS or (np.abs(error) <= MISSED).all():
             self._stalled_s = now_s
         self._seen_s = now_s
-        causes = ''.join(f', {text}' for kind, text in (
+        self._note('unreachable', now_s - self._stalled_s >= _STALLED_S,
+                   lambda: f'the target is not reached, {length(error[:3]):.3f} m and '
+                   f'{length(error[3:]):.3f} rad are left{self._causes()}')
+
+    def _causes(self) -> str:
+        return ''.join(f', {text}' for kind, text in (
             ('joint_limit', 'a joint is at the end of its range'),
             ('singular', 'the arm is at a singularity')) if kind in self._active)
-        self._note('unreachable', now_s - self._stalled_s >= _STALLED_S,
-                   f'the target is not reached, {length(error[:3]):.3f} m and '
-                   f'{length(error[3:]):.3f} rad are left{causes}')
 
     def see_way(self, distance: float) -> None:
         """
@@ -107,13 +109,13 @@ class CartesianReport:
         :param distance: [m]
         """
         self._note('aside', distance > _ASIDE,
-                   f'the end effector is more than {_ASIDE:g} m off the straight line to its '
+                   lambda: f'the end effector is more than {_ASIDE:g} m off the straight line to its '
                    'target')
 
-    def _note(self, kind: str, active: bool, text: str) -> None:
+    def _note(self, kind: str, active: bool, text: Callable[[], str]) -> None:
         if not active:
             self._active.discard(kind)
         elif kind not in self._active:
             self._active.add(kind)
             setattr(self, kind, getattr(self, kind) + 1)
-            self.texts[kind] = f'{self.arm}: {text}'
+            self.texts[kind] = f'{self.arm}: {text()}'

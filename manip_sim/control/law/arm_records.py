@@ -99,3 +99,46 @@ class Motion(NamedTuple):
     def of(cls, count: int) -> Motion:
         """Return arrays for a number of joints."""
         return cls(np.zeros(count), np.zeros(6), np.zeros(6), np.zeros(count, dtype=np.bool_))
+
+
+class ArmMotion(NamedTuple):
+    """
+    Setpoints and limits of the joints of an arm, all of shape (n,).
+
+    :ivar position: where the present velocities bring the joints in the interval [rad]
+    :ivar velocity: at present [rad/s]
+    :ivar low: lowest position, may be infinite [rad]
+    :ivar high: highest position [rad]
+    :ivar velocity_limit: [rad/s]
+    :ivar acceleration_limit: [rad/s^2]
+    :ivar posture: to which a redundant arm tends [rad]
+    :ivar turn: 2 pi where whole turns make no difference, 0 elsewhere [rad]
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    low: FloatArray
+    high: FloatArray
+    velocity_limit: FloatArray
+    acceleration_limit: FloatArray
+    posture: FloatArray
+    turn: FloatArray
+
+
+class Velocities(NamedTuple):
+    """
+    Arrays into which the law writes, all of shape (n,).
+
+    :ivar velocity: of the joints at the end of the interval [rad/s]
+    :ivar acceleration_limit: of the joints, if the motion needs more than their own [rad/s^2]
+    :ivar held: whether the range of a joint keeps it from doing more
+    """
+
+    velocity: FloatArray
+    acceleration_limit: FloatArray
+    held: BoolArray
+
+    @classmethod
+    def of(cls, count: int) -> Velocities:
+        """Return arrays for a number of joints."""
+        return cls(np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_))

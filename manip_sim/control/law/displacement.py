@@ -92,6 +92,16 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
 
 
 @inner
+def way_to_posture(way: float, turn: float) -> float:
+    """
+    Return a displacement to a posture without whole turns, where these make no difference [rad].
+
+    :param turn: 2 pi where they make none, or 0
+    """
+    return way - turn * math.floor(way / (2.0 * math.pi) + 0.5)
+
+
+@inner
 def project_free(factor: FloatArray, velocity: FloatArray, result: FloatArray) -> None:
     """Write the part of joint velocities, or displacements, that makes no difference to a task."""
     solve(factor, velocity, len(result), result)

@@ -52,6 +52,8 @@ FIELDS = (
     'level', 'pace', 'bend', 'memory', 'curve', 'third', 'product', 'noise',
     # Counts: goals beyond the velocity limit, messages that seem to have been lost.
     'limited', 'lost')
+#: Where they are in the numbers of a coordinate.
+PLACES = {name: place for place, name in enumerate(FIELDS)}
 JOINT = np.dtype([(name, np.float64) for name in FIELDS])
 #: True for plain Python, which reads attributes of records of another type alone.
 _PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'

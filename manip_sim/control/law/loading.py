@@ -8,15 +8,15 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from manip_sim.control.law.arm_records import Arm, Goal, Motion, Spring
+from manip_sim.control.law.approach import approach, follow_twist
+from manip_sim.control.law.arm_records import Arm, ArmMotion, Goal, Motion, Spring, Velocities
 from manip_sim.control.law.compiling import PLAIN
-from manip_sim.control.law.displacement import displace
 from manip_sim.control.law.joint_records import blank_state, Drives, records
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.operational_space import exert
 from manip_sim.control.law.servo_rates import drive, find_rates
+from manip_sim.control.law.setpoint_changes import place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.singular_directions import limit_rate
 from manip_sim.control.law.stepping import addresses, step_and_exert, touch_of
 from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait
@@ -40,10 +40,13 @@ def load_laws() -> None:
     drive(world, drives, joints, states, ends_s, np.empty((1, _COUNT)))
     find_rates(world, drives, joints, 1.0, one.copy(), none.copy())
     take_alone(joints, 0.0)
-    jacobian = np.eye(_COUNT)
-    displace(jacobian, none, -one, one, none, False, none.copy(), none.copy(), no.copy(),
-             jacobian.copy())
-    limit_rate(jacobian, none, one, 1.0)
+    set_velocity(joints, places, none)
+    ramp_to(joints, places, none, 0.1, one)
+    place(joints, places, none, none, none)
+    jacobian, result = np.eye(_COUNT), Velocities.of(_COUNT)
+    motion = ArmMotion(none, none, -one, one, one, one, none, none)
+    approach(jacobian, none, motion, 0.1, 1.0, 1.0, none, none, False, 0.0, False, result)
+    follow_twist(jacobian, none, motion, 0.1, False, result)
     arm = Arm(places, places, places, ~no, nowhere, -one, one, one, -one, one, none, none, 0)
     goal = Goal(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3), none)
     spring = Spring(1.0, 1.0, 1.0, 1.0)

@@ -19,7 +19,7 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.law.arm_records import Arm, Goal, Motion, Spring
 from manip_sim.control.law.compiling import compiled, inner
-from manip_sim.control.law.displacement import displace, project_free
+from manip_sim.control.law.displacement import displace, project_free, way_to_posture
 from manip_sim.control.law.small_matrices import (
     clip, multiply, multiply_matrices, norm3, rotation_vector)
 from manip_sim.physics.physics import WorldArrays
@@ -54,8 +54,7 @@ def exert(world: WorldArrays, arm: Arm, place: FloatArray, turned: FloatArray, g
         velocity[i] = world.velocities[arm.dofs[i]]
         position = world.positions[arm.qpos[i]]
         low[i], high[i] = arm.low[i] - position, arm.high[i] - position
-        way = postures[arm.joints[i]] - position
-        away[i] = way - arm.turn[i] * math.floor(way / (2.0 * math.pi) + 0.5)
+        away[i] = way_to_posture(postures[arm.joints[i]] - position, arm.turn[i])
     multiply(jacobian, velocity, motion.twist)
     flags = accelerate(jacobian, motion.error, goal.along, spring, arm.velocity_limit, low, high,
                        away, velocity, rested, motion.held, accelerations)

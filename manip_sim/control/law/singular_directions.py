@@ -103,9 +103,9 @@ def _find_hard_direction(jacobian: FloatArray, direction: FloatArray) -> float:
             for k in range(jacobian.shape[1]):
                 total += jacobian[i, k] * jacobian[j, k]
             square[i, j] = square[j, i] = total
-    factorize(square, 1e-12, 6, factor)
+    factorize(square, 1e-12, len(square), factor)
     for _ in range(_INVERSE_ITERATIONS):
-        solve(factor, direction, 6, direction)
+        solve(factor, direction, len(square), direction)
         size = max(norm(direction), 1e-12)
         for i in range(6):
             direction[i] /= size

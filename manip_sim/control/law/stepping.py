@@ -101,6 +101,16 @@ def _touches(forces: FloatArray) -> bool:
     return False
 
 
+@inner
+def _note(touch: Touch, number: int) -> None:
+    """Note the forces on a tool."""
+    for k in range(3):
+        touch.centres[number, k] = touch.centre[k]
+    for body in range(touch.forces.shape[0]):
+        for k in range(6):
+            touch.rows[number, body, k] = touch.forces[body, k]
+
+
 @compiled
 def step_and_exert(model: int, data: int, intervals: IntArray, world: WorldArrays, arm: Arm,
                    place: FloatArray, turned: FloatArray, goal: Goal, postures: FloatArray,
@@ -128,7 +138,7 @@ def step_and_exert(model: int, data: int, intervals: IntArray, world: WorldArray
             if touch.contacts[0] != contacts:
                 changed, contacts = True, touch.contacts[0]
             if contacts > 0 and _touches(touch.forces):
-                touch.rows[count], touch.centres[count] = touch.forces, touch.centre
+                _note(touch, count)
                 count += 1
     return rested, count, changed
 
