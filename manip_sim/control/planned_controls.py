@@ -63,7 +63,7 @@ class PlannedControls:
         self._servos.write(self._rates[setpoints.row], efforts)
 
     def take(self, count: int) -> PlannedRates:
-        """Return the controls of planned intervals from the present one on, which then are past."""
+        """Return the controls of planned intervals from the present one on, and leave these."""
         row = self._setpoints.row
         rates = self._rates[row:row + count]
         self._setpoints.follow_plan(count)

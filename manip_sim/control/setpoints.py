@@ -33,8 +33,7 @@ class SetpointGenerator:
     :ivar lost: how many messages of streams seem to have been lost, shape (n,)
     :ivar now_s: simulation time, which the caller may set [s]
     :ivar moving: whether any setpoint moves or is about to
-    :ivar planned: for how many intervals the motion is planned: several where nothing moves but
-        streams on schedule
+    :ivar planned: for how many intervals the motion is planned
     :ivar row: which of them was the last one
     """
 
@@ -295,10 +294,9 @@ class SetpointGenerator:
         from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
         self._ends_ahead_s = self._ends_left(duration_s, until_s)
         self._states = np.empty((len(self._ends_ahead_s), *self._state.shape))
-        self.planned, counted = advance(self.joints, records(self._states), self.now_s,
-                                        self._ends_ahead_s)
-        if counted:
+        if advance(self.joints, records(self._states), self.now_s, self._ends_ahead_s):
             self._count(self._states)
+        self.planned = len(self._states)
         self._follow(0, duration_s)
 
     def _ends_left(self, duration_s: float, until_s: float) -> FloatArray:

@@ -164,7 +164,7 @@ class StreamRows:
         states = np.empty((len(joints), len(ends_s), *self._state.shape[1:]))
         ahead, now = records(states), np.full(len(joints), now_s)
         rates = None
-        if len(ends_s) > 1 and (advance_rows(joints, ahead, now, ends_s) == len(ends_s)).all():
+        if len(ends_s) > 1 and advance_rows(joints, ahead, now, ends_s):
             rates = self._rates(ahead, ends_s)
         if rates is None:
             self._state = before

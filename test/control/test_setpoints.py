@@ -547,7 +547,7 @@ def test_a_period_that_is_planned_at_once_goes_as_one_interval_after_the_other(s
             np.testing.assert_allclose(planned.velocity, plain.velocity, rtol=0.0, atol=1e-6)
             np.testing.assert_allclose(
                 planned.acceleration, plain.acceleration, rtol=0.0, atol=1e-3)
-    assert 60 < plans < 1100
+    assert plans > 1100
 
 
 def test_a_ramp_ends_exactly_at_its_goal_whatever_its_slope():

@@ -77,7 +77,8 @@ class CartesianReport:
         self._note('joint_limit', bool(held),
                    lambda: f'{what} is limited by the range of {", ".join(held)}')
         self._note('singular', singular,
-                   lambda: f'{what} leads to a singularity, where the end effector can hardly move')
+                   lambda: f'{what} leads to a singularity, where the end effector can hardly '
+                           'move')
         self._note('slowed', slowed,
                    lambda: f'{what} is slowed down to keep to the limits of the joints')
 
@@ -109,8 +110,8 @@ class CartesianReport:
         :param distance: [m]
         """
         self._note('aside', distance > _ASIDE,
-                   lambda: f'the end effector is more than {_ASIDE:g} m off the straight line to its '
-                   'target')
+                   lambda: f'the end effector is more than {_ASIDE:g} m off the straight line '
+                           'to its target')
 
     def _note(self, kind: str, active: bool, text: Callable[[], str]) -> None:
         if not active:

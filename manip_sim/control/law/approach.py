@@ -146,7 +146,7 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, arm: ArmMotion, interv
     for i in range(6):
         task[i] = _HORIZON_S * twist[i]
     rests, singular = displace(jacobian, task, low, high, away, rested, step, drift, result.held,
-                           factor)
+                               factor)
     multiply(jacobian, step, moved)
     progress = dot(moved, task) / max(dot(task, task), 1e-18)
     for i in range(count):

@@ -21,8 +21,8 @@ from manip_sim.control.law.joint_records import Drives
 from manip_sim.control.law.stream_timing import clip
 from manip_sim.physics.physics import WorldArrays
 
-#: Setpoints that go less than this share of how far they may be ahead of their joints, in a plan,
-#: are looked at once in it.
+#: Setpoints are looked at once in a plan that are less ahead of their joints than this share of
+#: how far they may be, and go no farther in it than that.
 CALM = 0.25
 #: Dry friction sets in up to this velocity, so that joints at rest are not pushed to and fro;
 #: MuJoCo's noslip solver, which all worlds have, lets it act in full at any [rad/s or m/s].
@@ -69,10 +69,11 @@ def drive(world: WorldArrays, drives: Drives, joints: Any, states: Any, ends: Fl
     :param states: records at the ends of intervals, shape (k, n), of which the first is not read
     :param ends: of the intervals, since now [s], shape (k,)
     :param rates: of activations in the intervals, shape (k, n), written
-    :returns: how many intervals may be run as planned: one, or all where setpoints go slowly
+    :returns: how many intervals may be run as planned: one where joints do not follow, and as many
+        as setpoints take to go as far as they may be ahead
     """
     held = _hold_back(world, drives, joints, ends[0])
-    planned = 1 if held or not _is_calm(drives, joints, states, ends) else len(states)
+    planned = 1 if held else _calm_intervals(world, drives, joints, states, ends)
     goals = np.empty(len(joints))
     for i in range(len(joints)):
         goals[i] = world.activations[drives.activations[i]]
@@ -102,12 +103,19 @@ def _hold_back(world: WorldArrays, drives: Drives, joints: Any, duration: float)
 
 
 @inner
-def _is_calm(drives: Drives, joints: Any, states: Any, ends: FloatArray) -> bool:
-    """Return whether one look in a plan holds setpoints back in time, as all go slowly."""
+def _calm_intervals(world: WorldArrays, drives: Drives, joints: Any, states: Any,
+                    ends: FloatArray) -> int:
+    """Return in how many intervals setpoints stay near their joints, by one look at these."""
+    calm = len(states)
     for i in range(len(joints)):
-        fastest = abs(joints[i].velocity)
-        for k in range(1, len(states)):
+        x = joints[i]
+        behind = x.position - ends[0] * x.velocity - world.positions[drives.qpos[i]]
+        if drives.gives[i] or abs(behind) > CALM * drives.lead[i]:
+            return 1
+        fastest = abs(x.velocity)
+        for k in range(1, calm):
             fastest = max(fastest, abs(states[k, i].velocity))
-        if drives.gives[i] or fastest * ends[len(ends) - 1] > CALM * drives.lead[i]:
-            return False
-    return True
+            if fastest * ends[k] > drives.lead[i]:
+                calm = k
+                break
+    return calm

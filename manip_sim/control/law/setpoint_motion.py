@@ -15,9 +15,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import FloatArray
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import SMOOTHING_S
 from manip_sim.control.law.stream_goals import take_waiting
@@ -90,12 +88,8 @@ def limited(x: Any, velocity: float, duration: float) -> float:
 
 
 @inner
-def move(x: Any, now: float, duration: float) -> bool:
-    """
-    Move a setpoint in an interval.
-
-    :returns: whether only its reference moved it
-    """
+def move(x: Any, now: float, duration: float) -> None:
+    """Move a setpoint in an interval."""
     if x.until <= now + 1e-9:
         end_stream(x)
     begin, tracked, missing = x.velocity, x.second, missing_way(x, now)
@@ -122,7 +116,6 @@ def move(x: Any, now: float, duration: float) -> bool:
     x.position = clip(x.position + travel, x.low, x.high)
     if velocity == 0.0 and x.rate_goal == 0.0:
         rest(x)
-    return not tracks
 
 
 @inner
@@ -137,7 +130,7 @@ def rest(x: Any) -> None:
 
 
 @compiled
-def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> tuple[int, bool]:
+def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> bool:
     """
     Take in goals that wait, and move the setpoints of a robot in the intervals of a period.
 
@@ -145,32 +138,26 @@ def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> tuple[int
     :param states: are set to the records at the ends of intervals, shape (k, n)
     :param now: simulation time [s]
     :param ends: of the intervals, since now [s], shape (k,)
-    :returns: how many intervals that is: one, or all where only references move; and whether
-        anything is counted in the first of them
+    :returns: whether anything is counted in the first of them
     """
     take_waiting(joints, now)
     begin, counted = 0.0, False
     for i in range(len(joints)):
         counted = counted or joints[i].limited != 0.0 or joints[i].lost != 0.0
     for k in range(len(ends)):
-        plain, moves = True, False
         for i in range(len(joints)):
             states[k, i] = joints[i] if k == 0 else states[k - 1, i]
             x = states[k, i]
             if x.moves != 0.0:
-                plain = move(x, now + begin, ends[k] - begin) and plain
+                move(x, now + begin, ends[k] - begin)
             else:
                 x.velocity = x.acceleration = 0.0
-            moves = moves or x.rate_goal != 0.0
         begin = ends[k]
-        if not (plain and moves):
-            # Later intervals may depend on measurements after this one.
-            return 1, counted
-    return len(ends), counted
+    return counted
 
 
 @compiled
-def advance_rows(joints: Any, states: Any, now: FloatArray, ends: FloatArray) -> IntArray:
+def advance_rows(joints: Any, states: Any, now: FloatArray, ends: FloatArray) -> bool:
     """
     Advance the setpoints of a robot in several worlds, as :func:`advance` does in one.
 
@@ -178,9 +165,13 @@ def advance_rows(joints: Any, states: Any, now: FloatArray, ends: FloatArray) ->
     :param states: shape (worlds, k, n)
     :param now: simulation times [s], shape (worlds,)
     :param ends: shape (k,)
-    :returns: how many intervals that is in each world
+    :returns: whether references move in each world to the end, as streams let them
     """
-    counts = np.empty(len(joints), np.int64)
+    streams = True
     for world in range(len(joints)):
-        counts[world], _ = advance(joints[world], states[world], now[world], ends)
-    return counts
+        advance(joints[world], states[world], now[world], ends)
+        moves = False
+        for i in range(joints.shape[1]):
+            moves = moves or states[world, len(ends) - 1, i].rate_goal != 0.0
+        streams = streams and moves
+    return streams
