@@ -88,7 +88,6 @@ def malformed(count: int, seed: int) -> Row:
         publishers = [(client.publisher(kind, topic), kind) for topic, kind in _TOPICS.items()]
         arrays = client.listen(DiagnosticArray, '/diagnostics', 10)
         parameters = client.node.create_client(SetParameters, 'manip_sim/set_parameters')
-        target.settle()
         sent, begin, warm = 0, time.monotonic(), False
         while sent < count:
             if not warm and sent >= min(_WARM, count // 10):

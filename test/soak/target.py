@@ -51,6 +51,7 @@ class Watched:
 
     def __enter__(self) -> Self:
         self.wait_until_ready()
+        self.settle()
         self.before = Usage.of(self.process.pid)
         return self
 
