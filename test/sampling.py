@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
+from manip_sim.control.law import stepping
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 
@@ -105,6 +106,7 @@ class Samples:
 def sampled(driven, wrench=False) -> Iterator[Samples]:
     """Record every physics step of a simulation meanwhile."""
     samples, step, step2 = Samples(driven, wrench), mujoco.mj_step, mujoco.mj_step2
+    may_step = stepping.may_step
 
     def single_steps(model, data, nstep=1):
         for _ in range(nstep):
@@ -116,7 +118,9 @@ def sampled(driven, wrench=False) -> Iterator[Samples]:
         samples.take(model, data)
 
     mujoco.mj_step, mujoco.mj_step2 = single_steps, second_half
+    stepping.may_step = lambda data: False
     try:
         yield samples
     finally:
         mujoco.mj_step, mujoco.mj_step2 = step, step2
+        stepping.may_step = may_step

@@ -408,19 +408,18 @@ class JointController(ControlledJoints):
                 and self._generator.settled and self.cartesian.rests_in_effort_mode(command)
                 else None)
 
-    def step(self, command: CartesianCommand, intervals: IntArray, touch: Any,
-             last_s: tuple[float, float]) -> tuple[int, bool]:
+    def step(self, command: CartesianCommand, intervals: IntArray, notes: Any,
+             last_s: tuple[float, float]) -> None:
         """
         Run the physics of intervals of a command that :attr:`exerts_alone`, as ticks would.
 
         :param intervals: physics steps of each, shape (k,)
-        :param touch: what touches the tool, see ``law.stepping.Touch``
+        :param notes: of the steps, see ``law.stepping.Notes``
         :param last_s: when the last interval begins, and how long it takes [s]
-        :returns: in how many steps something touched the tool, and whether contacts came or went
         """
         begin_s, duration_s = last_s
         self._generator.now_s = begin_s + duration_s
-        return self.cartesian.step(command, intervals, touch, self._effort)
+        self.cartesian.step(command, intervals, notes, self._effort)
 
     def _end_trajectory(self, command: JointTrajectory, data: mujoco.MjData,
                         position: FloatArray) -> None:

@@ -18,13 +18,11 @@ class PlannedRates(NamedTuple):
     """
     What is written for the joints of a robot in each of several intervals.
 
-    :ivar controls: of all actuators of the world, into which it is written
-    :ivar where: the places of the joints
+    :ivar where: the places of the joints in the controls of the world, shape (n,)
     :ivar rates: of their setpoints, shape (k, n)
     """
 
-    controls: FloatArray
-    where: slice | IntArray
+    where: IntArray
     rates: FloatArray
 
 
@@ -67,4 +65,4 @@ class PlannedControls:
         row = self._setpoints.row
         rates = self._rates[row:row + count]
         self._setpoints.follow_plan(count)
-        return PlannedRates(*self._servos.controls, rates)
+        return PlannedRates(self._servos.controls, rates)

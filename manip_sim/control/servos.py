@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.arrays import as_slice, BoolArray, FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.joint_accelerations import acceleration_limits
 from manip_sim.control.law.joint_records import Drives
 from manip_sim.control.servo_stability import (
@@ -303,16 +303,15 @@ class Servos:
         :param rates: of activations, shape (n,)
         :param efforts: [N m or N], shape (n,)
         """
-        controls, where = self.controls
-        controls[where] = rates
+        self._physics.ctrl[self._ids] = rates
         if self._sources:
             sources = np.flatnonzero(self._gives_effort)
             self._physics.act[self._activation[sources]] = efforts[sources] / self._gear[sources]
 
     @property
-    def controls(self) -> tuple[FloatArray, slice | IntArray]:
-        """All controls of the world, a view, and where those of the joints are in them."""
-        return self._physics.ctrl, as_slice(self._ids)
+    def controls(self) -> IntArray:
+        """Where the controls of the joints are in those of the world, shape (n,)."""
+        return self._ids
 
 
 def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:

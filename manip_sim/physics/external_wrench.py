@@ -110,11 +110,6 @@ class ExternalWrench:
         return (self.uncollected.is_empty and not self.uncollected.adhesions
                 and not has_fluid(self._physics.model.opt))
 
-    @property
-    def centre(self) -> FloatArray:
-        """The centre of mass of the tree, which :attr:`forces` are about, a view [m], (3,)."""
-        return np.asarray(self._centre)
-
     def record_rows(self, rows: FloatArray, centres: FloatArray) -> None:
         """
         Record what has been noted in several steps.

@@ -12,12 +12,12 @@ depends on positions and velocities alone is kept. What control does in between 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import mujoco
-from mujoco.rollout import Rollout
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
@@ -25,9 +25,6 @@ from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
 from manip_sim.physics.friction_laws import FrictionLaws
 from manip_sim.physics.physics import Physics, PHYSICS
 
-#: Runs steps in the calling thread, with other controls in each, in one call.
-_ROLLOUT = Rollout(nthread=0)
-_INPUTS, _STATE = int(mujoco.mjtState.mjSTATE_USER), int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 #: Integrators with which a step after ``mj_forward`` may go on from there, with the same bits.
 _RESUMABLE = (_EULER, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
@@ -72,21 +69,25 @@ class PhysicsSteps:
                        ) -> None:
         """Take over the tools and laws of the robots that there are now."""
         self.tools, self._laws = tuple(tools), tuple(laws)
+        self._look_at_tools()
+
+    def _look_at_tools(self) -> None:
         self._touch = TouchWatch(self._model, self._data, self.tools)
+        #: Room for the notes of compiled steps, by the address of the data and their number.
+        self.notes: dict[tuple[int, int], Any] = {}
+        #: Of each tool the first body, the one after its last, and the root of its tree, (t, 3).
+        self.tool_bodies: IntArray = np.array([
+            (tool.bodies.start, tool.bodies.stop, self._model.body_rootid[tool.bodies.start])
+            for tool in self.tools], dtype=np.int64).reshape(-1, 3)
 
     def _look_at_model(self) -> None:
         model, data = self._physics.model, self._physics.data
         self._model, self._data, self._options = model, data, model.opt
         self.divergence = DivergenceWatch(model, data)
-        self._touch = TouchWatch(model, data, self.tools)
+        self._look_at_tools()
         self.computed_from: FloatArray = np.empty(mujoco.mj_stateSize(model, PHYSICS))
         mujoco.mj_getState(model, data, self.computed_from, PHYSICS)
         self._first_half = _places(model, _FIRST_HALF)
-        # Views and room, which need not be fetched in each period.
-        self._warnings, self._warmstart = data.warning.number, data.qacc_warmstart
-        self._state = np.empty((1, mujoco.mj_stateSize(model, _STATE)))
-        self._input_size = mujoco.mj_stateSize(model, _INPUTS)
-        self._no_warnings = bytes(self._warnings.nbytes)
         self.contacts_change = self.was_untouched = False
         self._pushed, self._contacts, self._begin = False, 0, 0
         #: Holds what has been computed while something is measured.
@@ -174,7 +175,7 @@ class PhysicsSteps:
         stays = self.was_untouched and self._integrates and self._data.ncon == self._contacts
         return stays or not self._touch.touches
 
-    def run_untouched(self, steps: int, controls: FloatArray | None = None) -> bool:
+    def run_untouched(self, steps: int) -> bool:
         """
         Run a whole period, if nothing can have touched a tool in it.
 
@@ -183,48 +184,25 @@ class PhysicsSteps:
         seen is a touch in exactly those steps of a period in which another contact is gone.
 
         :param steps: number of physics steps
-        :param controls: of all actuators in each step, shape (steps, nu); None for those that
-            there are, at rest
         :returns: whether the period was run
         """
         model, data = self._model, self._data
         contacts = data.maxuse_con = self._contacts = data.ncon
-        warned = False
-        if controls is not None:
-            data.ctrl[:] = controls[0]
-            (mujoco.mj_step2 if self._resumes else mujoco.mj_step)(model, data)
-            warned = steps > 1 and self._roll_out(controls[1:])
-        elif not self._integrates:
+        if not self._integrates:
             mujoco.mj_step2(model, data)
         elif int(self._options.integrator) == _EULER:
             mujoco.mj_Euler(model, data)
         else:
             mujoco.mj_implicit(model, data)
-        if steps > 1 and controls is None:
+        if steps > 1:
             mujoco.mj_step(model, data, steps - 1)
         self._clock.count(steps)
-        self.was_untouched = not warned and data.maxuse_con == contacts == data.ncon
+        self.was_untouched = data.maxuse_con == contacts == data.ncon
         if self.was_untouched:
             self.finish()
         else:
             self.undo()
         return self.was_untouched
-
-    def _roll_out(self, controls: FloatArray) -> bool:
-        """Run a step with each row of controls; return whether MuJoCo warns, and has ended."""
-        model, data = self._model, self._data
-        inputs = np.empty((1, len(controls), self._input_size))
-        rows = inputs[0]
-        mujoco.mj_getState(model, data, rows[0], _INPUTS)
-        rows[1:] = rows[0]
-        rows[:, :controls.shape[1]] = controls  # The first of all inputs.
-        mujoco.mj_getState(model, data, self._state[0], _STATE)
-        counts = self._warnings.copy()
-        _ROLLOUT.rollout([model], [data], self._state, inputs, control_spec=_INPUTS,
-                         skip_checks=True, nstep=len(controls), initial_warmstart=self._warmstart)
-        warned: bool = self._warnings.tobytes() != self._no_warnings
-        self._warnings[:] = counts  # A rollout counts from zero.
-        return warned
 
     def run(self, intervals: Iterable[int]) -> None:
         """
@@ -259,19 +237,41 @@ class PhysicsSteps:
         return self._data
 
     @property
+    def model(self) -> mujoco.MjModel:
+        """The ``MjModel`` of the steps."""
+        return self._model
+
+    @property
     def lets_laws_step(self) -> bool:
         """True if compiled laws may run steps: nothing but contacts has to be watched."""
-        return not (self._laws or self._pushed or self.measuring) and len(self.tools) == 1 and (
-            self.tools[0].is_touched_only)
+        return not (self._laws or self._pushed or self.measuring) and all(
+            [tool.is_touched_only for tool in self.tools])
 
-    def took_steps(self, steps: int, changed: bool) -> None:
+    @property
+    def contacts(self) -> int:
+        """How many contacts there were in the last step of this period."""
+        return self._contacts
+
+    def take_resumes(self) -> bool:
+        """Return whether the first half of the next step is computed, which then is made."""
+        resumes, self._resumes = self._resumes, False
+        return resumes
+
+    def took_steps(self, steps: int, changed: bool, counts: IntArray, rows: FloatArray,
+                   roots: FloatArray) -> None:
         """
-        Count steps that a law has run.
+        Record steps that a law has run.
 
         :param changed: whether contacts came or went
+        :param counts: in how many of them something touched each tool, shape (t,)
+        :param rows: the forces on its bodies in these, shape (t, steps, m, 6)
+        :param roots: where the centre of mass of its tree was then [m], shape (t, steps, 3)
         """
         self.contacts_change |= changed
         self._contacts = self._data.ncon
+        for number, (tool, count) in enumerate(zip(self.tools, counts.tolist())):
+            if count:
+                tool.record_rows(rows[number, :count, :len(tool.forces)], roots[number, :count])
         self._clock.count(steps)
 
     def _interrupted(self, intervals: Iterable[int]) -> Iterator[int]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from manip_sim.simulation.robot import SimulatedRobot
 _INTERVAL_S = 0.004
 #: Of how many lengths of periods the intervals are kept.
 _REMEMBERED = 64
+_NOWHERE = np.zeros(0, dtype=np.int64)
 
 
 class Interval:
@@ -174,19 +176,10 @@ class ControlPeriods:
             self._pulls.apply(steps * self._timestep_s)
         self._plan_measuring(steps)
         self._steps.begin()
-        if not (self._steps.stays_untouched and not self._free_roots.is_needed
-                and self._steps.run_untouched(steps, self._controls(plan, steps))):
-            self._steps.begin_run()
-            self._run([plan], self._cut(steps))
-            self._steps.finish()
+        self._steps.begin_run()
+        self._run([plan], self._cut(steps))
+        self._steps.finish()
         self._end(steps)
-
-    def _controls(self, plan: PlannedRates, steps: int) -> FloatArray:
-        """Return the controls of all actuators in each step of a planned period, (steps, nu)."""
-        controls = np.empty((steps, len(plan.controls)))
-        controls[:] = plan.controls
-        controls[:, plan.where] = np.repeat(plan.rates, self._cut(steps), axis=0)
-        return controls
 
     def _end(self, steps: int) -> None:
         """End a period; hold the last good state if the physics has diverged in it."""
@@ -253,9 +246,9 @@ class ControlPeriods:
         if planned > 1:
             chunks = self._cut(self._left)[:planned]
             steps = sum(chunks)
-            self._run([robot.joints.plan.take(len(chunks)) for robot in awake], chunks)
+            self._run([robot.joints.plan.take(planned) for robot in awake], chunks)
         else:
-            self._run((), (steps,))
+            self._run((), (steps,), bool(awake))
             if steps < self._left and len(awake) == 1 and self._exert(
                     awake[0], self._cut(self._left - steps)):
                 steps = self._left
@@ -273,31 +266,67 @@ class ControlPeriods:
         if command is None or not self._steps.lets_laws_step or self._free_roots.is_needed:
             return False
         steps, last_s = sum(intervals), intervals[-1] * self._timestep_s
-        from manip_sim.control.law.stepping import touch_of  # It imports numba.
-        (tool,) = self._steps.tools
-        touch = touch_of(self._steps.data, tool.forces, tool.centre, steps)
-        if touch is None:
+        notes = self._notes(steps)
+        if notes is None:
             return False
         begin_s = self._clock.in_steps_s(steps - intervals[-1])
-        count, changed = robot.joints.step(
-            command, np.array(intervals), touch, (begin_s, last_s))
-        tool.record_rows(touch.rows[:count], touch.centres[:count])
-        self._steps.took_steps(steps, changed)
+        robot.joints.step(command, np.array(intervals), notes, (begin_s, last_s))
+        self._took_steps(steps, notes)
         return True
 
-    def _run(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> None:
-        """Run intervals, before each of which only what was planned is written."""
-        if plans or self._free_roots.is_needed:
-            self._steps.run(self._written(plans, chunks))
-        else:
-            self._steps.run(chunks)
+    def _notes(self, steps: int) -> Any:
+        """Return empty notes for steps, or None where compiled code cannot run them."""
+        from manip_sim.control.law.stepping import may_step, notes_of  # It imports numba.
+        physics = self._steps
+        if not may_step(physics.data):
+            return None
+        key = physics.data._address, steps  # A copy of this world has other data.
+        notes = physics.notes.get(key)
+        if notes is None:
+            if len(physics.notes) == _REMEMBERED:
+                physics.notes.clear()
+            notes = physics.notes[key] = notes_of(physics.data, physics.tool_bodies, steps)
+        notes.present[:], notes.counts[:] = (physics.contacts, 0), 0
+        return notes
+
+    def _took_steps(self, steps: int, notes: Any) -> None:
+        self._steps.took_steps(
+            steps, bool(notes.present[1]), notes.counts, notes.rows, notes.roots)
+
+    def _run(self, plans: Sequence[PlannedRates], chunks: Sequence[int], by_law: bool = True
+             ) -> None:
+        """
+        Run intervals, before each of which only what was planned is written.
+
+        :param by_law: whether compiled laws may run them
+        """
+        lifts = self._free_roots.is_needed
+        if lifts or not (by_law and self._steps.lets_laws_step and self._step(plans, chunks)):
+            self._steps.run(self._written(plans, chunks) if plans or lifts else chunks)
+
+    def _step(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> bool:
+        """Run intervals as planned in compiled code; return whether that is possible."""
+        steps = sum(chunks)
+        notes = self._notes(steps)
+        if notes is None:
+            return False
+        from manip_sim.control.law.stepping import addresses, step_as_planned
+        physics = self._steps
+        where, rates = plans[0] if len(plans) == 1 else (
+            np.concatenate([_NOWHERE, *(plan.where for plan in plans)]),
+            np.concatenate([np.empty((len(chunks), 0)), *(plan.rates for plan in plans)], axis=1))
+        step_as_planned(
+            *addresses(physics.model, physics.data), physics.take_resumes(), np.array(chunks),
+            physics.data.ctrl, where, rates, notes)
+        self._took_steps(steps, notes)
+        return True
 
     def _written(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> Iterator[int]:
         """Write what was planned for each interval, and yield its steps."""
         lifts = self._free_roots.is_needed
         for number, chunk in enumerate(chunks):
-            for controls, where, rates in plans:
-                controls[where] = rates[number]
+            for where, rates in plans:
+                self._steps.data.ctrl[where] = rates[number]
             if lifts:
                 self._free_roots.apply()
             yield chunk

@@ -144,7 +144,7 @@ class StreamRows:
             self.give_back()
             return None
         return [partial(simulation._periods.run_planned, steps,
-                        PlannedRates(*joints._servos.controls, own))
+                        PlannedRates(joints._servos.controls, own))
                 for simulation, joints, own in zip(self.simulations, self._joints, rates)]
 
     def _undisturbed(self) -> bool:

@@ -21,8 +21,8 @@ from manip_sim.models.arenas import TableArena
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import Panda
 from manip_sim.models.world import World
-from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.control_period import ControlPeriods
 
 #: Classes of data that change: all others are handed from thread to thread as they are.
 CHANGING = {'control.commands.CommandHandle', 'control.cartesian.reports.CartesianReport',
@@ -169,15 +169,12 @@ def test_time_counts_steps_exactly(panda):
 def test_setpoints_move_every_four_milliseconds_or_more_often(
         timestep_s, steps, intervals, monkeypatch):
     simulation, seen = Simulation(compose('Panda', timestep_s=timestep_s)), []
-    robot, run = simulation.robot, PhysicsSteps.run
+    robot, run = simulation.robot, ControlPeriods._run
 
-    def noted(physics, chunks):
-        def each():
-            for count in chunks:
-                seen.append(count)
-                yield count
-        run(physics, each())
-    monkeypatch.setattr(PhysicsSteps, 'run', noted)
+    def noted(periods, plans, chunks, *arguments):
+        seen.extend(chunks)
+        run(periods, plans, chunks, *arguments)
+    monkeypatch.setattr(ControlPeriods, '_run', noted)
     robot.apply(robot.parse.action('arm', [0.5] * 7))
     simulation.advance(steps)
     assert seen == intervals

@@ -273,20 +273,18 @@ class CartesianController:
         return (target.twists is None and (target.stream is None or target.stream.at_rest)
                 and self._servos.any_gives_effort_of(command.indices))
 
-    def step(self, command: CartesianCommand, intervals: IntArray, touch: Any,
-             efforts: FloatArray) -> tuple[int, bool]:
+    def step(self, command: CartesianCommand, intervals: IntArray, notes: Any,
+             efforts: FloatArray) -> None:
         """
         Run the physics of intervals in which efforts lead an arm to a target that rests.
 
         :param intervals: physics steps of each, shape (k,)
-        :param touch: what touches the tool, see ``law.stepping.Touch``
+        :param notes: of the steps, see ``law.stepping.Notes``
         :param efforts: of all joints, changed in place [N m], shape (n,)
-        :returns: in how many steps something touched the tool, and whether contacts came or went
         """
-        efforts[command.indices], count, changed = self._operational.step(
+        efforts[command.indices] = self._operational.step(
             self._chains[command.arm].tip, self._targets[command.arm], command.indices,
-            self.settings[command.arm], intervals, touch)
-        return count, changed
+            self.settings[command.arm], intervals, notes)
 
     @staticmethod
     def _end_twist(command: CartesianCommand, target: Target, now_s: float) -> None:

@@ -109,26 +109,25 @@ class OperationalSpaceController:
                               slowed, still)
 
     def step(self, tip: Frame, target: Target, indices: IntArray, settings: CartesianSettings,
-             intervals: IntArray, touch: Any) -> tuple[FloatArray, int, bool]:
+             intervals: IntArray, notes: Any) -> FloatArray:
         """
         Run the physics of intervals in which an end effector follows a target that rests.
 
         :param intervals: physics steps of each, shape (k,)
-        :param touch: what touches the tool, see ``law.stepping.Touch``
-        :returns: the last efforts of the joints [N m], shape (n,), in how many steps something
-            touched the tool, and whether contacts came or went
+        :param notes: of the steps, see ``law.stepping.Notes``
+        :returns: the last efforts of the joints [N m], shape (n,)
         """
         from manip_sim.control.law.stepping import addresses, step_and_exert  # It imports numba.
         physics, servos, motion = self._physics, self._servos, Motion.of(len(indices))
         origin, axes = target.anchor.view(physics.data)
         drives = servos.drives
-        target.rests, count, changed = step_and_exert(
+        target.rests = step_and_exert(
             *addresses(physics.model, physics.data), intervals, physics.arrays,
             self._arm(tip, indices), *tip.view(physics.data),
             Goal(target.position, target.rotation, origin, axes, _RESTING), self._posture,
             self._spring(settings), target.rests, motion, drives.activations[indices],
-            drives.gear[indices], touch)
-        return motion.efforts, count, changed
+            drives.gear[indices], notes)
+        return motion.efforts
 
     @staticmethod
     def _spring(settings: CartesianSettings) -> Spring:

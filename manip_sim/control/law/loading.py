@@ -17,7 +17,8 @@ from manip_sim.control.law.operational_space import exert
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_changes import place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.stepping import addresses, step_and_exert, touch_of
+from manip_sim.control.law.stepping import (
+    addresses, may_step, notes_of, step_and_exert, step_as_planned)
 from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait
 from manip_sim.physics.physics import WorldArrays
@@ -53,10 +54,12 @@ def load_laws() -> None:
     exert(world, arm, np.zeros(3), np.eye(3), goal, none, spring, False, Motion.of(_COUNT))
     model = mujoco.MjModel.from_xml_string('<mujoco/>')
     data = mujoco.MjData(model)
-    touch = touch_of(data, np.zeros((1, 6)), np.zeros(3), 1)
-    if touch is not None:  # In no step, so that nothing of this is used.
-        step_and_exert(*addresses(model, data), places[:0].copy(), world, arm, np.zeros(3),
-                       np.eye(3), goal, none, spring, False, Motion.of(_COUNT), places, one, touch)
+    if may_step(data):  # In no step, so that nothing of this is used.
+        notes, intervals = notes_of(data, np.zeros((0, 3), np.int64), 1), places[:0].copy()
+        step_and_exert(*addresses(model, data), intervals, world, arm, np.zeros(3),
+                       np.eye(3), goal, none, spring, False, Motion.of(_COUNT), places, one, notes)
+        step_as_planned(*addresses(model, data), False, intervals, none, places,
+                        np.zeros((1, _COUNT)), notes)
     if not PLAIN:
         note_that_all_are_kept()
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Physics steps in compiled code: operational space control in each interval, without Python."""
+"""Physics steps in compiled code, with controls that are planned or computed in each interval."""
 
 from __future__ import annotations
 
@@ -30,36 +30,46 @@ _MARK, _WORDS = 987654321, 45000
 _MEMORY = 0.5
 
 
-def _load_mj_step() -> bool:
+def _load_steps() -> bool:
     """Let compiled code call MuJoCo by name, so that numba can keep it; return False if not."""
-    for library in sorted(Path(mujoco.__path__[0]).glob('libmujoco*')):
-        address = ctypes.cast(ctypes.CDLL(str(library)).mj_step, ctypes.c_void_p).value
-        llvmlite.binding.add_symbol('mj_step', address)
+    for path in sorted(Path(mujoco.__path__[0]).glob('libmujoco*')):
+        library = ctypes.CDLL(str(path))
+        for name in ('mj_step', 'mj_step2'):
+            llvmlite.binding.add_symbol(
+                name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
         return True
     return False
 
 
 #: False where MuJoCo's library lies elsewhere than in its package.
-_LOADED = _load_mj_step()
-_mj_step = types.ExternalFunction('mj_step', types.void(types.uintp, types.uintp))
+_LOADED = _load_steps()
+_mj_step, _mj_step2 = (types.ExternalFunction(name, types.void(types.uintp, types.uintp))
+                       for name in ('mj_step', 'mj_step2'))
 
 
-class Touch(NamedTuple):
+class Notes(NamedTuple):
     """
-    Contact forces on a tool, and the arrays that note them.
+    What is noted of contacts in steps, and where that is seen.
 
     :ivar contacts: number of all contacts, a view into ``MjData``, shape (1,)
-    :ivar forces: on the bodies of the tool, a view, shape (m, 6)
-    :ivar centre: that these are about [m], a view, shape (3,)
-    :ivar rows: the forces of each step that are not zero, shape (steps, m, 6)
-    :ivar centres: where the centre was then, shape (steps, 3)
+    :ivar forces: ``cfrc_ext``, external forces on bodies, a view, shape (nbody, 6)
+    :ivar centers: ``subtree_com``, a view [m], shape (nbody, 3)
+    :ivar tools: of each tool the first body, the one after its last, and the root of its tree,
+        shape (t, 3)
+    :ivar present: number of contacts after the last step, and 1 if that has changed, shape (2,)
+    :ivar counts: in how many steps something has touched each tool, shape (t,)
+    :ivar rows: the forces on its bodies in these, shape (t, steps, m, 6)
+    :ivar roots: where the centre of mass of its tree was then, shape (t, steps, 3)
     """
 
     contacts: NDArray[np.int32]
     forces: FloatArray
-    centre: FloatArray
+    centers: FloatArray
+    tools: IntArray
+    present: IntArray
+    counts: IntArray
     rows: FloatArray
-    centres: FloatArray
+    roots: FloatArray
 
 
 @cache
@@ -73,28 +83,31 @@ def _place_of_contacts() -> int | None:
     return 4 * found[0] if len(found) == 1 and words[found[0]] == 0 else None
 
 
-def touch_of(data: mujoco.MjData, forces: FloatArray, centre: FloatArray, steps: int
-             ) -> Touch | None:
-    """
-    Return what :func:`step_and_exert` needs, or None where it cannot be used.
-
-    :param forces: on the bodies of the tool, a view, shape (m, 6)
-    :param centre: that these are about [m], a view, shape (3,)
-    :param steps: how many there will be
-    """
-    place = None if config.DISABLE_JIT or not _LOADED else _place_of_contacts()
+def may_step(data: mujoco.MjData) -> bool:
+    """Return whether compiled code may run steps."""
     # Out of memory, MuJoCo ends the process, where Python would get an exception.
-    if place is None or data.maxuse_arena > _MEMORY * data.narena:
-        return None
-    words = (ctypes.c_int32 * 1).from_address(data._address + place)
-    return Touch(np.ctypeslib.as_array(words), forces, centre,
-                 np.empty((steps, *forces.shape)), np.empty((steps, 3)))
+    return (data.maxuse_arena <= _MEMORY * data.narena and not config.DISABLE_JIT and _LOADED
+            and _place_of_contacts() is not None)
+
+
+def notes_of(data: mujoco.MjData, tools: IntArray, steps: int) -> Notes:
+    """
+    Return room for the notes of steps, if compiled code may run them.
+
+    :param tools: as in :class:`Notes`
+    :param steps: how many there will be at most
+    """
+    words = (ctypes.c_int32 * 1).from_address(data._address + (_place_of_contacts() or 0))
+    count, bodies = len(tools), int((tools[:, 1] - tools[:, 0]).max(initial=0))
+    return Notes(np.ctypeslib.as_array(words), data.cfrc_ext, data.subtree_com, tools,
+                 np.zeros(2, np.int64), np.zeros(count, np.int64),
+                 np.empty((count, steps, bodies, 6)), np.empty((count, steps, 3)))
 
 
 @inner
-def _touches(forces: FloatArray) -> bool:
-    """Return whether any force is not zero."""
-    for body in range(forces.shape[0]):
+def _touches(forces: FloatArray, first: int, end: int) -> bool:
+    """Return whether any force on some bodies is not zero."""
+    for body in range(first, end):
         for k in range(6):
             if forces[body, k] != 0.0:
                 return True
@@ -102,20 +115,56 @@ def _touches(forces: FloatArray) -> bool:
 
 
 @inner
-def _note(touch: Touch, number: int) -> None:
-    """Note the forces on a tool."""
-    for k in range(3):
-        touch.centres[number, k] = touch.centre[k]
-    for body in range(touch.forces.shape[0]):
-        for k in range(6):
-            touch.rows[number, body, k] = touch.forces[body, k]
+def _note(notes: Notes) -> None:
+    """Note contacts that came or went, and the forces on tools that something touches."""
+    contacts, present, tools = notes.contacts[0], notes.present, notes.tools
+    if contacts != present[0]:
+        present[0], present[1] = contacts, 1
+    if contacts == 0:
+        return
+    for tool in range(len(tools)):
+        first, end = tools[tool, 0], tools[tool, 1]
+        if _touches(notes.forces, first, end):
+            number = notes.counts[tool]
+            notes.counts[tool] = number + 1
+            for k in range(3):
+                notes.roots[tool, number, k] = notes.centers[tools[tool, 2], k]
+            for body in range(first, end):
+                for k in range(6):
+                    notes.rows[tool, number, body - first, k] = notes.forces[body, k]
+
+
+@compiled
+def step_as_planned(model: int, data: int, resumes: bool, intervals: IntArray,
+                    controls: FloatArray, where: IntArray, rates: FloatArray, notes: Notes
+                    ) -> None:
+    """
+    Run the physics of intervals with controls that are planned.
+
+    :param model: address of the ``MjModel``, ``data`` of its ``MjData``
+    :param resumes: whether the first half of the first step has been computed
+    :param intervals: steps of each, shape (k,)
+    :param controls: of all actuators, a view, shape (nu,)
+    :param where: which of them are written, shape (n,)
+    :param rates: what is written in each interval, shape (k, n)
+    """
+    for k in range(len(intervals)):
+        for i in range(len(where)):
+            controls[where[i]] = rates[k, i]
+        for _ in range(intervals[k]):
+            if resumes:
+                _mj_step2(model, data)
+                resumes = False
+            else:
+                _mj_step(model, data)
+            _note(notes)
 
 
 @compiled
 def step_and_exert(model: int, data: int, intervals: IntArray, world: WorldArrays, arm: Arm,
                    place: FloatArray, turned: FloatArray, goal: Goal, postures: FloatArray,
                    spring: Spring, rested: bool, motion: Motion, activations: IntArray,
-                   gear: FloatArray, touch: Touch) -> tuple[bool, int, bool]:
+                   gear: FloatArray, notes: Notes) -> bool:
     """
     Exert efforts and run the physics of intervals.
 
@@ -125,24 +174,18 @@ def step_and_exert(model: int, data: int, intervals: IntArray, world: WorldArray
         others
     :param activations: addresses of the actuators in ``act``, shape (n,)
     :param gear: of these, shape (n,)
-    :returns: whether the end effector is as near as it can come, in how many steps something
-        touched the tool, and whether contacts came or went
+    :returns: whether the end effector is as near as it can come
     """
-    count, changed, contacts = 0, False, touch.contacts[0]
     for steps in intervals:
         rested, _, _ = exert(world, arm, place, turned, goal, postures, spring, rested, motion)
         for i in range(len(activations)):
             world.activations[activations[i]] = motion.efforts[i] / gear[i]
         for _ in range(steps):
             _mj_step(model, data)
-            if touch.contacts[0] != contacts:
-                changed, contacts = True, touch.contacts[0]
-            if contacts > 0 and _touches(touch.forces):
-                _note(touch, count)
-                count += 1
-    return rested, count, changed
+            _note(notes)
+    return rested
 
 
 def addresses(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Any, Any]:
-    """Return the addresses of a model and its data for :func:`step_and_exert`."""
+    """Return the addresses of a model and its data for compiled steps."""
     return np.uintp(model._address), np.uintp(data._address)
