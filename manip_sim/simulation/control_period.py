@@ -24,6 +24,8 @@ from manip_sim.simulation.robot import SimulatedRobot
 _INTERVAL_S = 0.004
 #: Of how many lengths of periods the intervals are kept.
 _REMEMBERED = 64
+#: Compiled code runs so many steps at most, as there is room for notes of each.
+_MOST_STEPS = 1000
 _NOWHERE = np.zeros(0, dtype=np.int64)
 
 
@@ -278,7 +280,7 @@ class ControlPeriods:
         """Return empty notes for steps, or None where compiled code cannot run them."""
         from manip_sim.control.law.stepping import may_step, notes_of  # It imports numba.
         physics = self._steps
-        if not may_step(physics.data):
+        if steps > _MOST_STEPS or not may_step(physics.data):
             return None
         key = physics.data._address, steps  # A copy of this world has other data.
         notes = physics.notes.get(key)

@@ -150,3 +150,16 @@ def test_a_divergence_in_a_planned_period_is_reported_as_that_of_a_simulation(at
     followers = Followers('Panda')
     followers.run(disturb)
     assert followers.alone.diverged and all(at_once)
+
+
+def test_a_period_of_very_many_steps_takes_no_room_for_notes(at_once):
+    states = []
+    for steps in ([1500], [900, 600]):
+        simulation = Simulation(compose('Panda'))
+        robot = simulation.robot
+        robot.apply(*robot.parse.joint_command(robot.joints.names[:1], position=[0.5]))
+        for count in steps:
+            simulation.advance(count)
+        states.append(simulation.data.qpos.tolist())
+    assert False in at_once and True in at_once
+    np.testing.assert_allclose(*states, atol=1e-6)
