@@ -18,7 +18,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import Drives
-from manip_sim.control.law.stream_timing import clip
+from manip_sim.control.law.small_matrices import clip
 from manip_sim.physics.physics import WorldArrays
 
 #: Setpoints are looked at once in a plan that are less ahead of their joints than this share of

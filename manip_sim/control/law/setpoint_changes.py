@@ -18,11 +18,17 @@ _LEAST_SLOPE = 1e-9
 
 
 @inner
-def come_to(x: Any, velocity: float, slope: float) -> None:
-    """Let a setpoint come to a velocity, and forget all goals."""
-    x.rate, x.rate_goal, x.slope, x.smoothing = x.velocity, velocity, slope, SMOOTHING_S
-    x.raw = x.first = x.second = x.seeks = x.brakes = x.waiting = x.number = x.held = 0.0
-    x.until, x.arrived, x.moves = math.inf, -math.inf, 1.0
+def come_to(x: Any, velocity: float) -> None:
+    """Let the reference come to a velocity with the acceleration limit, and seek no goal."""
+    x.rate, x.rate_goal, x.slope, x.until = x.velocity, velocity, x.limit, math.inf
+    x.raw = x.first = x.second = x.seeks = x.brakes = x.waiting = 0.0
+    x.moves = 1.0
+
+
+@inner
+def _forget_stream(x: Any) -> None:
+    """Let the next message begin a stream."""
+    x.number, x.arrived, x.smoothing, x.held = 0.0, -math.inf, SMOOTHING_S, 0.0
 
 
 @compiled
@@ -36,7 +42,8 @@ def set_velocity(joints: Any, indices: IntArray, velocity: FloatArray) -> None:
     """
     for k in range(len(indices)):
         x = joints[indices[k]]
-        come_to(x, velocity[k], x.limit)
+        come_to(x, velocity[k])
+        _forget_stream(x)
 
 
 @compiled
@@ -56,8 +63,9 @@ def ramp_to(joints: Any, indices: IntArray, velocity: FloatArray, duration: floa
         most = x.limit
         if len(limit):
             most, x.bound = limit[k], max(limit[k], x.bound)
-        slope = abs(velocity[k] - x.velocity) / duration
-        come_to(x, velocity[k], clip(slope, _LEAST_SLOPE, most))
+        come_to(x, velocity[k])
+        _forget_stream(x)
+        x.slope = clip(abs(velocity[k] - x.velocity) / duration, _LEAST_SLOPE, most)
 
 
 @compiled
@@ -78,4 +86,5 @@ def place(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatA
         x.velocity = clip(velocity[k], 0.0 if position[k] < x.low else -math.inf,
                           0.0 if position[k] > x.high else math.inf)
         x.acceleration = acceleration[k]
-        come_to(x, 0.0, x.limit)
+        come_to(x, 0.0)
+        _forget_stream(x)

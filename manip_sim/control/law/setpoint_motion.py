@@ -18,8 +18,8 @@ from typing import Any
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import SMOOTHING_S
+from manip_sim.control.law.small_matrices import clip
 from manip_sim.control.law.stream_goals import take_waiting
-from manip_sim.control.law.stream_timing import clip
 
 #: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
 ARRIVED = 1e-10

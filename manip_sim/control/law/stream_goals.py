@@ -12,8 +12,10 @@ import numpy as np
 
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import SMOOTHING_S
+from manip_sim.control.law.setpoint_changes import come_to
+from manip_sim.control.law.small_matrices import clip
 from manip_sim.control.law.stream_timing import (
-    clip, DECAY, is_copy, next_members, take_time, TRUSTED)
+    DECAY, is_copy, next_members, take_time, TRUSTED)
 
 #: Velocity and acceleration of a stream may be so many times those before.
 MARGIN = 1.5
@@ -131,14 +133,6 @@ def follow_velocity(x: Any, live: bool, now: float) -> None:
     x.bound = max(x.limit, MARGIN * x.own)
     interval = x.interval if live else x.waiting_period
     x.slope = min(max(abs(x.goal - x.velocity) / interval, 1e-9), x.bound)
-
-
-@inner
-def come_to(x: Any, velocity: float) -> None:
-    """Let the reference come to a velocity with the acceleration limit, and seek no goal."""
-    x.rate, x.rate_goal, x.slope, x.until = x.velocity, velocity, x.limit, math.inf
-    x.raw = x.first = x.second = x.seeks = x.brakes = x.waiting = 0.0
-    x.moves = 1.0
 
 
 @inner

@@ -16,6 +16,7 @@ from typing import Any
 
 from manip_sim.arrays import IntArray
 from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.small_matrices import clip
 
 #: So many messages back the line through the arrivals remembers.
 MEMORY = 40.0
@@ -35,12 +36,6 @@ GUESSED = 3.0
 SLACK_KEPT, MISSED = 0.93, 1.5
 #: Continuation of a stream after a message was due, unless set otherwise [intervals].
 HOLD = 2.0
-
-
-@inner
-def clip(value: float, low: float, high: float) -> float:
-    """Return a number, or the bound that it is beyond."""
-    return min(max(value, low), high)
 
 
 @inner
