@@ -251,30 +251,35 @@ class ControlPeriods:
             self._run([robot.joints.plan.take(planned) for robot in awake], chunks)
         else:
             self._run((), (steps,), bool(awake))
-            if steps < self._left and len(awake) == 1 and self._exert(
-                    awake[0], self._cut(self._left - steps)):
-                steps = self._left
+            if steps < self._left and len(awake) == 1:
+                steps += self._exert(awake[0], self._cut(self._left - steps))
         self._left -= steps
         if not (self._left or self._later):
             self._steps.finish()
 
-    def _exert(self, robot: SimulatedRobot, intervals: Sequence[int]) -> bool:
+    def _exert(self, robot: SimulatedRobot, intervals: Sequence[int]) -> int:
         """
-        Run intervals in compiled code in which only operational space control of an arm acts.
+        Run intervals in compiled code in which joints follow operational space control of an arm.
 
-        :returns: whether that is so, and they were run
+        Grippers that move act before each of them.
+
+        :returns: how many steps were run
         """
-        command = robot.exerts_alone
+        command, done = robot.exerts_alone, 0
         if command is None or not self._steps.lets_laws_step or self._free_roots.is_needed:
-            return False
-        steps, last_s = sum(intervals), intervals[-1] * self._timestep_s
-        notes = self._notes(steps)
-        if notes is None:
-            return False
-        begin_s = self._clock.in_steps_s(steps - intervals[-1])
-        robot.joints.step(command, np.array(intervals), notes, (begin_s, last_s))
-        self._took_steps(steps, notes)
-        return True
+            return 0
+        while intervals:
+            chunks = intervals[:1] if robot.grippers_move else intervals
+            steps, last_s = sum(chunks), chunks[-1] * self._timestep_s
+            notes = self._notes(steps)
+            if notes is None:
+                break
+            robot.tick_grippers(last_s)
+            begin_s = self._clock.in_steps_s(steps - chunks[-1])
+            robot.joints.step(command, np.array(chunks), notes, (begin_s, last_s))
+            self._took_steps(steps, notes)
+            intervals, done = intervals[len(chunks):], done + steps
+        return done
 
     def _notes(self, steps: int) -> Any:
         """Return empty notes for steps, or None where compiled code cannot run them."""

@@ -111,25 +111,28 @@ class SimulatedRobot:
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""
-        return self.joints.moving or any([gripper.moving for gripper in self.grippers.values()])
+        return self.joints.moving or self.grippers_move
+
+    @property
+    def grippers_move(self) -> bool:
+        """Whether setpoints of a gripper change, or may change, in the next interval."""
+        return any([gripper.moving for gripper in self.grippers.values()])
 
     @property
     def resting(self) -> bool:
         """Whether the physics loop has nothing to do for it until the next command."""
         return (self.joints.resting and not self.reflexes.armed and not self._late
-                and not any([g.moving for g in self.grippers.values()]))
+                and not self.grippers_move)
 
     @property
     def planned(self) -> int:
         """How many intervals of the control period are planned, the present one too."""
-        moves = any([gripper.moving for gripper in self.grippers.values()])
-        return 1 if moves else self.joints.planned
+        return 1 if self.grippers_move else self.joints.planned
 
     @property
     def exerts_alone(self) -> CartesianCommand | None:
-        """The command that is all that control does until the next one, by efforts, if one."""
-        moves = any([g.moving for g in self.grippers.values()])
-        return None if moves else self.joints.exerts_alone
+        """The command that is all that joints do until the next one, by efforts, if one."""
+        return self.joints.exerts_alone
 
     def apply(self, *commands: Command, period_s: float | None = None) -> None:
         """
@@ -399,6 +402,14 @@ class SimulatedRobot:
         :param duration_s: length of the interval [s]
         """
         self.joints.tick(self._physics.data, self._clock.control_s, duration_s)
+        self.tick_grippers(duration_s)
+
+    def tick_grippers(self, duration_s: float) -> None:
+        """
+        Write the controls of grippers that move in the next interval.
+
+        :param duration_s: length of the interval [s]
+        """
         for gripper in self.grippers.values():
             if gripper.moving:
                 gripper.tick(self._physics.data, duration_s)
