@@ -13,7 +13,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.law.finger_records import Fingers
 from manip_sim.errors import ModelError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.declared_limits import declared_velocity
@@ -52,6 +53,9 @@ class GripperActuators:
     :raises ModelError: naming an actuator without a range, or another on a servo's joint or tendon
     """
 
+    #: Derived from the other attributes.
+    not_in_digest = ('_fingers',)
+
     def __init__(self, physics: Physics, part: Part) -> None:
         self._physics, model = physics, physics.model
         self._part = part
@@ -62,6 +66,7 @@ class GripperActuators:
         dynamics = model.actuator_dyntype[self.ids]
         self._integrates = self.is_servo & (dynamics == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
         self._settles = self._integrates | (self.is_servo & np.isin(dynamics, _FILTERS))
+        self._fingers: Fingers | None = None
         physics.on_change(self._find_joints)
         self._check_shared()
         self.ranges = np.array([self._range(i) for i in range(len(self.ids))]).reshape(-1, 2)
@@ -80,23 +85,35 @@ class GripperActuators:
                     and abs(spans[0] - spans[1]) <= _EQUAL * spans[0]
                     and self.overtravel.any(axis=1).all())
 
-    def lead(self, ends: BoolArray) -> FloatArray:
+    def fingers(self, tolerance: FloatArray) -> Fingers:
         """
-        Return how far setpoints are beyond their servos' places at full force, shape (n,).
+        Return the actuators as the compiled law takes them.
 
-        :param ends: whether each servo presses towards the lower and the upper end, shape (n, 2)
+        :param tolerance: setpoints that differ by less are the same, shape (n,)
         """
+        if self._fingers is None:
+            low, high = np.ascontiguousarray(self.ranges.T)
+            self._fingers = Fingers(
+                self.ids.astype(np.int64), self._act.astype(np.int64), self.is_servo,
+                self._integrates, np.where(self.is_servo, self._gain, 1.0),
+                np.where(self.is_servo[:, None], self._bias, 0.0), low, high, self.speeds,
+                self.overtravel, self.overtravel, tolerance, self.is_pair)
+        # Only two fingers that press need their present limits of force.
+        return self._fingers._replace(reach=self._reach()) if self.is_pair else self._fingers
+
+    def _reach(self) -> FloatArray:
+        """Return how far setpoints are beyond their servos' places at full force, shape (n, 2)."""
         model = self._physics.model
         limits = np.abs(model.actuator_forcerange[self.ids]) / self._gain[:, None]
         limited = model.actuator_forcelimited[self.ids].astype(bool)[:, None]
-        reach = np.where(limited, np.minimum(self.overtravel, limits), self.overtravel)
-        return np.asarray((reach * ends).sum(axis=1))
+        return np.where(limited, np.minimum(self.overtravel, limits), self.overtravel)
 
     def _find_joints(self) -> None:
         model = self._physics.model
         # That of a restored state is a copy, which the part does not change.
         self.ids = self._part.actuator_ids
         self._act = model.actuator_actadr[self.ids]
+        self._fingers = None
         self.couplings = JointCouplings(model, [model.joint(j).id for j in self._part.joints])
         self.terms = [self._length_terms(i) for i in range(len(self.ids))]
 
@@ -118,12 +135,6 @@ class GripperActuators:
         """Return the setpoints at which the servos would rest where they are, shape (n,)."""
         return self.rest(data.actuator_length[self.ids])
 
-    def speed_of_place(self, data: mujoco.MjData) -> FloatArray:
-        """Return how fast :meth:`place` changes [1/s], shape (n,)."""
-        gain = np.where(self.is_servo, self._gain, 1.0)
-        speed: FloatArray = -self._bias[:, 1] / gain * data.actuator_velocity[self.ids]
-        return np.where(self.is_servo, speed, 0.0)
-
     def setpoints(self, data: mujoco.MjData) -> FloatArray:
         """Return the present setpoints, and the controls of other actuators, a copy."""
         present: FloatArray = data.ctrl[self.ids].copy()
@@ -134,16 +145,6 @@ class GripperActuators:
         """Set setpoints and controls at once, as if they had been there for long."""
         data.act[self._act[self._settles]] = setpoints[self._settles]
         data.ctrl[self.ids] = np.where(self._integrates, 0.0, setpoints)
-
-    def approach(self, data: mujoco.MjData, setpoints: FloatArray, duration_s: float) -> None:
-        """
-        Let setpoints move linearly; those without integrator dynamics jump.
-
-        :param setpoints: their values at the end, shape (n,)
-        :param duration_s: of the motion [s]
-        """
-        rates = (setpoints - self.setpoints(data)) / duration_s
-        data.ctrl[self.ids] = np.where(self._integrates, rates, setpoints)
 
     def lengths_at(self, data: mujoco.MjData, positions: dict[int, float]) -> FloatArray:
         """

@@ -15,23 +15,13 @@ from manip_sim.control.commands import (
 from manip_sim.control.gripper_actuators import GripperActuators
 from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.control.gripper_joints import GripperJoints
+from manip_sim.control.law.finger_records import Grip
 from manip_sim.control.ledger import Ledger
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
 #: Rate at which robosuite calls a gripper's ``format_action`` [Hz].
 GRIPPER_RATE_HZ = 20.0
-#: A finger has come to an end of its range if it is nearer than this fraction of the range.
-_AT_END = 0.015
-#: A finger has stopped if it would take longer than this to cross its range [s].
-_STOPPED_S = 20.0
-#: How long a stopped finger takes to press with its full force [s].
-_PRESS_S = 0.05
-#: Time constant with which two fingers that press come to be equally open [s].
-_CENTRES_S = 0.1
-#: Two fingers that press have settled if their setpoints move less in an interval, as a fraction
-#: of the range.
-_STEADY = 1e-3
 #: Two setpoints that differ by less than this fraction of the range are the same.
 _SAME = 1e-9
 
@@ -197,66 +187,16 @@ class GripperController:
         :param duration_s: of these steps [s]
         """
         self._call_if_due(data)
-        actuators = self._actuators
-        place, start = actuators.place(data), actuators.setpoints(data)
-        target = self._target(data, place, start)
-        if self._centres:
-            target = self._centred(place, start, duration_s)
-        if self._turned:
-            # A servo that presses the other way lets go at once, or its finger would have to wait
-            # until the setpoint has come back to it.
-            against = actuators.is_servo & ((target - place) * (start - place) < 0.0)
-            start, self._turned = np.where(against, place, start), False
-        setpoints = start + self._stride(target - start, duration_s)
-        present = actuators.setpoints(data)
-        there = np.abs(setpoints - present) <= self._tolerance
-        actuators.approach(data, np.where(there & actuators.is_servo, present, setpoints),
-                           duration_s)
-        waits = self._to_end.any(axis=1) & ~self._pressing
-        if self._centres:
-            there = np.abs(setpoints - present) <= _STEADY * np.ptp(actuators.ranges, axis=1)
-        self._moving = self._action is not None or not there.all() or bool(waits.any())
+        from manip_sim.control.law.gripping import move_fingers  # It imports numba.
+        moves = move_fingers(
+            data.actuator_length, data.actuator_velocity, data.act, data.ctrl,
+            self._actuators.fingers(self._tolerance),
+            Grip(self._goal, self._to_end, self._pressing, self._pace), self._turned, duration_s)
+        self._turned, self._moving = False, self._action is not None or moves
         if not self._moving:
+            place = self._actuators.place(data)
             for command in list(self.commands.running):
                 self.commands.finish(command, self._goal - place)
-
-    def _target(self, data: mujoco.MjData, place: FloatArray, setpoints: FloatArray) -> FloatArray:
-        """Return the goals, beyond the end of the range where the full force is requested."""
-        span = np.ptp(self._actuators.ranges, axis=1)
-        # Forces may also push a finger past the end.
-        before = np.stack([place - self._goal, self._goal - place], axis=1)
-        self._to_end &= before >= _AT_END * span[:, None]
-        arrived = np.abs(setpoints - self._goal) <= self._tolerance
-        stopped = np.abs(self._actuators.speed_of_place(data)) < span / _STOPPED_S
-        self._pressing |= arrived & stopped
-        self._pressing &= self._to_end.any(axis=1)
-        below, above = (self._actuators.overtravel * self._to_end * self._pressing[:, None]).T
-        target: FloatArray = self._goal - below + above
-        return target
-
-    def _centred(self, place: FloatArray, setpoints: FloatArray, duration_s: float) -> FloatArray:
-        """
-        Return setpoints at which two fingers exert their full force where they are equally open.
-
-        Where they are not, that of the finger which gives way moves on until they are.
-        """
-        inward = np.where(self._to_end[:, 0], -1.0, 1.0)
-        opening, ahead = inward * (self._goal - place), inward * (setpoints - self._goal)
-        uneven, trim = opening - opening.mean(), ahead - ahead.mean()
-        lead = self._actuators.lead(self._to_end)
-        trim = np.clip(trim + min(duration_s / _CENTRES_S, 1.0) * uneven, -lead, lead)
-        target: FloatArray = self._goal + inward * (lead + trim - opening.mean())
-        return target
-
-    def _stride(self, distance: FloatArray, duration_s: float) -> FloatArray:
-        """Return how far setpoints move in an interval."""
-        speeds = np.minimum(self._actuators.speeds, self._pace)
-        press = self._actuators.overtravel.max(axis=1, initial=0.0) / _PRESS_S
-        reach = np.where(self._pressing, press, speeds) * duration_s
-        stride: FloatArray = np.clip(distance, -reach, reach)
-        if self._centres:  # What is beyond the full force comes back at once.
-            stride = np.where((distance > 0.0) == self._to_end[:, 0], distance, stride)
-        return stride
 
     def _call_if_due(self, data: mujoco.MjData) -> None:
         """Call the gripper's ``format_action`` if it is due."""

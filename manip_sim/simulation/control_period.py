@@ -26,7 +26,7 @@ _INTERVAL_S = 0.004
 _REMEMBERED = 64
 #: Compiled code runs so many steps at most, as there is room for notes of each.
 _MOST_STEPS = 1000
-_NOWHERE = np.zeros(0, dtype=np.int64)
+_NOTHING = PlannedRates(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
 
 
 class Interval:
@@ -248,7 +248,7 @@ class ControlPeriods:
         if planned > 1:
             chunks = self._cut(self._left)[:planned]
             steps = sum(chunks)
-            self._run([robot.joints.plan.take(planned) for robot in awake], chunks)
+            self._run_plans([robot.joints.plan.take(planned) for robot in awake], chunks, awake)
         else:
             self._run((), (steps,), bool(awake))
             if steps < self._left and len(awake) == 1:
@@ -256,6 +256,20 @@ class ControlPeriods:
         self._left -= steps
         if not (self._left or self._later):
             self._steps.finish()
+
+    def _run_plans(self, plans: Sequence[PlannedRates], chunks: Sequence[int],
+                   awake: Sequence[SimulatedRobot]) -> None:
+        """Run intervals as planned for joints; before each of them, grippers that move act."""
+        done = 0
+        while done < len(chunks):
+            moves = any([robot.grippers_move for robot in awake])
+            end = done + 1 if moves else len(chunks)
+            self._run([PlannedRates(where, rates[done:end]) for where, rates in plans],
+                      chunks[done:end])
+            done = end
+            if moves and done < len(chunks):
+                for robot in awake:
+                    robot.tick_grippers(chunks[done] * self._timestep_s)
 
     def _exert(self, robot: SimulatedRobot, intervals: Sequence[int]) -> int:
         """
@@ -319,9 +333,11 @@ class ControlPeriods:
             return False
         from manip_sim.control.law.stepping import addresses, step_as_planned
         physics = self._steps
-        where, rates = plans[0] if len(plans) == 1 else (
-            np.concatenate([_NOWHERE, *(plan.where for plan in plans)]),
-            np.concatenate([np.empty((len(chunks), 0)), *(plan.rates for plan in plans)], axis=1))
+        where, rates = _NOTHING
+        if plans:
+            where, rates = plans[0] if len(plans) == 1 else (
+                np.concatenate([plan.where for plan in plans]),
+                np.concatenate([plan.rates for plan in plans], axis=1))
         step_as_planned(
             *addresses(physics.model, physics.data), physics.take_resumes(), np.array(chunks),
             physics.data.ctrl, where, rates, notes)

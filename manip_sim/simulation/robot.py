@@ -126,8 +126,8 @@ class SimulatedRobot:
 
     @property
     def planned(self) -> int:
-        """How many intervals of the control period are planned, the present one too."""
-        return 1 if self.grippers_move else self.joints.planned
+        """How many intervals of the control period are planned for joints, the present one too."""
+        return self.joints.planned
 
     @property
     def exerts_alone(self) -> CartesianCommand | None:

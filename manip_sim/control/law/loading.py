@@ -11,6 +11,8 @@ import numpy as np
 from manip_sim.control.law.approach import approach, follow_twist
 from manip_sim.control.law.arm_records import Arm, ArmMotion, Goal, Motion, Spring, Velocities
 from manip_sim.control.law.compiling import PLAIN
+from manip_sim.control.law.finger_records import Fingers, Grip
+from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import blank_state, Drives, records
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.operational_space import exert
@@ -52,6 +54,10 @@ def load_laws() -> None:
     goal = Goal(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3), none)
     spring = Spring(1.0, 1.0, 1.0, 1.0)
     exert(world, arm, np.zeros(3), np.eye(3), goal, none, spring, False, Motion.of(_COUNT))
+    ends = np.zeros((_COUNT, 2))
+    fingers = Fingers(places, places, no, no, one, ends, none, one, one, ends, ends, one, False)
+    move_fingers(none, none, none, none.copy(), fingers,
+                 Grip(none, ends > 0.0, no.copy(), none), False, 0.1)
     model = mujoco.MjModel.from_xml_string('<mujoco/>')
     data = mujoco.MjData(model)
     if may_step(data):  # In no step, so that nothing of this is used.

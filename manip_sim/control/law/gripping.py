@@ -1,0 +1,126 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Motion of the setpoints of a gripper in an interval, and the force of fingers that stand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.finger_records import Fingers, Grip
+from manip_sim.control.law.small_matrices import clip
+
+#: A finger has come to an end of its range if it is nearer than this fraction of the range.
+_AT_END = 0.015
+#: A finger has stopped if it would take longer than this to cross its range [s].
+_STOPPED_S = 20.0
+#: How long a stopped finger takes to press with its full force [s].
+_PRESS_S = 0.05
+#: Time constant with which two fingers that press come to be equally open [s].
+_CENTRES_S = 0.1
+#: Two fingers that press have settled if their setpoints move less in an interval, as a fraction
+#: of the range.
+_STEADY = 1e-3
+
+
+@compiled
+def move_fingers(lengths: FloatArray, velocities: FloatArray, activations: FloatArray,
+                 controls: FloatArray, fingers: Fingers, grip: Grip, turned: bool,
+                 duration: float) -> bool:
+    """
+    Write the controls of a gripper for an interval.
+
+    :param lengths: ``actuator_length``, shape (nu,)
+    :param velocities: ``actuator_velocity``, shape (nu,)
+    :param activations: ``act``, shape (na,)
+    :param controls: ``ctrl``, shape (nu,), written
+    :param turned: whether the goals are new
+    :param duration: of the interval [s]
+    :returns: whether setpoints move, or a finger that was sent to an end has yet to stop
+    """
+    count = len(fingers.ids)
+    place, present, target = np.empty(count), np.empty(count), np.empty(count)
+    for i in range(count):
+        x = fingers.ids[i]
+        place[i] = -(fingers.bias[i, 0] + fingers.bias[i, 1] * lengths[x]) / fingers.gain[i]
+        present[i] = activations[fingers.activations[i]] if fingers.integrates[i] else controls[x]
+        speed = -fingers.bias[i, 1] / fingers.gain[i] * velocities[x]
+        target[i] = _find_target(fingers, grip, i, place[i], present[i], speed)
+    centres = fingers.pair and grip.pressing[0] and grip.pressing[1]
+    if centres:
+        _find_centre(fingers, grip, place, present, duration, target)
+    moves = False
+    for i in range(count):
+        begin, span = present[i], fingers.high[i] - fingers.low[i]
+        if turned and fingers.is_servo[i] and (target[i] - place[i]) * (begin - place[i]) < 0.0:
+            # A servo that presses the other way lets go at once, or its finger would have to wait
+            # until the setpoint has come back to it.
+            begin = place[i]
+        setpoint = begin + _stride(fingers, grip, i, target[i] - begin, centres, duration)
+        change = abs(setpoint - present[i])
+        if change <= fingers.tolerance[i] and fingers.is_servo[i]:
+            setpoint = present[i]
+        controls[fingers.ids[i]] = (
+            (setpoint - present[i]) / duration if fingers.integrates[i] else setpoint)
+        waits = (grip.to_end[i, 0] or grip.to_end[i, 1]) and not grip.pressing[i]
+        steady = _STEADY * span if centres else fingers.tolerance[i]
+        moves = moves or waits or not change <= steady
+    return moves
+
+
+@inner
+def _find_target(fingers: Fingers, grip: Grip, i: int, place: float, setpoint: float,
+                 speed: float) -> float:
+    """Return the goal, or beyond the end of the range where the full force is requested."""
+    span, target = fingers.high[i] - fingers.low[i], grip.goal[i]
+    # Forces may also push a finger past the end.
+    grip.to_end[i, 0] = grip.to_end[i, 0] and place - grip.goal[i] >= _AT_END * span
+    grip.to_end[i, 1] = grip.to_end[i, 1] and grip.goal[i] - place >= _AT_END * span
+    arrived = abs(setpoint - grip.goal[i]) <= fingers.tolerance[i]
+    stopped = abs(speed) < span / _STOPPED_S
+    grip.pressing[i] = (grip.pressing[i] or arrived and stopped) and (
+        grip.to_end[i, 0] or grip.to_end[i, 1])
+    if grip.pressing[i] and grip.to_end[i, 0]:
+        target -= fingers.overtravel[i, 0]
+    if grip.pressing[i] and grip.to_end[i, 1]:
+        target += fingers.overtravel[i, 1]
+    return float(target)
+
+
+@inner
+def _find_centre(fingers: Fingers, grip: Grip, place: FloatArray, setpoints: FloatArray,
+                 duration: float, target: FloatArray) -> None:
+    """
+    Write setpoints at which two fingers exert their full force where they are equally open.
+
+    Where they are not, that of the finger which gives way moves on until they are.
+    """
+    opening, ahead, opened, led = np.empty(2), np.empty(2), 0.0, 0.0
+    for i in range(2):
+        inward = -1.0 if grip.to_end[i, 0] else 1.0
+        opening[i], ahead[i] = inward * (grip.goal[i] - place[i]), inward * (
+            setpoints[i] - grip.goal[i])
+        opened, led = opened + opening[i] / 2.0, led + ahead[i] / 2.0
+    for i in range(2):
+        inward, lead = -1.0 if grip.to_end[i, 0] else 1.0, 0.0
+        for end in range(2):
+            lead += fingers.reach[i, end] if grip.to_end[i, end] else 0.0
+        trim = clip(ahead[i] - led + min(duration / _CENTRES_S, 1.0) * (opening[i] - opened),
+                    -lead, lead)
+        target[i] = grip.goal[i] + inward * (lead + trim - opened)
+
+
+@inner
+def _stride(fingers: Fingers, grip: Grip, i: int, distance: float, centres: bool,
+            duration: float) -> float:
+    """Return how far a setpoint moves in an interval."""
+    if centres and (distance > 0.0) == grip.to_end[i, 0]:
+        return distance  # What is beyond the full force comes back at once.
+    pace = min(fingers.speeds[i], grip.pace[i])
+    if grip.pressing[i]:
+        pace = max(fingers.overtravel[i, 0], fingers.overtravel[i, 1], 0.0) / _PRESS_S
+    return clip(distance, -pace * duration, pace * duration) if pace < math.inf else distance
