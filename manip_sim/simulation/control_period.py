@@ -244,8 +244,8 @@ class ControlPeriods:
         :param awake: robots whose control acts in it
         :param steps: of the interval
         """
-        planned = min([robot.planned for robot in awake], default=1) if steps < self._left else 1
-        if planned > 1:
+        planned = min([robot.joints.planned for robot in awake], default=1)
+        if planned > 1 and steps < self._left:
             chunks = self._cut(self._left)[:planned]
             steps = sum(chunks)
             self._run_plans([robot.joints.plan.take(planned) for robot in awake], chunks, awake)
@@ -279,7 +279,7 @@ class ControlPeriods:
 
         :returns: how many steps were run
         """
-        command, done = robot.exerts_alone, 0
+        command, done = robot.joints.exerts_alone, 0
         if command is None or not self._steps.lets_laws_step or self._free_roots.is_needed:
             return 0
         while intervals:

@@ -10,7 +10,6 @@ from typing import Any
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
-from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.commands import (
@@ -123,16 +122,6 @@ class SimulatedRobot:
         """Whether the physics loop has nothing to do for it until the next command."""
         return (self.joints.resting and not self.reflexes.armed and not self._late
                 and not self.grippers_move)
-
-    @property
-    def planned(self) -> int:
-        """How many intervals of the control period are planned for joints, the present one too."""
-        return self.joints.planned
-
-    @property
-    def exerts_alone(self) -> CartesianCommand | None:
-        """The command that is all that joints do until the next one, by efforts, if one."""
-        return self.joints.exerts_alone
 
     def apply(self, *commands: Command, period_s: float | None = None) -> None:
         """

@@ -269,7 +269,7 @@ class Worlds:
 
 def _follows_stream(robot: SimulatedRobot) -> bool:
     """Return whether control is planned by goals of joints alone."""
-    return robot.planned > 1 and all([
+    return robot.joints.planned > 1 and not robot.grippers_move and all([
         isinstance(command, JointSetpoint) for command in robot.joints.commands.running])
 
 
