@@ -23,9 +23,8 @@ from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.operational_space import exert
 from manip_sim.physics.physics import WorldArrays
 
-#: A number of contacts that no world has, and how many words of ``MjData`` to look for it in.
-_MARK, _WORDS = 987654321, 45000
-
+#: Numbers of contacts by which their place is recognized.
+_MARKS = (987654321, 0)
 #: Share of the memory of ``MjData`` that may have been used so far.
 _MEMORY = 0.5
 
@@ -76,11 +75,15 @@ class Notes(NamedTuple):
 def _place_of_contacts() -> int | None:
     """Return where the number of contacts is in ``MjData`` [bytes]; None if it is not found."""
     data = mujoco.MjData(mujoco.MjModel.from_xml_string('<mujoco/>'))
-    words = (ctypes.c_int32 * _WORDS).from_address(data._address)
-    data.ncon = _MARK
-    found = [place for place in range(_WORDS) if words[place] == _MARK]
-    data.ncon = 0
-    return 4 * found[0] if len(found) == 1 and words[found[0]] == 0 else None
+    # It follows the timers, of which there is a view.
+    timers = data.timer.duration
+    address = timers.ctypes.data + len(timers) * timers.strides[0]
+    number = ctypes.c_int32.from_address(address)
+    for mark in _MARKS:
+        data.ncon = mark
+        if number.value != mark:
+            return None
+    return int(address - data._address)
 
 
 def may_step(data: mujoco.MjData) -> bool:
