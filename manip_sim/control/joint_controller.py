@@ -393,7 +393,7 @@ class JointController(ControlledJoints):
 
     @property
     def planned(self) -> int:
-        """How many intervals of the control period are planned, the present one too."""
+        """Number of planned intervals of the control period, with the present one."""
         return 1 if self._ledger.waiting else self.plan.intervals
 
     @property

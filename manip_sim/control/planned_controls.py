@@ -44,7 +44,7 @@ class PlannedControls:
 
     @property
     def intervals(self) -> int:
-        """How many intervals are planned, the present one too."""
+        """Number of planned intervals, with the present one."""
         return self._setpoints.planned - self._setpoints.row
 
     def write(self, duration_s: float, efforts: FloatArray) -> None:

@@ -249,7 +249,7 @@ class PhysicsSteps:
 
     @property
     def contacts(self) -> int:
-        """How many contacts there were in the last step of this period."""
+        """Number of contacts in the last step of this period."""
         return self._contacts
 
     def take_resumes(self) -> bool:

@@ -114,7 +114,7 @@ class SimulatedRobot:
 
     @property
     def grippers_move(self) -> bool:
-        """Whether setpoints of a gripper change, or may change, in the next interval."""
+        """True if setpoints of a gripper change, or may change, in the next interval."""
         return any([gripper.moving for gripper in self.grippers.values()])
 
     @property

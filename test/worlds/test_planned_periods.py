@@ -11,8 +11,9 @@ import pytest
 from robot_kinds import KINDS
 
 from manip_sim.errors import DivergenceError
-from manip_sim.models import compose
+from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import create_arena
+from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.control_period import ControlPeriods
 from manip_sim.worlds import Worlds
@@ -163,3 +164,27 @@ def test_a_period_of_very_many_steps_takes_no_room_for_notes(at_once):
         states.append(simulation.data.qpos.tolist())
     assert False in at_once and True in at_once
     np.testing.assert_allclose(*states, atol=1e-6)
+
+
+def test_two_robots_whose_grippers_move_are_stepped_together_as_by_python(at_once):
+    states = []
+    for by_python in (False, True):
+        robots = [compose_robot(name, idn=number, gripper='default')
+                  for number, name in enumerate(('Panda', 'UR5e'))]
+        robots[1].set_base_xpos([0.0, 1.5, 0.0])
+        simulation = Simulation(World(robots))
+        if by_python:
+            BY_PYTHON.append(simulation._periods)
+        found = []
+        for period in range(30):
+            for robot in simulation.robots.values():
+                names = robot.joints.names
+                goal = robot.joints._setpoints.position + 0.01 * np.cos(0.2 * period)
+                robot.apply(*robot.parse.joint_command(list(names), position=goal),
+                            robot.parse.action('right/gripper', [1.0 if period < 15 else -1.0]),
+                            period_s=0.02)
+            simulation.advance(STEPS)
+            found.append([simulation.digest(), *simulation.data.qpos])
+        states.append(found)
+    assert states[0] == states[1]
+    assert at_once and all(at_once)

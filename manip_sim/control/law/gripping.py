@@ -18,7 +18,7 @@ from manip_sim.control.law.small_matrices import clip
 _AT_END = 0.015
 #: A finger has stopped if it would take longer than this to cross its range [s].
 _STOPPED_S = 20.0
-#: How long a stopped finger takes to press with its full force [s].
+#: Time of a stopped finger from its first to its full force [s].
 _PRESS_S = 0.05
 #: Time constant with which two fingers that press come to be equally open [s].
 _CENTRES_S = 0.1

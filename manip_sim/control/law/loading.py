@@ -18,7 +18,7 @@ from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.operational_space import exert
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_changes import place, ramp_to, set_velocity
-from manip_sim.control.law.setpoint_motion import advance
+from manip_sim.control.law.setpoint_motion import advance, advance_rows
 from manip_sim.control.law.stepping import (
     addresses, may_step, notes_of, step_and_exert, step_as_planned)
 from manip_sim.control.law.stream_goals import take_alone
@@ -39,6 +39,7 @@ def load_laws() -> None:
     joints, states, ends_s = records(state), records(ahead), np.ones(1)
     wait(joints, places, none, 0.01, 1.0, 0.0, False)
     advance(joints, states, 0.0, ends_s)
+    advance_rows(joints[None], states[None], np.zeros(1), ends_s)
     drives = Drives(places, places, places, places, nowhere, one, one, one, none, no, no, one, one)
     drive(world, drives, joints, states, ends_s, np.empty((1, _COUNT)))
     find_rates(world, drives, joints, 1.0, one.copy(), none.copy())

@@ -48,7 +48,7 @@ _mj_step, _mj_step2 = (types.ExternalFunction(name, types.void(types.uintp, type
 
 class Notes(NamedTuple):
     """
-    What is noted of contacts in steps, and where that is seen.
+    Notes of contacts and of forces on tools in steps, and views of both in ``MjData``.
 
     :ivar contacts: number of all contacts, a view into ``MjData``, shape (1,)
     :ivar forces: ``cfrc_ext``, external forces on bodies, a view, shape (nbody, 6)
