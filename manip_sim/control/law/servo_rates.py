@@ -21,8 +21,8 @@ from manip_sim.control.law.joint_records import Drives
 from manip_sim.control.law.small_matrices import clip
 from manip_sim.physics.physics import WorldArrays
 
-#: Setpoints are looked at once in a plan that are less ahead of their joints than this share of
-#: how far they may be, and go no farther in it than that.
+#: Share of the lead of a joint: with a smaller error, setpoints are planned for as long as they
+#: travel less than the lead. All figures of docs/explanation/contact.md are those without plans.
 CALM = 0.25
 #: Dry friction sets in up to this velocity, so that joints at rest are not pushed to and fro;
 #: MuJoCo's noslip solver, which all worlds have, lets it act in full at any [rad/s or m/s].
