@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
-
 import mujoco
 import numpy as np
 
@@ -28,13 +26,6 @@ _MAX_SLOWDOWN = 1000.0
 _MOST_ROUNDS = 10
 #: Words in the names of the joints of a mobile base that moves along x, y and turns about z.
 _TWIST_JOINTS = ('forward', 'side', 'yaw')
-
-
-class Holder(Protocol):
-    """What holds the setpoints and commands of joints for several control periods."""
-
-    def give_back(self) -> None:
-        """Bring them up to date in the controllers they belong to, and hold them no longer."""
 
 
 @dataclass(frozen=True)
@@ -79,9 +70,6 @@ class ControlledJoints:
     """
     The joints that actuators drive, each with its servo, its setpoint and its control mode.
 
-    Setpoints and commands may be held by something else for a while; whoever asks for them here
-    gets them back first.
-
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
@@ -89,11 +77,8 @@ class ControlledJoints:
     :ivar names: of the driven joints, in the order of their indices
     :ivar modes: the names of their control modes
     :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
-    :ivar holder: of setpoints and commands at present, or None for this controller itself
+    :ivar commands: that have not ended
     """
-
-    #: None whenever states are read.
-    not_in_digest = ('holder',)
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str], gains_are_highest: bool = False) -> None:
@@ -108,11 +93,10 @@ class ControlledJoints:
         self._sideways = 'base' not in parts or parts['base'].sideways
         self._servos = Servos(
             physics, [a for a, _ in driven], self.names, gains_are_highest)
-        self._generator = SetpointGenerator(
+        self._setpoints = SetpointGenerator(
             self._servos.position_clamp(), self._servos.cruising_velocity,
             self._servos.acceleration_limit)
-        self._ledger = Ledger(len(self.names))
-        self.holder: Holder | None = None
+        self.commands = Ledger(len(self.names))
         self.modes = tuple(default_mode(part) for part in self._part_of)
         self._effort = np.zeros(len(self.names))
 
@@ -129,24 +113,6 @@ class ControlledJoints:
     def lowered(self) -> tuple[str, ...]:
         """A sentence for each servo whose gains were lowered, as they were not stable."""
         return self._servos.lowered
-
-    def take_back(self) -> None:
-        """Hold setpoints and commands here, whatever held them before."""
-        if self.holder is not None:
-            self.holder.give_back()
-
-    @property
-    def _setpoints(self) -> SetpointGenerator:
-        if self.holder is not None:
-            self.holder.give_back()
-        return self._generator
-
-    @property
-    def commands(self) -> Ledger:
-        """The commands that have not ended."""
-        if self.holder is not None:
-            self.holder.give_back()
-        return self._ledger
 
     def indices_of(self, part: str) -> IntArray:
         """

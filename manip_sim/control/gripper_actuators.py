@@ -10,11 +10,15 @@ length of its transmission matches it. Any other actuator, such as a motor, has 
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.finger_records import Fingers
+from manip_sim.control.derived import Derived
+from manip_sim.control.law.finger_records import FINGER
+from manip_sim.control.law.joint_records import readable
 from manip_sim.errors import ModelError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.declared_limits import declared_velocity
@@ -53,11 +57,8 @@ class GripperActuators:
     :raises ModelError: naming an actuator without a range, or another on a servo's joint or tendon
     """
 
-    #: Derived from the other attributes.
-    not_in_digest = ('_fingers',)
-
     def __init__(self, physics: Physics, part: Part) -> None:
-        self._physics, model = physics, physics.model
+        self._physics, model, self._derived = physics, physics.model, Derived()
         self._part = part
         self.ids: IntArray = part.actuator_ids
         self._gain = model.actuator_gainprm[self.ids, 0].copy()
@@ -66,7 +67,6 @@ class GripperActuators:
         dynamics = model.actuator_dyntype[self.ids]
         self._integrates = self.is_servo & (dynamics == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
         self._settles = self._integrates | (self.is_servo & np.isin(dynamics, _FILTERS))
-        self._fingers: Fingers | None = None
         physics.on_change(self._find_joints)
         self._check_shared()
         self.ranges = np.array([self._range(i) for i in range(len(self.ids))]).reshape(-1, 2)
@@ -85,21 +85,31 @@ class GripperActuators:
                     and abs(spans[0] - spans[1]) <= _EQUAL * spans[0]
                     and self.overtravel.any(axis=1).all())
 
-    def fingers(self, tolerance: FloatArray) -> Fingers:
+    def fingers(self, tolerance: FloatArray) -> Any:
         """
-        Return the actuators as the compiled law takes them.
+        Return the actuators as the compiled law reads them, records of ``FINGER``, shape (n,).
 
         :param tolerance: setpoints that differ by less are the same, shape (n,)
         """
-        if self._fingers is None:
-            low, high = np.ascontiguousarray(self.ranges.T)
-            self._fingers = Fingers(
-                self.ids.astype(np.int64), self._act.astype(np.int64), self.is_servo,
-                self._integrates, np.where(self.is_servo, self._gain, 1.0),
-                np.where(self.is_servo[:, None], self._bias, 0.0), low, high, self.speeds,
-                self.overtravel, self.overtravel, tolerance, self.is_pair)
-        # Only two fingers that press need their present limits of force.
-        return self._fingers._replace(reach=self._reach()) if self.is_pair else self._fingers
+        fingers = self._derived.of.get('fingers')
+        if fingers is None:
+            fingers = self._derived.of['fingers'] = readable(self._make_fingers(tolerance))
+        if self.is_pair:  # Only two fingers that press need their present limits of force.
+            fingers['reach_below'], fingers['reach_above'] = self._reach().T
+        return fingers
+
+    def _make_fingers(self, tolerance: FloatArray) -> Any:
+        fingers = np.zeros(len(self.ids), FINGER)
+        for field, values in (
+                ('id', self.ids), ('activation', self._act), ('is_servo', self.is_servo),
+                ('integrates', self._integrates), ('speed', self.speeds), ('tolerance', tolerance),
+                ('gain', np.where(self.is_servo, self._gain, 1.0)),
+                ('offset', np.where(self.is_servo, self._bias[:, 0], 0.0)),
+                ('per_length', np.where(self.is_servo, self._bias[:, 1], 0.0)),
+                ('low', self.ranges[:, 0]), ('high', self.ranges[:, 1]),
+                ('below', self.overtravel[:, 0]), ('above', self.overtravel[:, 1])):
+            fingers[field] = values
+        return fingers
 
     def _reach(self) -> FloatArray:
         """Return how far setpoints are beyond their servos' places at full force, shape (n, 2)."""
@@ -113,7 +123,7 @@ class GripperActuators:
         # That of a restored state is a copy, which the part does not change.
         self.ids = self._part.actuator_ids
         self._act = model.actuator_actadr[self.ids]
-        self._fingers = None
+        self._derived.of.clear()
         self.couplings = JointCouplings(model, [model.joint(j).id for j in self._part.joints])
         self.terms = [self._length_terms(i) for i in range(len(self.ids))]
 

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 
@@ -15,7 +17,7 @@ from manip_sim.control.commands import (
 from manip_sim.control.gripper_actuators import GripperActuators
 from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.control.gripper_joints import GripperJoints
-from manip_sim.control.law.finger_records import Grip
+from manip_sim.control.law.finger_records import Grip, Hand, MOVES, TURNED
 from manip_sim.control.ledger import Ledger
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
@@ -186,17 +188,34 @@ class GripperController:
 
         :param duration_s: of these steps [s]
         """
-        self._call_if_due(data)
         from manip_sim.control.law.gripping import move_fingers  # It imports numba.
-        moves = move_fingers(
-            data.actuator_length, data.actuator_velocity, data.act, data.ctrl,
-            self._actuators.fingers(self._tolerance),
-            Grip(self._goal, self._to_end, self._pressing, self._pace), self._turned, duration_s)
-        self._turned, self._moving = False, self._action is not None or moves
-        if not self._moving:
-            place = self._actuators.place(data)
+        hand = self.begin_run(data)
+        move_fingers(self._physics.arrays, hand, duration_s)
+        self.end_run(hand)
+
+    def begin_run(self, data: mujoco.MjData) -> Hand:
+        """Call ``format_action`` if it is due, and return the gripper for the compiled law."""
+        self._call_if_due(data)
+        flags = np.array([self._moving, self._turned, self._action is not None,
+                          self._actuators.is_pair])
+        return Hand(self._actuators.fingers(self._tolerance), Grip(
+            self._goal, self._to_end, self._pressing, self._pace, np.empty(len(self._goal)),
+            flags))
+
+    def end_run(self, hand: Hand) -> None:
+        """Take over what the compiled law has changed; end commands if all fingers have stopped."""
+        moved, self._moving, self._turned = (
+            self._moving, bool(hand.grip.flags[MOVES]), bool(hand.grip.flags[TURNED]))
+        if moved and not self._moving:
             for command in list(self.commands.running):
-                self.commands.finish(command, self._goal - place)
+                self.commands.finish(command, self._goal - hand.grip.stopped)
+
+    def until_call(self, data: mujoco.MjData) -> int | None:
+        """Return after how many physics steps ``format_action`` is due again, or None."""
+        if self._action is None:
+            return None
+        left_s = self._next_call_s - self._timestep_s / 2.0 - data.time
+        return max(1, math.ceil(left_s / self._timestep_s - 1e-6))
 
     def _call_if_due(self, data: mujoco.MjData) -> None:
         """Call the gripper's ``format_action`` if it is due."""

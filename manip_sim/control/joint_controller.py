@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, TYPE_CHECKING, TypeVar
 
 import mujoco
 import numpy as np
@@ -23,10 +23,13 @@ from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.modes import Arrival, MODES
-from manip_sim.control.planned_controls import PlannedControls
+from manip_sim.control.law.arm_records import no_targets, Targets
 from manip_sim.control.trajectory_following import TrajectoryFollowing
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
+
+if TYPE_CHECKING:
+    from manip_sim.control.law.period import Joints
 
 C = TypeVar('C', bound=Command)
 
@@ -44,7 +47,6 @@ class JointController(ControlledJoints):
     :param chains: of the arms that take Cartesian commands, by arm
     :param gains_are_highest: whether gains of the model are upper bounds, see :class:`Servos`
     :ivar cartesian: controller of the end effectors
-    :ivar plan: the controls of the intervals that follow in a period, where they are planned
     """
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
@@ -57,7 +59,6 @@ class JointController(ControlledJoints):
         self._timeouts = CommandTimeouts(atomic)
         self._trajectories = TrajectoryFollowing(
             self._setpoints, self.commands, len(self.names))
-        self.plan = PlannedControls(self._servos, self._setpoints)
         self._base = BaseTwists(self._servos, self._setpoints)
         #: The parts whose timeout ends Cartesian targets too.
         self._targets_end = set(atomic)
@@ -67,16 +68,15 @@ class JointController(ControlledJoints):
 
     def look_at_joints(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
-        self.take_back()
         self._servos.look_at_joints()
         self.cartesian.look_at_joints()
 
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""
-        if self._generator.moving or self._efforts_due or self._ledger.waiting:
+        if self._setpoints.moving or self._efforts_due or self.commands.waiting:
             return True
-        for command in self._ledger.running:
+        for command in self.commands.running:
             if isinstance(command, (JointTrajectory, BaseTwist)) or (
                     isinstance(command, CartesianCommand) and self.cartesian.moves(command)):
                 return True
@@ -101,8 +101,8 @@ class JointController(ControlledJoints):
     @property
     def resting(self) -> bool:
         """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
-        return not (self._generator.moving or self._written or self._ledger.running
-                    or self._ledger.waiting or self._timeouts.pending)
+        return not (self._setpoints.moving or self._written or self.commands.running
+                    or self.commands.waiting or self._timeouts.pending)
 
     @property
     def busy_parts(self) -> frozenset[str]:
@@ -120,7 +120,6 @@ class JointController(ControlledJoints):
         :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
         :raises UnknownNameError: if there is no such part
         """
-        self.take_back()
         for name in self.parts_of(self.indices_of(part)):
             self._timeouts.set(name, timeout_s)
             # Without a timeout it makes no difference, and is none in saved states either.
@@ -307,29 +306,27 @@ class JointController(ControlledJoints):
     # ------------------------------------------------------------------ in the control loop
     # Nothing else holds setpoints and commands during a period, and what is held moves.
 
-    def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float, ends_s: FloatArray
+    def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float, interval_s: float
                      ) -> None:
         """
         Begin a control period; end position commands that are done and commands that timed out.
 
         :param now_s: simulation time since the last reset [s]
         :param period_s: length of the period [s]
-        :param ends_s: when its intervals end, since it begins, if setpoints move [s], shape (k, 1)
+        :param interval_s: length of its first interval, if setpoints move [s]
         """
-        self.take_back()
         self.cartesian.period_s = period_s
-        self._generator.now_s = now_s
-        self._generator.begin_period(ends_s)
-        for command in list(self._ledger.running):
+        self._setpoints.now_s, self._setpoints.interval_s = now_s, interval_s
+        for command in list(self.commands.running):
             if isinstance(command, CartesianCommand):
                 self.cartesian.begin_period(command, data)
             if (isinstance(command, JointSetpoint)
                     and all([MODES[mode].ends for mode in set(command.modes)])
-                    and self._generator.at_rest(command.indices)):
+                    and self._setpoints.at_rest(command.indices)):
                 self._finish(command, data, command.values)
             if (isinstance(command, BaseTwist) and not command.handle.is_active
-                    and self._generator.at_rest(command.indices)):
-                self._ledger.running.remove(command)
+                    and self._setpoints.at_rest(command.indices)):
+                self.commands.running.remove(command)
         for part in self._timeouts.overdue(now_s):
             if part not in self.busy_parts and (part in self._targets_end
                                                 or part not in self._target_parts()):
@@ -364,62 +361,62 @@ class JointController(ControlledJoints):
                 self._servos.rest(data)
                 self._written = False
             return
-        setpoints = self._generator
+        setpoints = self._setpoints
         setpoints.now_s = now_s
-        if self._ledger.waiting:
+        if self.commands.waiting:
             self._trajectories.start_due(
                 self.modes, now_s, duration_s, self.cartesian.period_s)
         # Setpoints of joints go on by themselves.
-        others = [c for c in self._ledger.running if type(c) is not JointSetpoint]
+        others = [c for c in self.commands.running if type(c) is not JointSetpoint]
         for command in others:
             if isinstance(command, CartesianCommand):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
             elif isinstance(command, BaseTwist):
                 self._base.follow(command, data, now_s, duration_s)
-        setpoints.advance(duration_s, min([self._decides_at(c) for c in others], default=np.inf))
+        setpoints.advance(duration_s)
         for command in others:
             if isinstance(command, JointTrajectory):
                 position = self._trajectories.follow(command, now_s + duration_s)
                 if position is not None:
                     self._end_trajectory(command, data, position)
         self._written, self._efforts_due = True, False
-        self.plan.write(duration_s, self._effort)
+        self._servos.drive(setpoints.joints, self._effort, duration_s)
 
-    def _decides_at(self, command: Command) -> float:
-        """Return when a command may move setpoints in another way than by now [s]."""
-        if isinstance(command, CartesianCommand):
-            return self.cartesian.decides_at(command)
-        return -np.inf
+    def begin_run(self, now_s: float, duration_s: float) -> tuple[Joints, Targets] | None:
+        """
+        Return joints and targets for the compiled law, None if they do what it cannot.
 
-    @property
-    def planned(self) -> int:
-        """Number of planned intervals of the control period, with the present one."""
-        return 1 if self._ledger.waiting else self.plan.intervals
-
-    @property
-    def exerts_alone(self) -> CartesianCommand | None:
-        """The command that exerts the efforts of all joints, to a target that rests, if one."""
-        running = self._ledger.running
-        if len(running) != 1 or self._ledger.waiting or not self._servos.all_give_effort:
+        :param now_s: simulation time since the last reset [s]
+        :param duration_s: length of the next interval [s]
+        """
+        if self.commands.waiting or any(
+                [isinstance(c, (JointTrajectory, BaseTwist)) for c in self.commands.running]):
             return None
-        (command,) = running
-        return (command if isinstance(command, CartesianCommand)
-                and len(command.indices) == len(self.names)
-                and self._generator.settled and self.cartesian.rests_in_effort_mode(command)
-                else None)
+        targets = self.cartesian.begin_run(self._cartesian_commands(), now_s, duration_s)
+        if targets is None:
+            return None
+        from manip_sim.control.law.period import Joints  # It imports numba.
+        servos, setpoints = self._servos, self._setpoints
+        return Joints(
+            setpoints.joints, servos.records, servos.places, self._effort, setpoints.counts,
+            self.cartesian.posture,
+            np.array([setpoints.moving, self._efforts_due, self._written])), targets
 
-    def step(self, command: CartesianCommand, intervals: IntArray, notes: Any,
-             last_s: tuple[float, float]) -> None:
+    def end_run(self, joints: Joints, targets: Targets, moved_s: float) -> None:
         """
-        Run the physics of intervals of a command that :attr:`exerts_alone`, as ticks would.
+        Take over what the compiled law has changed.
 
-        :param intervals: physics steps of each, shape (k,)
-        :param notes: of the steps, see ``law.stepping.Notes``
-        :param last_s: when the last interval begins, and how long it takes [s]
+        :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
         """
-        begin_s, duration_s = last_s
-        self._generator.now_s = begin_s + duration_s
-        self.cartesian.step(command, intervals, notes, self._effort)
+        setpoints = self._setpoints
+        setpoints.moving, self._efforts_due, self._written = joints.flags.tolist()
+        if moved_s >= 0.0:
+            setpoints.now_s = moved_s
+        if targets is not no_targets():
+            self.cartesian.end_run(self._cartesian_commands(), targets)
+
+    def _cartesian_commands(self) -> list[CartesianCommand]:
+        return [c for c in self.commands.running if isinstance(c, CartesianCommand)]
 
     def _end_trajectory(self, command: JointTrajectory, data: mujoco.MjData,
                         position: FloatArray) -> None:

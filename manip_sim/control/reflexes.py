@@ -79,7 +79,6 @@ class Reflexes:
             raise UnknownNameError('quantity of a reflex', quantity, known)
         for name in self._joints.parts_of(self._joints.indices_of(part)):
             self._limits[name] = replace(self._limits[name], **{quantity: limit})
-        self._joints.take_back()
         self.armed = tuple(name for name, limits in self._limits.items() if limits.any)
 
     @property

@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.joint_accelerations import acceleration_limits
-from manip_sim.control.law.joint_records import Drives
+from manip_sim.control.derived import Derived
+from manip_sim.control.law.joint_records import readable, SERVO
 from manip_sim.control.servo_stability import (
     bounded_gains, changes, highest_gains, stable_gains)
 from manip_sim.errors import ModelError
@@ -65,14 +66,14 @@ class Servos:
     """
 
     #: Where results are written, and what follows from the rest.
-    not_in_digest = ('_highest', 'lowered', '_sources', '_drives', 'turn')
+    not_in_digest = ('_highest', 'lowered', '_sources', 'turn')
 
     def __init__(self, physics: Physics, actuators: Sequence[str], joints: Sequence[str],
                  gains_are_highest: bool = False) -> None:
         model, data = physics.model, physics.data
         check_single(actuators, joints)
         check_kinds(model, actuators)
-        self._physics = physics
+        self._physics, self._derived = physics, Derived()
         self._actuators, self._joints = tuple(actuators), tuple(joints)
         self._find_places()
         ids, joint_ids = self._ids, np.array([model.joint(j).id for j in joints], dtype=np.int64)
@@ -120,14 +121,15 @@ class Servos:
         self.qpos: IntArray = model.jnt_qposadr[joint_ids].astype(np.int64)
         self.dofs: IntArray = model.jnt_dofadr[joint_ids].astype(np.int64)
         self._activation = model.actuator_actadr[ids].astype(np.int64)
-        self._drives: Drives | None = None
+        self._derived.of.clear()
 
     def look_at_joints(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
         model = self._physics.model
         self.passive_damping[:] = np.asarray(model.dof_damping).reshape(model.nv, -1)[
             self.dofs, 0]
-        self._drag, self._drives = self._damping + self.passive_damping, None
+        self._drag = self._damping + self.passive_damping
+        self._derived.of.clear()
 
     def _stabilize(self, limited: BoolArray) -> None:
         """Lower gains that are too high for the timestep."""
@@ -237,6 +239,7 @@ class Servos:
         model.actuator_biasprm[ids, 0] = 0.0
         model.actuator_biasprm[ids, 1] = np.where(effort, 0.0, -stiffness)
         model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
+        self._derived.of.clear()
 
     def start(self, data: mujoco.MjData, joints: Any) -> None:
         """
@@ -246,7 +249,8 @@ class Servos:
         """
         from manip_sim.control.law.servo_rates import find_rates  # It imports numba.
         servos, goals = np.flatnonzero(~self._gives_effort), np.zeros(len(self._ids))
-        find_rates(self._physics.arrays, self.drives, joints, 1.0, goals, np.empty(len(goals)))
+        find_rates(self._physics.arrays, self.records, self.places, joints, 1.0, goals,
+                   np.empty(len(goals)))
         data.act[self._activation[servos]] = goals[servos]
         data.ctrl[self._ids[servos]] = 0.0
 
@@ -272,46 +276,44 @@ class Servos:
         data.ctrl[self._ids] = 0.0
 
     @property
-    def drives(self) -> Drives:
-        """Arrays of the servos for the compiled law."""
-        if self._drives is None:
-            model = self._physics.model
-            self._drives = Drives(
-                self.qpos, self.dofs, self._activation, self._ids,
-                places_of_inertia(model, self.dofs), self._gear, self._stiffness, self._drag,
-                np.array(model.dof_frictionloss[self.dofs]), self._compensated,
-                self._gives_effort, self.lead, self.velocity_limit.copy())
-        return self._drives
+    def records(self) -> Any:
+        """The servos as the compiled law reads them, shape (n,)."""
+        gives, records = self._derived.of.get('records', (None, None))
+        if gives is not self._gives_effort:  # Neither is that of a restored state.
+            records = self._make_records()
+            self._derived.of['records'] = self._gives_effort, records
+        return records
 
-    def find_rates(self, joints: Any, states: Any, ends_s: FloatArray) -> FloatArray:
-        """
-        Return how servos follow setpoints in an interval, and how they follow a plan after it.
-
-        :param joints: records at the end of the first interval, shape (n,), may be held back
-        :param states: records at the ends of intervals, shape (k, n)
-        :param ends_s: of the intervals, since now [s], shape (k,)
-        :returns: rates of activations, of one interval or of all that are planned, shape (k, n)
-        """
-        from manip_sim.control.law.servo_rates import drive  # It imports numba.
-        rates = np.empty(states.shape)
-        return rates[:drive(self._physics.arrays, self.drives, joints, states, ends_s, rates)]
-
-    def write(self, rates: FloatArray, efforts: FloatArray) -> None:
-        """
-        Let activations change in an interval, and sources exert their efforts at once.
-
-        :param rates: of activations, shape (n,)
-        :param efforts: [N m or N], shape (n,)
-        """
-        self._physics.ctrl[self._ids] = rates
-        if self._sources:
-            sources = np.flatnonzero(self._gives_effort)
-            self._physics.act[self._activation[sources]] = efforts[sources] / self._gear[sources]
+    def _make_records(self) -> Any:
+        records = np.zeros(len(self._ids), SERVO)
+        for field, values in (
+                ('qpos', self.qpos), ('dof', self.dofs), ('activation', self._activation),
+                ('control', self._ids), ('gear', self._gear), ('stiffness', self._stiffness),
+                ('drag', self._drag), ('lead', self.lead), ('top', self.velocity_limit),
+                ('friction', self._physics.model.dof_frictionloss[self.dofs]),
+                ('compensated', self._compensated), ('gives', self._gives_effort)):
+            records[field] = values
+        return readable(records)
 
     @property
-    def controls(self) -> IntArray:
-        """Where the controls of the joints are in those of the world, shape (n,)."""
-        return self._ids
+    def places(self) -> IntArray:
+        """Where the inertia of the joints is in ``M``, -1 where it is zero, shape (n, n)."""
+        places: IntArray | None = self._derived.of.get('places')
+        if places is None:
+            places = self._derived.of['places'] = places_of_inertia(
+                self._physics.model, self.dofs)
+        return places
+
+    def drive(self, joints: Any, efforts: FloatArray, duration_s: float) -> None:
+        """
+        Let servos follow setpoints in an interval, and sources exert their efforts at once.
+
+        :param joints: records at the end of the interval, shape (n,), may be held back
+        :param efforts: of the sources [N m or N], shape (n,)
+        :param duration_s: length of the interval [s]
+        """
+        from manip_sim.control.law.servo_rates import drive  # It imports numba.
+        drive(self._physics.arrays, self.records, self.places, joints, efforts, duration_s)
 
 
 def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.derived import Derived
 from manip_sim.control.law.joint_records import blank_state, PLACES, records
 
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
@@ -29,36 +30,45 @@ class SetpointGenerator:
     :param position_range: lowest and highest setpoint [rad or m], shape (n, 2)
     :param velocity_limit: [rad/s or m/s], shape (n,)
     :param acceleration_limit: of steps, velocities and stops [rad/s^2 or m/s^2], shape (n,)
-    :ivar limited: how often a streamed goal required more than the velocity limit, shape (n,)
-    :ivar lost: how many messages of streams seem to have been lost, shape (n,)
+    :ivar counts: how often a streamed goal required more than the velocity limit, and how many
+        messages of streams seem to have been lost, shape (2, n)
     :ivar now_s: simulation time, which the caller may set [s]
+    :ivar interval_s: length of the next interval, if the caller has set it, else zero [s]
     :ivar moving: whether any setpoint moves or is about to
-    :ivar planned: for how many intervals the motion is planned
-    :ivar row: which of them was the last one
     """
 
-    #: Only counted, or computed from the rest.
-    not_in_digest = ('limited', 'lost', '_ends_s', '_ends_ahead_s', '_begin_s', '_states',
-                     'planned', 'row')
+    #: Only counted, or set anew in each control period.
+    not_in_digest = ('counts', 'interval_s')
 
     def __init__(self, position_range: FloatArray, velocity_limit: FloatArray,
                  acceleration_limit: FloatArray) -> None:
-        count = len(velocity_limit)
-        self.limited, self.lost = np.zeros((2, count), dtype=np.int64)
+        count, self._derived = len(velocity_limit), Derived()
+        self.counts = np.zeros((2, count), dtype=np.int64)
         self._state = blank_state(acceleration_limit)
         joints = self.joints
         joints['low'], joints['high'] = position_range.T
         joints['top'] = velocity_limit
-        #: When the intervals of a control period end, since it began.
-        self._ends_s: FloatArray = np.zeros(0)
-        #: When those of the plan do, since it began.
-        self._ends_ahead_s: FloatArray = np.zeros(0)
+        self.interval_s = 0.0
         self.reset(np.zeros(count))
 
     @property
     def joints(self) -> Any:
         """The state as records, a view."""
-        return records(self._state)
+        state, joints = self._derived.of.get('joints', (None, None))
+        if state is not self._state:
+            joints = records(self._state)
+            self._derived.of['joints'] = self._state, joints
+        return joints
+
+    @property
+    def limited(self) -> IntArray:
+        """How often a streamed goal required more than the velocity limit, shape (n,)."""
+        return np.asarray(self.counts[0])
+
+    @property
+    def lost(self) -> IntArray:
+        """How many messages of streams seem to have been lost, shape (n,)."""
+        return np.asarray(self.counts[1])
 
     def _numbers_of(self, field: str) -> FloatArray:
         """Return a field of all joints, a view, sooner than :attr:`joints` does."""
@@ -89,9 +99,7 @@ class SetpointGenerator:
         joints = self.joints
         for name in ('low', 'high', 'top', 'longest', 'hold'):
             joints[name] = before[name]
-        self.now_s = self._begin_s = 0.0
-        self._states: FloatArray | None = None
-        self.planned, self.row = 1, 0
+        self.now_s = 0.0
         joints['position'] = np.clip(position, joints['low'], joints['high'])
         self.moving = False
 
@@ -149,10 +157,7 @@ class SetpointGenerator:
     def _place(self, indices: IntArray, *motion: FloatArray) -> None:
         from manip_sim.control.law.setpoint_changes import place  # It imports numba.
         place(self.joints, np.array(indices), *map(_numbers, motion))
-        self._start()
-
-    def _start(self) -> None:
-        self.moving, self.planned, self.row = True, 1, 0
+        self.moving = True
 
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
         """
@@ -162,7 +167,7 @@ class SetpointGenerator:
         """
         from manip_sim.control.law.setpoint_changes import set_velocity  # It imports numba.
         set_velocity(self.joints, np.array(indices), _numbers(velocity))
-        self._start()
+        self.moving = True
 
     def ramp_to(self, indices: IntArray, velocity: FloatArray, duration_s: float,
                 limit: FloatArray | None = None) -> None:
@@ -177,7 +182,7 @@ class SetpointGenerator:
         from manip_sim.control.law.setpoint_changes import ramp_to  # It imports numba.
         ramp_to(self.joints, np.array(indices), _numbers(velocity), float(duration_s),
                 _numbers(() if limit is None else limit))
-        self._start()
+        self.moving = True
 
     def brake(self, indices: IntArray) -> None:
         """
@@ -192,7 +197,7 @@ class SetpointGenerator:
         slope = _evenly_braked(
             velocity, joints['position'][indices], joints['low'][indices], joints['high'][indices],
             _BRAKING * joints['limit'][indices],
-            float(self._ends_s[0]) if len(self._ends_s) else 0.0)
+            self.interval_s)
         joints['slope'][indices] = slope
         joints['bound'][indices] = np.maximum(joints['bound'][indices], slope)
         joints['acceleration'][indices] = -np.sign(velocity) * slope
@@ -228,7 +233,7 @@ class SetpointGenerator:
         from manip_sim.control.law.stream_timing import wait  # It imports numba.
         wait(self.joints, np.array(indices), _numbers(goals),
              float(period_s), float(messages), float(stamp_s), velocities)
-        self._start()
+        self.moving = True
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -267,84 +272,16 @@ class SetpointGenerator:
 
     # ------------------------------------------------------------------ motion
 
-    def begin_period(self, ends_s: FloatArray) -> None:
-        """
-        Begin a control period.
-
-        :param ends_s: when its intervals end, since it begins now [s], shape (k, 1)
-        """
-        self._ends_s, self._begin_s = ends_s[:, 0], self.now_s
-        self.planned, self.row = 1, 0
-
-    def advance(self, duration_s: float, until_s: float = np.inf) -> None:
+    def advance(self, duration_s: float) -> None:
         """
         Advance all setpoints that move.
 
         :param duration_s: length of the interval [s]
-        :param until_s: simulation time until which nothing else moves them, so that the rest of
-            the period may be planned up to then [s]
         """
-        if self.row + 1 < self.planned:
-            self._follow(self.row + 1, duration_s)
-            return
-        self.planned, self.row = 1, 0
-        if self.settled:
-            self.now_s += duration_s
-            return
-        from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
-        self._ends_ahead_s = self._ends_left(duration_s, until_s)
-        self._states = np.empty((len(self._ends_ahead_s), *self._state.shape))
-        if advance(self.joints, records(self._states), self.now_s, self._ends_ahead_s):
-            self._count(self._states)
-        self.planned = len(self._states)
-        self._follow(0, duration_s)
-
-    def _ends_left(self, duration_s: float, until_s: float) -> FloatArray:
-        """Return when the intervals end that are left of the period, since now [s], shape (k,)."""
-        ends_s, since_s = self._ends_s, self.now_s - self._begin_s
-        if since_s > 1e-9:
-            first = int(np.count_nonzero(ends_s <= since_s + 1e-9))
-            if first:
-                ends_s = ends_s[first:] - ends_s[first - 1]
-        if len(ends_s) < 2 or abs(ends_s[0] - duration_s) > 1e-9:
-            return np.array([duration_s])
-        # Those that begin before.
-        return ends_s[:1 + int(np.count_nonzero(ends_s[:-1] < until_s - self.now_s - 1e-9))]
-
-    def _count(self, states: FloatArray) -> None:
-        """Count what was limited and lost, and begin anew."""
-        numbers = records(states)
-        self.limited += numbers['limited'][0].astype(np.int64)
-        self.lost += numbers['lost'][0].astype(np.int64)
-        numbers['limited'] = numbers['lost'] = 0.0
-
-    def ahead(self, duration_s: float) -> tuple[Any, Any, FloatArray]:
-        """
-        Return where setpoints are at the end of this interval, and of those that are planned.
-
-        :param duration_s: length of the interval [s]
-        :returns: records of the first, shape (n,), a view, and of all of them, shape (k, n), and
-            when they end, since now [s], shape (k,)
-        """
-        joints = self.joints
-        if self.planned > 1 and self._states is not None:
-            return joints, records(self._states), self._ends_ahead_s
-        return joints, joints[None], np.array([duration_s])
-
-    def keep(self, planned: int) -> None:
-        """Keep a plan for as many intervals only."""
-        self.planned = min(self.planned, planned)
-
-    def _follow(self, row: int, duration_s: float) -> None:
-        assert self._states is not None
-        self._state[:] = self._states[row]
-        self.row = row
+        if not self.settled:
+            from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
+            self.moving = advance(self.joints, self.counts, self.now_s, duration_s)
         self.now_s += duration_s
-        self.find_moving()
-
-    def follow_plan(self, count: int) -> None:
-        """Follow the plan through intervals, of which the first one is the last one so far."""
-        self._follow(self.row + count - 1, 0.0)
 
 
 def _numbers(values: ArrayLike) -> FloatArray:

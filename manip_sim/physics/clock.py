@@ -11,13 +11,14 @@ class Clock:
     Counts of physics steps, and the times that they make.
 
     :param timestep_ns: length of a step [ns]
+    :ivar step_ns: the same
     :ivar step_count: steps since construction; a reset does not change it
     :ivar control_steps: steps since the last reset; control counts from there, so that an episode
         is the same to the last bit whatever came before
     """
 
     def __init__(self, timestep_ns: int) -> None:
-        self._timestep_ns = timestep_ns
+        self.step_ns = timestep_ns
         self.step_count = self.control_steps = 0
 
     def count(self, steps: int) -> None:
@@ -28,17 +29,13 @@ class Clock:
     @property
     def time_ns(self) -> int:
         """Simulation time [ns]."""
-        return self.step_count * self._timestep_ns
+        return self.step_count * self.step_ns
 
     @property
     def control_s(self) -> float:
         """Simulation time since the last reset [s]."""
-        return self.control_steps * self._timestep_ns * 1e-9
-
-    def in_steps_s(self, steps: int) -> float:
-        """Return what :attr:`control_s` will be after some steps [s]."""
-        return (self.control_steps + steps) * self._timestep_ns * 1e-9
+        return self.control_steps * self.step_ns * 1e-9
 
     def since_reset_s(self, time_ns: int) -> float:
         """Return the time from the last reset to a simulation time [s]."""
-        return (time_ns - (self.step_count - self.control_steps) * self._timestep_ns) * 1e-9
+        return (time_ns - (self.step_count - self.control_steps) * self.step_ns) * 1e-9

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+import threading
 from typing import NamedTuple
 
 import mujoco
@@ -19,30 +20,64 @@ from manip_sim.physics.object_spawning import (
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
+class Kinematics(NamedTuple):
+    """
+    Arrays of ``MjData`` about where things are, as views.
+
+    :ivar positions: ``qpos``, shape (nq,)
+    :ivar motions: ``cdof``, shape (nv, 6)
+    :ivar centers: ``subtree_com``, that these are about [m], shape (nbody, 3)
+    :ivar bodies: ``xpos`` [m], shape (nbody, 3)
+    :ivar body_axes: ``xmat``, shape (nbody, 3, 3)
+    :ivar sites: ``site_xpos`` [m], shape (nsite, 3)
+    :ivar site_axes: ``site_xmat``, shape (nsite, 3, 3)
+    """
+
+    positions: FloatArray
+    motions: FloatArray
+    centers: FloatArray
+    bodies: FloatArray
+    body_axes: FloatArray
+    sites: FloatArray
+    site_axes: FloatArray
+
+    @classmethod
+    def of(cls, data: mujoco.MjData) -> Kinematics:
+        """Return the views into a ``mujoco.MjData``."""
+        return cls(data.qpos, data.cdof, data.subtree_com, data.xpos,
+                   data.xmat.reshape(-1, 3, 3), data.site_xpos, data.site_xmat.reshape(-1, 3, 3))
+
+
 class WorldArrays(NamedTuple):
     """
     Arrays of ``MjData`` that laws of control read and write, as views.
 
-    :ivar positions: ``qpos``, shape (nq,)
+    :ivar kinematics: where things are
     :ivar velocities: ``qvel``, shape (nv,)
     :ivar inertia: ``M``, shape (nM,)
     :ivar bias: ``qfrc_bias``, shape (nv,)
     :ivar carried: ``qfrc_gravcomp``, shape (nv,)
-    :ivar motions: ``cdof``, shape (nv, 6)
-    :ivar centers: ``subtree_com``, that these are about [m], shape (nbody, 3)
+    :ivar lengths: ``actuator_length``, shape (nu,)
+    :ivar speeds: ``actuator_velocity``, shape (nu,)
     :ivar activations: ``act``, shape (na,)
     :ivar controls: ``ctrl``, shape (nu,)
     """
 
-    positions: FloatArray
+    kinematics: Kinematics
     velocities: FloatArray
     inertia: FloatArray
     bias: FloatArray
     carried: FloatArray
-    motions: FloatArray
-    centers: FloatArray
+    lengths: FloatArray
+    speeds: FloatArray
     activations: FloatArray
     controls: FloatArray
+
+    @classmethod
+    def of(cls, data: mujoco.MjData) -> WorldArrays:
+        """Return the views into a ``mujoco.MjData``."""
+        return cls(Kinematics.of(data), data.qvel, data.M, data.qfrc_bias, data.qfrc_gravcomp,
+                   data.actuator_length, data.actuator_velocity, data.act, data.ctrl)
 
 
 def places_of_inertia(model: mujoco.MjModel, dofs: IntArray) -> IntArray:
@@ -51,6 +86,25 @@ def places_of_inertia(model: mujoco.MjModel, dofs: IntArray) -> IntArray:
     rows, columns = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
     places[rows, columns] = places[columns, rows] = np.arange(len(columns))
     return places[np.ix_(dofs, dofs)]
+
+
+#: What decides how large the arrays of kinematics are.
+_SIZES = ('nbuffer', 'nq', 'nv', 'nbody', 'njnt', 'ngeom', 'nsite', 'nmocap', 'nflexvert', 'nu')
+
+
+class _Scratch(threading.local):
+    """The data of a thread in which kinematics is computed, and the sizes of its model."""
+
+    sizes: tuple[int, ...] = ()
+    data: tuple[mujoco.MjData, Kinematics]
+
+
+_scratch = _Scratch()
+
+
+def addresses(*found: mujoco.MjModel | mujoco.MjData) -> tuple[np.uintp, ...]:
+    """Return the addresses of models and data for compiled code."""
+    return tuple([np.uintp(one._address) for one in found])
 
 
 class Physics:
@@ -88,10 +142,22 @@ class Physics:
         data = self.data = live.data
         self.qpos, self.qvel, self.act, self.ctrl = data.qpos, data.qvel, data.act, data.ctrl
         self.bias, self.gravcomp = data.qfrc_bias, data.qfrc_gravcomp
-        self.arrays = WorldArrays(self.qpos, self.qvel, data.M, self.bias, self.gravcomp,
-                                  data.cdof, data.subtree_com, self.act, self.ctrl)
+        self.arrays = WorldArrays.of(data)
+        self._sizes = tuple([getattr(self.model, size) for size in _SIZES])
         for adapt in self._adapt:
             adapt()
+
+    @property
+    def scratch(self) -> tuple[mujoco.MjData, Kinematics]:
+        """
+        Data for the kinematics of other positions, with views, for this thread until it asks again.
+
+        Equal worlds use the same.
+        """
+        if _scratch.sizes != self._sizes:
+            data = mujoco.MjData(self.model)
+            _scratch.sizes, _scratch.data = self._sizes, (data, Kinematics.of(data))
+        return _scratch.data
 
     def on_change(self, adapt: Callable[[], None]) -> None:
         """Call a function now, and each time the model and its data were replaced."""

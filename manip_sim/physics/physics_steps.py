@@ -23,7 +23,7 @@ from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
 from manip_sim.physics.friction_laws import FrictionLaws
-from manip_sim.physics.physics import Physics, PHYSICS
+from manip_sim.physics.physics import Kinematics, Physics, PHYSICS, WorldArrays
 
 _EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 #: Integrators with which a step after ``mj_forward`` may go on from there, with the same bits.
@@ -240,6 +240,16 @@ class PhysicsSteps:
     def model(self) -> mujoco.MjModel:
         """The ``MjModel`` of the steps."""
         return self._model
+
+    @property
+    def scratch(self) -> tuple[mujoco.MjData, Kinematics]:
+        """Data of this thread for kinematics, with views."""
+        return self._physics.scratch
+
+    @property
+    def arrays(self) -> WorldArrays:
+        """The arrays of the data for laws of control."""
+        return self._physics.arrays
 
     @property
     def lets_laws_step(self) -> bool:

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple, TYPE_CHECKING
 
-import numpy as np
-
-from manip_sim.arrays import FloatArray
-from manip_sim.control.planned_controls import PlannedRates
+from manip_sim.arrays import IntArray
+from manip_sim.control.law.arm_records import MOST_SOLUTIONS
 from manip_sim.errors import DivergenceError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.physics import addresses, Kinematics
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
-from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.robot import RobotRun, SimulatedRobot
+
+if TYPE_CHECKING:
+    from manip_sim.control.law.period import Addresses
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
@@ -26,35 +28,28 @@ _INTERVAL_S = 0.004
 _REMEMBERED = 64
 #: Compiled code runs so many steps at most, as there is room for notes of each.
 _MOST_STEPS = 1000
-_NOTHING = PlannedRates(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
 
 
-class Interval:
+class Interval(NamedTuple):
     """
-    An interval of a control period: what control has to do in it, and then physics.
+    A part of a control period.
 
-    :param robots: whose controls are written
-    :param duration_s: length of the interval [s]
-    :param compute: computes the physics of this interval, and of those after it for which control
-        is planned; it may be called in another thread, and spends most of its time without
-        Python's global interpreter lock
+    :ivar control: writes the controls of its beginning
+    :ivar compute: computes its physics, and control in it that is compiled; it may be called in
+        another thread, and spends most of its time without Python's global interpreter lock
     """
 
-    __slots__ = ('robots', 'duration_s', 'compute')
-
-    def __init__(self, robots: Sequence[SimulatedRobot], duration_s: float,
-                 compute: Callable[[], object]) -> None:
-        self.robots, self.duration_s, self.compute = robots, duration_s, compute
-
-    def control(self) -> None:
-        """Write the controls."""
-        for robot in self.robots:
-            robot.tick(self.duration_s)
+    control: Callable[[], object]
+    compute: Callable[[], object]
 
     def run(self) -> None:
         """Run control and physics."""
         self.control()
         self.compute()
+
+
+def _nothing() -> None:
+    pass
 
 
 class ControlPeriods:
@@ -78,8 +73,6 @@ class ControlPeriods:
         self.diverged: str | None = None
         self.look_at_robots()
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
-        #: When the intervals of a control period end, by its number of steps: the last one used.
-        self._ends_of: dict[int, FloatArray] = {}
         self._cuts: dict[int, tuple[int, ...]] = {}
         #: Steps left until a late command takes effect, or until the end of the period.
         self._left = 0
@@ -126,8 +119,7 @@ class ControlPeriods:
         """
         untouched = self._begin(steps)
         if untouched:
-            yield Interval((), steps * self._timestep_s, partial(
-                self._steps.run_untouched, steps))
+            yield Interval(_nothing, partial(self._steps.run_untouched, steps))
         if not (untouched and self._steps.was_untouched):
             yield from self._intervals(steps)
         self._end(steps)
@@ -145,9 +137,9 @@ class ControlPeriods:
         return self._steps.begin() and self.resting and self._steps.stays_untouched
 
     def _begin_control(self, period_s: float) -> None:
-        ends_s = self.ends_s(self._left)
+        interval_s = self._chunk(self._left) * self._timestep_s
         for robot in self._robots:
-            robot.begin_period(period_s, ends_s)
+            robot.begin_period(period_s, interval_s)
 
     def _plan_measuring(self, steps: int) -> None:
         """Plan the measurements within a period, which arrive at the end of a later one."""
@@ -164,24 +156,6 @@ class ControlPeriods:
         now = self._clock.control_steps
         return min([steps, *(arrival - now for robot in self._robots
                              if (arrival := robot.next_arrival(now)) is not None)])
-
-    def run_planned(self, steps: int, plan: PlannedRates) -> None:
-        """
-        Run a whole control period in which control only writes what was planned.
-
-        If the physics diverges, :attr:`diverged` tells why.
-
-        :param steps: number of physics steps of the period
-        :param plan: for all of its intervals
-        """
-        if self._pulls:
-            self._pulls.apply(steps * self._timestep_s)
-        self._plan_measuring(steps)
-        self._steps.begin()
-        self._steps.begin_run()
-        self._run([plan], self._cut(steps))
-        self._steps.finish()
-        self._end(steps)
 
     def _end(self, steps: int) -> None:
         """End a period; hold the last good state if the physics has diverged in it."""
@@ -225,7 +199,7 @@ class ControlPeriods:
             raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
 
     def _intervals(self, steps: int) -> Iterator[Interval]:
-        """Divide a period into intervals, each of which control begins; so do late commands."""
+        """Divide a period into parts, each of which control begins; so do late commands."""
         self._steps.begin_run()
         while self._left or self._later:
             if not self._left:
@@ -233,74 +207,122 @@ class ControlPeriods:
                 self._later -= self._left
                 self._begin_control(steps * self._timestep_s)
             awake, chunk = [robot for robot in self._robots if not robot.resting], self._left
+            runs = self._begin_runs(awake)
+            if runs:
+                yield Interval(_nothing, partial(self._run_law, awake, runs))
+                continue
             if any([robot.moving for robot in awake]):
                 chunk = self._chunk(chunk)
-            yield Interval(awake, chunk * self._timestep_s, partial(self._compute, awake, chunk))
+            yield Interval(partial(self._control, awake, chunk * self._timestep_s),
+                           partial(self._compute, chunk, bool(awake)))
 
-    def _compute(self, awake: Sequence[SimulatedRobot], steps: int) -> None:
-        """
-        Compute the physics of an interval, and of those after it for which control is planned.
+    def _begin_runs(self, awake: Sequence[SimulatedRobot]) -> list[RobotRun]:
+        """Begin a run of compiled control and physics of robots, if there can be one."""
+        if not awake or not self._steps.lets_laws_step or self._free_roots.is_needed:
+            return []
+        if not self._may_step(self._left):
+            return []
+        runs = []
+        for robot in awake:
+            run = robot.begin_run(self._cut(self._left))
+            if run is None:
+                return []
+            runs.append(run)
+        return runs
 
-        :param awake: robots whose control acts in it
-        :param steps: of the interval
-        """
-        planned = min([robot.joints.planned for robot in awake], default=1)
-        if planned > 1 and steps < self._left:
-            chunks = self._cut(self._left)[:planned]
-            steps = sum(chunks)
-            self._run_plans([robot.joints.plan.take(planned) for robot in awake], chunks, awake)
+    @staticmethod
+    def _control(awake: Sequence[SimulatedRobot], duration_s: float) -> None:
+        for robot in awake:
+            robot.tick(duration_s)
+
+    def _run_law(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> None:
+        """Run intervals by the compiled law, as control of each and physics steps would."""
+        intervals = min([run.intervals for run in runs], key=len)
+        if len(runs) == 1:
+            steps, moved_s = self._run_alone(runs[0])
+            robots[0].end_run(runs[0], moved_s)
         else:
-            self._run((), (steps,), bool(awake))
-            if steps < self._left and len(awake) == 1:
-                steps += self._exert(awake[0], self._cut(self._left - steps))
+            intervals = intervals[:MOST_SOLUTIONS]
+            steps = int(intervals.sum())
+            for robot, run, moved_s in zip(robots, runs, self._run_together(runs, intervals)):
+                robot.end_run(run, moved_s)
+        self._went(steps)
+
+    def _run_alone(self, run: RobotRun) -> tuple[int, float]:
+        """Run intervals of a robot; return how many steps, and when setpoints stopped to move."""
+        from manip_sim.control.law.compiling import direct  # It imports numba.
+        from manip_sim.control.law.period import run as run_intervals, Time
+        physics, clock = self._steps, self._clock
+        where, kinematics = self._addresses()
+        notes = self._notes(int(run.intervals.sum()))
+        done, moved_s = direct(run_intervals)(
+            where, Time(clock.control_steps, clock.step_ns, self._timestep_s), run.intervals,
+            physics.take_resumes(), physics.arrays, kinematics, run.joints, run.targets,
+            run.hands, notes)
+        steps = int(run.intervals[:done].sum())
+        self._took_steps(steps, notes)
+        return steps, moved_s
+
+    def _run_together(self, runs: Sequence[RobotRun], intervals: IntArray) -> list[float]:
+        """Run intervals of several robots; return when the setpoints of each stopped to move."""
+        from manip_sim.control.law.compiling import direct  # It imports numba.
+        from manip_sim.control.law.period import act
+        where, kinematics = self._addresses()
+        moved_s = [-1.0] * len(runs)
+        for steps in intervals.tolist():
+            now_s, duration_s = self._clock.control_s, steps * self._timestep_s
+            for number, run in enumerate(runs):
+                if direct(act)(where, now_s, duration_s, self._steps.arrays, kinematics,
+                               run.joints, run.targets, run.hands):
+                    moved_s[number] = now_s + duration_s
+            self._step(steps)
+        return moved_s
+
+    def _addresses(self) -> tuple[Addresses, Kinematics]:
+        """Return where model and data are, and data for kinematics with its views."""
+        from manip_sim.control.law.period import Addresses  # It imports numba.
+        physics = self._steps
+        scratch, kinematics = physics.scratch
+        return Addresses(*addresses(physics.model, physics.data, scratch)), kinematics
+
+    def _step(self, steps: int) -> None:
+        """Run steps in compiled code."""
+        from manip_sim.control.law.compiling import direct  # It imports numba.
+        from manip_sim.control.law.stepping import step
+        physics, notes = self._steps, self._notes(steps)
+        direct(step)(*addresses(physics.model, physics.data), steps, physics.take_resumes(),
+                     notes)
+        self._took_steps(steps, notes)
+
+    def _compute(self, steps: int, by_law: bool) -> None:
+        """
+        Compute the physics of an interval, whose controls are written.
+
+        :param by_law: whether compiled code may run it
+        """
+        physics, lifts = self._steps, self._free_roots.is_needed
+        if by_law and not lifts and physics.lets_laws_step and self._may_step(steps):
+            self._step(steps)
+        else:
+            if lifts:
+                self._free_roots.apply()
+            physics.run((steps,))
+        self._went(steps)
+
+    def _may_step(self, steps: int) -> bool:
+        """Return whether compiled code may run steps."""
+        from manip_sim.control.law.stepping import may_step  # It imports numba.
+        return steps <= _MOST_STEPS and may_step(self._steps.data)
+
+    def _went(self, steps: int) -> None:
         self._left -= steps
         if not (self._left or self._later):
             self._steps.finish()
 
-    def _run_plans(self, plans: Sequence[PlannedRates], chunks: Sequence[int],
-                   awake: Sequence[SimulatedRobot]) -> None:
-        """Run intervals as planned for joints; before each of them, grippers that move act."""
-        done = 0
-        while done < len(chunks):
-            moves = any([robot.grippers_move for robot in awake])
-            end = done + 1 if moves else len(chunks)
-            self._run([PlannedRates(where, rates[done:end]) for where, rates in plans],
-                      chunks[done:end])
-            done = end
-            if moves and done < len(chunks):
-                for robot in awake:
-                    robot.tick_grippers(chunks[done] * self._timestep_s)
-
-    def _exert(self, robot: SimulatedRobot, intervals: Sequence[int]) -> int:
-        """
-        Run intervals in compiled code in which joints follow operational space control of an arm.
-
-        Grippers that move act before each of them.
-
-        :returns: how many steps were run
-        """
-        command, done = robot.joints.exerts_alone, 0
-        if command is None or not self._steps.lets_laws_step or self._free_roots.is_needed:
-            return 0
-        while intervals:
-            chunks = intervals[:1] if robot.grippers_move else intervals
-            steps, last_s = sum(chunks), chunks[-1] * self._timestep_s
-            notes = self._notes(steps)
-            if notes is None:
-                break
-            robot.tick_grippers(last_s)
-            begin_s = self._clock.in_steps_s(steps - chunks[-1])
-            robot.joints.step(command, np.array(chunks), notes, (begin_s, last_s))
-            self._took_steps(steps, notes)
-            intervals, done = intervals[len(chunks):], done + steps
-        return done
-
     def _notes(self, steps: int) -> Any:
-        """Return empty notes for steps, or None where compiled code cannot run them."""
-        from manip_sim.control.law.stepping import may_step, notes_of  # It imports numba.
+        """Return empty notes for steps."""
+        from manip_sim.control.law.stepping import notes_of  # It imports numba.
         physics = self._steps
-        if steps > _MOST_STEPS or not may_step(physics.data):
-            return None
         key = physics.data._address, steps  # A copy of this world has other data.
         notes = physics.notes.get(key)
         if notes is None:
@@ -313,46 +335,6 @@ class ControlPeriods:
     def _took_steps(self, steps: int, notes: Any) -> None:
         self._steps.took_steps(
             steps, bool(notes.present[1]), notes.counts, notes.rows, notes.roots)
-
-    def _run(self, plans: Sequence[PlannedRates], chunks: Sequence[int], by_law: bool = True
-             ) -> None:
-        """
-        Run intervals, before each of which only what was planned is written.
-
-        :param by_law: whether compiled laws may run them
-        """
-        lifts = self._free_roots.is_needed
-        if lifts or not (by_law and self._steps.lets_laws_step and self._step(plans, chunks)):
-            self._steps.run(self._written(plans, chunks) if plans or lifts else chunks)
-
-    def _step(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> bool:
-        """Run intervals as planned in compiled code; return whether that is possible."""
-        steps = sum(chunks)
-        notes = self._notes(steps)
-        if notes is None:
-            return False
-        from manip_sim.control.law.stepping import addresses, step_as_planned
-        physics = self._steps
-        where, rates = _NOTHING
-        if plans:
-            where, rates = plans[0] if len(plans) == 1 else (
-                np.concatenate([plan.where for plan in plans]),
-                np.concatenate([plan.rates for plan in plans], axis=1))
-        step_as_planned(
-            *addresses(physics.model, physics.data), physics.take_resumes(), np.array(chunks),
-            physics.data.ctrl, where, rates, notes)
-        self._took_steps(steps, notes)
-        return True
-
-    def _written(self, plans: Sequence[PlannedRates], chunks: Sequence[int]) -> Iterator[int]:
-        """Write what was planned for each interval, and yield its steps."""
-        lifts = self._free_roots.is_needed
-        for number, chunk in enumerate(chunks):
-            for where, rates in plans:
-                self._steps.data.ctrl[where] = rates[number]
-            if lifts:
-                self._free_roots.apply()
-            yield chunk
 
     def _chunk(self, left: int) -> int:
         """Return the steps of the next interval; they divide what is left of a period evenly."""
@@ -369,13 +351,6 @@ class ControlPeriods:
                 left -= chunks[-1]
             self._cuts[steps] = tuple(chunks)
         return self._cuts[steps]
-
-    def ends_s(self, steps: int) -> FloatArray:
-        """Return when the intervals of a period end in which setpoints move [s], shape (k, 1)."""
-        if steps not in self._ends_of:
-            ends = np.cumsum(self._cut(steps))[:, None] * self._timestep_s
-            self._ends_of = {steps: ends}
-        return self._ends_of[steps]
 
 
 def _record(robots: Sequence[SimulatedRobot]) -> None:

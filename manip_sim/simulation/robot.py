@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from itertools import accumulate
+from typing import Any, NamedTuple, TYPE_CHECKING
 
-from manip_sim.arrays import FloatArray
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
@@ -18,6 +22,8 @@ from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
+from manip_sim.control.law.arm_records import Targets
+from manip_sim.control.law.finger_records import Hand, no_hand
 from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import Reflexes
 from manip_sim.errors import CommandError, UnknownNameError
@@ -30,6 +36,30 @@ from manip_sim.simulation.dynamics_description import joint_dynamics, JointDynam
 from manip_sim.simulation.robot_reader import RobotReader
 from manip_sim.simulation.robot_state import State
 from manip_sim.validation import positive_number
+
+if TYPE_CHECKING:
+    from manip_sim.control.law.period import Joints
+
+#: The compiled law moves so many grippers.
+_MOST_HANDS = 2
+
+
+class RobotRun(NamedTuple):
+    """
+    What a robot does in intervals that the compiled law runs.
+
+    :ivar joints: its joints
+    :ivar targets: of its end effectors
+    :ivar hands: its grippers that move, and others without fingers
+    :ivar grippers: the controllers of those that move
+    :ivar intervals: physics steps of each interval, shape (k,)
+    """
+
+    joints: Joints
+    targets: Targets
+    hands: tuple[Hand, ...]
+    grippers: list[GripperController]
+    intervals: IntArray
 
 
 class SimulatedRobot:
@@ -139,7 +169,6 @@ class SimulatedRobot:
         for command in commands:
             if self._late or self.sensing.settings.delays_commands:
                 count = self._clock.control_steps
-                self.joints.take_back()
                 self._late.add(
                     command, count + self.sensing.delays['command'].steps(count))
             else:
@@ -332,18 +361,19 @@ class SimulatedRobot:
         """
         return self.joints.commands.reference(handle, self._clock.control_s)
 
-    def begin_period(self, period_s: float, ends_s: FloatArray) -> None:
+    def begin_period(self, period_s: float, interval_s: float) -> None:
         """
         Begin a control period; end position commands that are done and commands that timed out.
 
         :param period_s: length of the control period [s]
-        :param ends_s: when its intervals end, since it begins, if setpoints move [s], shape (k, 1)
+        :param interval_s: length of its first interval, if setpoints move [s]
         """
         self._period_s = period_s
         if self._late:
             self._apply_late()
         self.reflexes.check(self._physics.data)
-        self.joints.begin_period(self._physics.data, self._clock.control_s, period_s, ends_s)
+        self.joints.begin_period(
+            self._physics.data, self._clock.control_s, period_s, interval_s)
 
     def next_arrival(self, count: int) -> int | None:
         """
@@ -391,17 +421,40 @@ class SimulatedRobot:
         :param duration_s: length of the interval [s]
         """
         self.joints.tick(self._physics.data, self._clock.control_s, duration_s)
-        self.tick_grippers(duration_s)
-
-    def tick_grippers(self, duration_s: float) -> None:
-        """
-        Write the controls of grippers that move in the next interval.
-
-        :param duration_s: length of the interval [s]
-        """
         for gripper in self.grippers.values():
             if gripper.moving:
                 gripper.tick(self._physics.data, duration_s)
+
+    def begin_run(self, intervals: Sequence[int]) -> RobotRun | None:
+        """
+        Begin intervals that the compiled law runs.
+
+        :param intervals: physics steps of each
+        :returns: None if the law does not know what this robot does
+        """
+        if len(self.grippers) > _MOST_HANDS:
+            return None
+        data, duration_s = self._physics.data, intervals[0] * self._timestep_s
+        joints = self.joints.begin_run(self._clock.control_s, duration_s)
+        if joints is None:
+            return None
+        moving = [gripper for gripper in self.grippers.values() if gripper.moving]
+        hands = [gripper.begin_run(data) for gripper in moving]
+        calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
+        if calls:
+            intervals = intervals[:_count_within(intervals, min(calls))]
+        return RobotRun(*joints, (*hands, *[no_hand()] * (_MOST_HANDS - len(hands))), moving,
+                        np.array(intervals))
+
+    def end_run(self, run: RobotRun, moved_s: float) -> None:
+        """
+        Take over what the compiled law has changed.
+
+        :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
+        """
+        self.joints.end_run(run.joints, run.targets, moved_s)
+        for gripper, hand in zip(run.grippers, run.hands):
+            gripper.end_run(hand)
 
     def abort(self, reason: str) -> None:
         """
@@ -421,3 +474,8 @@ class SimulatedRobot:
         self.joints.reset(self._physics.data)
         for gripper in self.grippers.values():
             gripper.reset(self._physics.data)
+
+
+def _count_within(intervals: Sequence[int], steps: int) -> int:
+    """Return how many of some intervals begin before so many steps have been made."""
+    return sum(begin < steps for begin in accumulate(intervals[:-1], initial=0))

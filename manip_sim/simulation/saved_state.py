@@ -112,8 +112,6 @@ class SavedStates:
     @property
     def control(self) -> ControlState:
         """The state of control, of the present model."""
-        for robot in self._robots.values():
-            robot.joints.take_back()
         if self._control is None:
             self._control = self._find_control()
         return self._control

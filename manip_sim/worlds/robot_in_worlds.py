@@ -14,13 +14,11 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.clamping import clamp
 from manip_sim.control.commands import Command, JointSetpoint
-from manip_sim.control.modes import POSITION
 from manip_sim.errors import CommandError
 from manip_sim.physics.end_effectors import EndEffector
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
 from manip_sim.worlds.rows import chosen, rows
-from manip_sim.worlds.stream_rows import Streams
 
 
 @dataclass(frozen=True)
@@ -54,15 +52,14 @@ class RobotInWorlds:
     ``CommandError`` names its world, and no world gets a command.
 
     :param robots: the robot in each world
-    :param streams: that may hold joints of these robots
     :ivar command: takes commands for joints, grippers and bases
     :ivar command_cartesian: takes commands for the end effectors of arms
     :ivar joint_names: all scalar joints, in the order of the states
     """
 
-    def __init__(self, robots: Sequence[SimulatedRobot], streams: Streams) -> None:
+    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
         self._robots = robots
-        self.command = Commands(robots, streams)
+        self.command = Commands(robots)
         self.command_cartesian = CartesianCommands(robots)
         self.joint_names = robots[0].joint_names
 
@@ -153,12 +150,7 @@ class Commands(RowByRow):
     Commands for joints, grippers and bases, named as those of ``robot.parse``.
 
     :param robots: the robot in each world
-    :param streams: that may hold joints of these robots
     """
-
-    def __init__(self, robots: Sequence[SimulatedRobot], streams: Streams) -> None:
-        super().__init__(robots)
-        self._streams = streams
 
     def action(self, part: str, action: ArrayLike, *, where: ArrayLike | None = None,
                period_s: float | None = None) -> None:
@@ -194,10 +186,7 @@ class Commands(RowByRow):
         given = {field: self._rows(values, f'{part or "joint_command"}: {field}')
                  for field, values in (('position', position), ('velocity', velocity),
                                        ('effort', effort)) if values is not None}
-        mask, streamed = chosen(where, len(self._robots)).copy(), None
-        if given.keys() == {POSITION.field}:
-            streamed = self._streams.command(
-                names, given[POSITION.field], part, mask, period_s)
+        mask = chosen(where, len(self._robots))
         alike: dict[int, JointSetpoint] = {}
         if len(given) == 1 and len(self._robots) > 1:
             (field, values), = given.items()
@@ -206,8 +195,6 @@ class Commands(RowByRow):
                     robot.parse.joint_command(names, part=part, **{
                         field: values[world] for field, values in given.items()}),
                     mask, period_s)
-        if streamed is not None:
-            streamed()
 
     def _alike(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
                mask: BoolArray) -> dict[int, JointSetpoint]:

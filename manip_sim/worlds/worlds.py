@@ -14,25 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import BoolArray, IntArray
-from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
-from manip_sim.control.commands import JointSetpoint
 from manip_sim.errors import (
     CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
-from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.validation import whole_number
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
 from manip_sim.worlds.rows import chosen
-from manip_sim.worlds.stream_rows import Streams
 from manip_sim.worlds.template import Template
-
-#: Where control acts in each interval, so many worlds for each thread run a period together: the
-#: data of more of them would not stay in the cache of a processor from interval to interval.
-_IN_CACHE = 8
 
 
 class Worlds:
@@ -63,11 +55,9 @@ class Worlds:
         template = Template(first)
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
-        self._streams = Streams(self.simulations)
         self._closed = False
         self.robots = {name: RobotInWorlds([simulation.robots[name]
-                                            for simulation in self.simulations],
-                                           self._streams)
+                                            for simulation in self.simulations])
                        for name in first.robots}
 
     def __len__(self) -> int:
@@ -157,33 +147,19 @@ class Worlds:
         """
         self._check_open()
         steps = whole_number(steps, 1, 'steps', CommandError)
-        physics, others = self._streams.begin_period(
-            [simulation for simulation in self._of(where) if simulation.diverged is None], steps)
-        self._threads.run(physics)
+        others = [simulation for simulation in self._of(where) if simulation.diverged is None]
         if len(others) == 1:
             with contextlib.suppress(DivergenceError):
                 others[0].advance(steps)
         else:
-            self._advance_together(others, steps)
-
-    def _advance_together(self, simulations: list[Simulation], steps: int) -> None:
-        """Run a control period in worlds whose control may be computed together."""
-        cartesian = [_has_cartesian_commands(simulation) for simulation in simulations]
-        led = [simulation for simulation, has in zip(simulations, cartesian) if has]
-        count = _IN_CACHE * self._threads.count
-        for some in ([simulation for simulation, has in zip(simulations, cartesian) if not has],
-                     *(led[begin:begin + count] for begin in range(0, len(led), count))):
-            if some:
-                self._run([simulation.period(steps) for simulation in some])
+            self._run([simulation.period(steps) for simulation in others])
 
     def _run(self, periods: list[Iterator[Interval]]) -> None:
-        """Run control periods, each interval in all worlds before the next one."""
+        """Run control periods, each part in all worlds before the next one."""
         while periods:
             periods, intervals = _next_intervals(periods)
-            robots = [robot for interval in intervals for robot in interval.robots]
             for interval in intervals:
                 interval.control()
-            self._streams.likely |= sum(_follows_stream(robot) for robot in robots) > 1
             self._threads.run([interval.compute for interval in intervals])
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
@@ -265,18 +241,6 @@ class Worlds:
             return self.simulations
         mask = chosen(where, len(self))
         return [simulation for simulation, wanted in zip(self.simulations, mask) if wanted]
-
-
-def _follows_stream(robot: SimulatedRobot) -> bool:
-    """Return whether control is planned by goals of joints alone."""
-    return robot.joints.planned > 1 and not robot.grippers_move and all([
-        isinstance(command, JointSetpoint) for command in robot.joints.commands.running])
-
-
-def _has_cartesian_commands(simulation: Simulation) -> bool:
-    """Return whether a robot has Cartesian commands, for which control acts in each interval."""
-    return any([isinstance(command, CartesianCommand) for robot in simulation.robots.values()
-                for command in robot.joints.commands.running])
 
 
 def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[], None]:

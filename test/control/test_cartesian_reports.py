@@ -13,10 +13,10 @@ FAR = np.array([0.03, 0.0, 0.04, 0.2, 0.1, 0.2])
 def test_what_is_left_is_told_once_the_end_effector_has_stalled_for_three_tenths_of_a_second():
     report = CartesianReport('right')
     for tenth in range(3):
-        report.see_target(FAR, 0.05, tenth / 10.0)
+        report.see_target(FAR, False, 0.05, tenth / 10.0)
         assert report.unreachable == 0
     for tenth in range(3, 9):
-        report.see_target(FAR, 0.05, tenth / 10.0 + 1e-6)
+        report.see_target(FAR, False, 0.05, tenth / 10.0 + 1e-6)
     assert report.unreachable == 1
     assert report.texts['unreachable'] == (
         'right: the target is not reached, 0.050 m and 0.300 rad are left')
@@ -27,7 +27,7 @@ def test_an_end_effector_that_comes_nearer_or_is_near_has_not_stalled():
     for error, progress in ((FAR, 0.11), (near, 0.0)):
         report = CartesianReport('right')
         for tenth in range(20):
-            report.see_target(error, progress, tenth / 10.0)
+            report.see_target(error, error is near, progress, tenth / 10.0)
         assert report.counts['unreachable'] == 0
 
 
@@ -39,7 +39,7 @@ def test_causes_are_counted_when_they_begin_and_told_with_the_target():
                              'aside': 0}
     assert report.texts['joint_limit'] == 'left: the way is limited by the range of j2'
     for tenth in range(5):
-        report.see_target(FAR, 0.0, tenth / 10.0)
+        report.see_target(FAR, False, 0.0, tenth / 10.0)
     assert report.texts['unreachable'].endswith(
         'are left, a joint is at the end of its range, the arm is at a singularity')
 

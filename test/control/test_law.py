@@ -160,22 +160,23 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
     operational = robot.joints.cartesian._operational
     for name, chain in robot.joints.cartesian._chains.items():
         indices = robot.joints.indices_of(name)
-        arm, motion = operational._arm(chain.tip, indices), Motion.of(len(indices))
-        arm = arm._replace(weakest=np.full(len(indices), -np.inf),
-                           strongest=np.full(len(indices), np.inf))
-        jacobian = chain.tip.jacobian(model, data, arm.dofs)
+        arm, motion = operational.arm(chain.tip, indices), Motion.of(len(indices))
+        joints = arm.joints.copy()
+        joints['weakest'], joints['strongest'] = -np.inf, np.inf
+        arm = arm._replace(joints=joints)
+        jacobian = chain.tip.jacobian(model, data, joints['dof'])
         position, rotation = chain.tip.pose(data)
         efforts = []
         for along in (np.zeros(6), 0.02 * draw.normal(size=6)):
             exert(robot._physics.arrays, arm, position, rotation,
                   Goal(position, rotation, np.zeros(3), np.eye(3), along),
-                  operational._posture, Spring(150.0, 24.0, 9.0, 9.0), False, motion)
+                  robot.joints.cartesian.posture, Spring(150.0, 24.0, 9.0, 9.0), False, motion)
             efforts.append(motion.efforts.copy())
-        np.testing.assert_allclose(motion.twist, jacobian @ data.qvel[arm.dofs], atol=1e-12)
+        np.testing.assert_allclose(motion.twist, jacobian @ data.qvel[joints['dof']], atol=1e-12)
         np.testing.assert_allclose(motion.error, 0.0, atol=1e-12)
         # Efforts for a velocity of the end effector: damping times it, by Newton's second law.
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, inertia)
-        own = inertia[np.ix_(arm.dofs, arm.dofs)]
+        own = inertia[np.ix_(joints['dof'], joints['dof'])]
         gained = jacobian @ np.linalg.solve(own, efforts[1] - efforts[0])
         np.testing.assert_allclose(gained, 24.0 * along, atol=1e-3 * 24.0 * np.abs(along).max())

@@ -6,11 +6,11 @@
 import numpy as np
 import pytest
 
-from manip_sim.control.law.joint_records import Drives
+from manip_sim.control.law.joint_records import readable, SERVO
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law import setpoint_motion
 from manip_sim.control.setpoints import SetpointGenerator
-from manip_sim.physics.physics import WorldArrays
+from manip_sim.physics.physics import Kinematics, WorldArrays
 
 V, A = 2.0, 8.0
 ONE = np.array([0])
@@ -424,7 +424,7 @@ def test_setpoint_too_fast_for_the_rest_of_its_range_slows_down_evenly_in_it(beg
 @pytest.mark.parametrize('sign', [-1.0, 1.0])
 def test_setpoint_that_brakes_at_the_end_of_its_range_rests_after_one_interval(sign, first_s):
     setpoints = generator(low=-1.0, high=1.0)
-    setpoints.begin_period(np.array([[first_s], [0.01]]))
+    setpoints.interval_s = first_s
     setpoints.follow(ONE, np.array([sign]), np.array([2.0 * sign]), np.zeros(1))
     setpoints.brake(ONE)
     assert setpoints.acceleration[0] == pytest.approx(-2.0 * sign / first_s)
@@ -497,14 +497,16 @@ def test_braking_velocity_leaves_the_way_of_a_constant_deceleration(interval_s, 
 def hold_back(setpoints, measured, lead):
     """Let servos of joints that cannot keep up hold their setpoints back, shape (n,)."""
     count = len(measured)
-    none, one, places = np.zeros(count), np.ones(count), np.arange(count)
-    world = WorldArrays(measured, none, none, none, none, np.zeros((count, 6)), np.zeros((1, 3)),
-                        none.copy(), none.copy())
-    drives = Drives(places, places, places, places, np.full((count, count), -1), one, one, none,
-                    none, none > 0.0, none > 0.0, lead, one)
-    joints, states, ends_s = setpoints.ahead(0.002)
-    drive(world, drives, joints, states, ends_s, np.empty(states.shape))
-    setpoints.keep(1)
+    none, places = np.zeros(count), np.arange(count)
+    frames = np.zeros((0, 3)), np.zeros((0, 3, 3))
+    kinematics = Kinematics(measured, np.zeros((count, 6)), np.zeros((1, 3)), *frames, *frames)
+    world = WorldArrays(kinematics, *(none.copy() for _ in range(8)))
+    servos = np.zeros(count, SERVO)
+    for field in ('qpos', 'dof', 'activation', 'control'):
+        servos[field] = places
+    servos['gear'] = servos['stiffness'] = servos['top'] = 1.0
+    servos['lead'] = lead
+    drive(world, readable(servos), np.full((count, count), -1), setpoints.joints, none, 0.002)
 
 
 def test_a_setpoint_that_was_dragged_away_at_rest_goes_back_when_it_is_woken():
@@ -522,32 +524,6 @@ def test_a_setpoint_that_was_dragged_away_at_rest_goes_back_when_it_is_woken():
     for _ in range(1000):
         setpoints.advance(0.002)
     assert not setpoints.moving and setpoints.position[0] == pytest.approx(0.5)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize('seed', range(4))
-def test_a_period_that_is_planned_at_once_goes_as_one_interval_after_the_other(seed):
-    draw = np.random.default_rng(seed)
-    planned, plain = generator(3, low=-1.5, high=1.5), generator(3, low=-1.5, high=1.5)
-    joints, ends_s = np.arange(3), np.cumsum(INTERVALS_S)[:, None]
-    size, turn, plans = draw.uniform(0.1, 0.6, 3), draw.uniform(0.5, 3.0, 3), 0
-    for period in range(400):
-        goal = size * (1.0 - np.cos(turn * period * PERIOD_S))
-        planned.begin_period(ends_s)
-        for setpoints in (planned, plain):
-            if not 320 < period < 335 and (period > 250 or period % 90 or seed % 2):
-                setpoints.go_to(joints, goal, PERIOD_S)
-            if period == 260:
-                hold_back(setpoints, setpoints.position - 0.3, np.array([0.2, 1.0, 1.0]))
-        for interval_s in INTERVALS_S:
-            planned.advance(interval_s)
-            plain.advance(interval_s)
-            plans += planned.planned > 1
-            np.testing.assert_allclose(planned.position, plain.position, rtol=0.0, atol=1e-9)
-            np.testing.assert_allclose(planned.velocity, plain.velocity, rtol=0.0, atol=1e-6)
-            np.testing.assert_allclose(
-                planned.acceleration, plain.acceleration, rtol=0.0, atol=1e-3)
-    assert plans > 1100
 
 
 def test_a_ramp_ends_exactly_at_its_goal_whatever_its_slope():

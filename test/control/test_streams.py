@@ -323,7 +323,6 @@ from manip_sim.control.setpoints import SetpointGenerator
 random, digest = np.random.default_rng(0), hashlib.sha256()
 setpoints = SetpointGenerator(np.tile([-0.5, 0.5], (3, 1)), np.full(3, 2.0), np.full(3, 15.0))
 for period in range(150):
-    setpoints.begin_period(np.array([[0.004], [0.008], [0.01]]))
     if random.random() < 0.8:
         goals = 0.6 * np.sin(period * np.array([0.02, 0.03, 0.05])) + random.normal(0.0, 1e-3, 3)
         take = setpoints.go_at if 60 < period < 90 else setpoints.go_to

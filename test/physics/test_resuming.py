@@ -9,10 +9,10 @@ import pytest
 from robot_kinds import KINDS
 
 from manip_sim.errors import DivergenceError
-from manip_sim.control.law import stepping
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.physics import physics_steps as module
+from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.simulation import Simulation
 
 EVERYTHING = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -62,12 +62,13 @@ def count(monkeypatch):
         return call
     for name in ('mj_step2', 'mj_Euler', 'mj_implicit'):
         monkeypatch.setattr(mujoco, name, counted(name, getattr(mujoco, name)))
-    step = stepping.step_as_planned
+    take = PhysicsSteps.take_resumes
 
-    def stepped(model, data, resumes, *arguments):
+    def taken(steps):
+        resumes = take(steps)
         parts.extend(['mj_step2'] * resumes)
-        step(model, data, resumes, *arguments)
-    monkeypatch.setattr(stepping, 'step_as_planned', stepped)
+        return resumes
+    monkeypatch.setattr(PhysicsSteps, 'take_resumes', taken)
     return parts
 
 

@@ -169,12 +169,12 @@ def test_time_counts_steps_exactly(panda):
 def test_setpoints_move_every_four_milliseconds_or_more_often(
         timestep_s, steps, intervals, monkeypatch):
     simulation, seen = Simulation(compose('Panda', timestep_s=timestep_s)), []
-    robot, run = simulation.robot, ControlPeriods._run
+    robot, alone = simulation.robot, ControlPeriods._run_alone
 
-    def noted(periods, plans, chunks, *arguments):
-        seen.extend(chunks)
-        run(periods, plans, chunks, *arguments)
-    monkeypatch.setattr(ControlPeriods, '_run', noted)
+    def noted(periods, run):
+        seen.extend(run.intervals)
+        return alone(periods, run)
+    monkeypatch.setattr(ControlPeriods, '_run_alone', noted)
     robot.apply(robot.parse.action('arm', [0.5] * 7))
     simulation.advance(steps)
     assert seen == intervals

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Periods that several worlds run in one call each are those of simulations to the last bit."""
+"""Control periods in compiled code are those of ticks and steps by Python, to the last bit."""
 
 import contextlib
 
@@ -28,15 +28,19 @@ BY_PYTHON: list[ControlPeriods] = []
 
 @pytest.fixture
 def at_once(monkeypatch):
-    """Return a list that grows by whether planned intervals were run in one call."""
-    done, step = [], ControlPeriods._step
+    """Return a list that grows by whether compiled code runs what is left of a period."""
+    done, begin, may = [], ControlPeriods._begin_runs, ControlPeriods._may_step
 
-    def counted(periods, plans, chunks):
+    def begun(periods, awake):
         if periods in BY_PYTHON:
-            return False
-        done.append(step(periods, plans, chunks))
-        return done[-1]
-    monkeypatch.setattr(ControlPeriods, '_step', counted)
+            return []
+        runs = begin(periods, awake)
+        if awake:
+            done.append(bool(runs))
+        return runs
+    monkeypatch.setattr(ControlPeriods, '_begin_runs', begun)
+    monkeypatch.setattr(ControlPeriods, '_may_step',
+                        lambda periods, steps: periods not in BY_PYTHON and may(periods, steps))
     yield done
     BY_PYTHON.clear()
 

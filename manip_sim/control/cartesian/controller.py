@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import math
-from typing import Any
-
 import mujoco
 import numpy as np
 
@@ -21,11 +19,13 @@ from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.operational_space_controller import (
     EffortSolution, OperationalSpaceController)
 from manip_sim.control.cartesian.pose_stream import PoseStream
-from manip_sim.control.cartesian.reports import CartesianReport, MISSED
+from manip_sim.control.cartesian.reports import CartesianReport
 from manip_sim.control.cartesian.targets import pose_error, Target, target_of
 from manip_sim.control.commands import Status
+from manip_sim.control.derived import Derived
 from manip_sim.control.joint_accelerations import SPEED_UP_S
-from manip_sim.control.law.arm_records import ArmMotion, Velocities
+from manip_sim.control.law.arm_records import (
+    ArmMotion, EXERTS, IDLE, LEADS, MISSED, MISSED_TURN, no_targets, Targets, targets_of, Velocities)
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
@@ -38,16 +38,14 @@ from manip_sim.quaternion import wxyz_to_xyzw
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012
-#: A pose is reached if the setpoints are within this of it [m, rad].
-_REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
-#: And if they are slower than this share of the joint velocity limits.
-_SLOW_PACE = 0.005
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
-#: The velocity of a pose that rests.
-_STILL = np.zeros(6)
+#: None of the joints.
+_NOBODY = np.zeros(0, dtype=bool)
+#: The compiled law leads the end effectors of so many arms.
+_MOST_ARMS = 2
 
 
 class CartesianController:
@@ -67,6 +65,7 @@ class CartesianController:
     :ivar settings: by arm
     :ivar reports: by arm
     :ivar period_s: length of the control period [s]
+    :ivar posture: that redundant arms tend to [rad], shape (n,)
     """
 
     def __init__(self, physics: Physics, chains: Mapping[str, KinematicChain],
@@ -76,7 +75,7 @@ class CartesianController:
         self._names = names
         self._servos = servos
         self._setpoints = setpoints
-        self._posture = physics.data.qpos[servos.qpos].copy()
+        self.posture = physics.data.qpos[servos.qpos].copy()
         self._low, self._high = servos.position_clamp().T
         self.settings = {arm: CartesianSettings() for arm in chains}
         self.reports = {arm: CartesianReport(arm) for arm in chains}
@@ -84,7 +83,8 @@ class CartesianController:
         self._targets: dict[str, Target] = {}
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in chains}
-        self._operational = OperationalSpaceController(physics, servos, self._posture)
+        self._derived = Derived()
+        self._operational = OperationalSpaceController(physics, servos, self.posture)
         physics.on_change(self._look_at_model)
 
     def look_at_joints(self) -> None:
@@ -95,7 +95,6 @@ class CartesianController:
         for chain in self._chains.values():
             chain.tip.look_at_model(self._physics.model)
             chain.origin.look_at_model(self._physics.model)
-        self._scratch: Any = mujoco.MjData(self._physics.model) if self._chains else None
 
     def set(self, arm: str, name: str, value: float) -> None:
         """
@@ -145,7 +144,7 @@ class CartesianController:
         :param data: at the start, whose posture redundant arms keep to
         """
         self._targets.clear()
-        self._posture[:] = data.qpos[self._servos.qpos]
+        self.posture[:] = data.qpos[self._servos.qpos]
         self.period_s = self._timestep_s
         for report in self.reports.values():
             report.reset()
@@ -233,6 +232,86 @@ class CartesianController:
         return np.concatenate([data.xpos[bodies].ravel(), data.xmat[bodies].ravel(),
                                data.qpos[taken]])
 
+    def begin_run(self, commands: Sequence[CartesianCommand], now_s: float, duration_s: float
+                  ) -> Targets | None:
+        """
+        Return the targets of commands for the compiled law, None if one of them moves.
+
+        :param now_s: simulation time [s]
+        :param duration_s: length of the next interval [s]
+        """
+        if not commands:
+            return no_targets()
+        if len(commands) > _MOST_ARMS or not all(
+                [self._rests(command, now_s) for command in commands]):
+            return None
+        targets = self._targets_for_law(commands)
+        targets.tasks['acts'] = IDLE
+        interval_s = self._solution_s(duration_s)
+        for number, command in enumerate(commands):
+            self._fill(targets, number, command, interval_s)
+        return targets
+
+    def _solution_s(self, duration_s: float) -> float:
+        """Return for how long a solution of the kinematics is used [s]."""
+        parts = max(1, math.ceil(self.period_s / _LONGEST_INTERVAL_S - 1e-9))
+        return max(self.period_s / parts, duration_s)
+
+    def _rests(self, command: CartesianCommand, now_s: float) -> bool:
+        """Return whether the target of a command rests from now on, until the next command."""
+        target = self._targets[command.arm]
+        if target.twists is not None:
+            return False
+        if self._servos.any_gives_effort_of(command.indices):
+            return target.ends_stream(now_s)
+        if target.settled_in is not None:
+            return True
+        if target.until_s == -math.inf:
+            return False
+        if now_s >= target.solve_s - 1e-9:
+            return target.ends_stream(now_s)
+        return target.stream is None or target.stream.at_rest
+
+    def _targets_for_law(self, commands: Sequence[CartesianCommand]) -> Targets:
+        """Return room for the targets of arms, which is used again."""
+        arms = [self._operational.arm(self._chains[command.arm].tip, command.indices)
+                for command in commands]
+        room: Targets | None = self._derived.of.get('targets')
+        if room is None:
+            room = self._derived.of['targets'] = targets_of(len(self._names))
+        return room._replace(arms=(arms[0], arms[-1]))
+
+    def _fill(self, targets: Targets, number: int, command: CartesianCommand, interval_s: float
+              ) -> None:
+        """Write the target of a command for the compiled law."""
+        target, settings = self._targets[command.arm], self.settings[command.arm]
+        tip, anchor = self._chains[command.arm].tip, target.anchor
+        exerts = self._servos.any_gives_effort_of(command.indices)
+        targets.tasks[number] = (
+            EXERTS if exerts else LEADS,
+            tip.body if tip.site is None else tip.site, tip.site is not None,
+            anchor.body if anchor.site is None else anchor.site, anchor.site is not None,
+            target.rests, target.settled_in is not None, target.start is not None,
+            target.solve_s == -math.inf, 0,
+            settings.stiffness, settings.damping, settings.linear_velocity,
+            settings.angular_velocity, target.solve_s, interval_s)
+        targets.positions[number], targets.rotations[number] = target.position, target.rotation
+        if target.start is not None:
+            targets.starts[number] = target.start
+
+    def end_run(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:
+        """Take over what the compiled law has changed, and report what has become of targets."""
+        for number, command in enumerate(commands):
+            task, target = targets.tasks[number], self._targets[command.arm]
+            target.rests, target.solve_s = bool(task['rests']), float(task['solve_s'])
+            if task['begun'] and target.start is None:
+                target.start = targets.starts[number].copy()
+            for k in range(int(task['solutions'])):
+                self._look(command, targets, number, k)
+            if task['settled'] and target.settled_in is None:
+                scratch, _ = self._physics.scratch
+                target.settled_in = self._place(command, target, scratch)
+
     def follow(self, command: CartesianCommand, data: mujoco.MjData, now_s: float,
                duration_s: float, efforts: FloatArray) -> None:
         """
@@ -244,47 +323,40 @@ class CartesianController:
         """
         target = self._targets[command.arm]
         self._end_twist(command, target, now_s)
-        if self._servos.any_gives_effort_of(command.indices):
+        exerts = self._servos.any_gives_effort_of(command.indices)
+        if not exerts and (target.settled_in is not None or now_s < target.solve_s - 1e-9):
+            return
+        targets = self.begin_run([command], now_s, duration_s)
+        if targets is not None:
+            self._follow_resting(command, targets, now_s, efforts)
+        elif exerts:
             solution = self._operational.solve(
                 self._chains[command.arm].tip, target, command.indices,
                 self.settings[command.arm], now_s, duration_s)
             efforts[command.indices] = solution.efforts
             if target.solve_s == -math.inf:
-                # What limits the end effector, and whether it rests, is reported once in a period.
+                # What limits the end effector is reported once in a period.
                 target.solve_s = now_s
-                self._report(command, target, solution, data, now_s)
-        elif target.settled_in is None and now_s >= target.solve_s - 1e-9:
-            parts = max(1, math.ceil(self.period_s / _LONGEST_INTERVAL_S - 1e-9))
-            interval_s = max(self.period_s / parts, duration_s)
+                self._report(command, target, solution, now_s)
+        else:
+            interval_s = self._solution_s(duration_s)
             target.solve_s = now_s + interval_s
             self._solve(command, target, data, now_s, interval_s)
 
-    def decides_at(self, command: CartesianCommand) -> float:
-        """Return when a command solves the kinematics again, or exerts other efforts [s]."""
-        target = self._targets[command.arm]
-        if self._servos.any_gives_effort_of(command.indices):
-            return -math.inf
-        ends_s = target.until_s if target.twists is not None else math.inf
-        return min(ends_s, target.solve_s if target.settled_in is None else math.inf)
-
-    def rests_in_effort_mode(self, command: CartesianCommand) -> bool:
-        """Return whether the target of a command rests, to which efforts lead the arm."""
-        target = self._targets[command.arm]
-        return (target.twists is None and (target.stream is None or target.stream.at_rest)
-                and self._servos.any_gives_effort_of(command.indices))
-
-    def step(self, command: CartesianCommand, intervals: IntArray, notes: Any,
-             efforts: FloatArray) -> None:
-        """
-        Run the physics of intervals in which efforts lead an arm to a target that rests.
-
-        :param intervals: physics steps of each, shape (k,)
-        :param notes: of the steps, see ``law.stepping.Notes``
-        :param efforts: of all joints, changed in place [N m], shape (n,)
-        """
-        efforts[command.indices] = self._operational.step(
-            self._chains[command.arm].tip, self._targets[command.arm], command.indices,
-            self.settings[command.arm], intervals, notes)
+    def _follow_resting(self, command: CartesianCommand, targets: Targets, now_s: float,
+                        efforts: FloatArray) -> None:
+        from manip_sim.control.law.leading import lead, press_on, put_ahead  # It imports numba.
+        world, model = self._physics.arrays, self._physics.model
+        if targets.tasks[0]['acts'] == EXERTS:
+            press_on(world, efforts, self.posture, targets, 0, now_s)
+        else:
+            (scratch, kinematics), joints = self._physics.scratch, self._setpoints.joints
+            put_ahead(world, kinematics, joints, targets, 0)
+            mujoco.mj_kinematics(model, scratch)
+            mujoco.mj_comPos(model, scratch)
+            lead(world, kinematics, joints, self.posture, targets, 0, now_s)
+            self._setpoints.moving = True
+        self.end_run([command], targets)
 
     @staticmethod
     def _end_twist(command: CartesianCommand, target: Target, now_s: float) -> None:
@@ -297,10 +369,11 @@ class CartesianController:
 
     def _solve(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
                interval_s: float) -> None:
+        """Set velocities of setpoints for a target that moves, or let them come to rest."""
         from manip_sim.control.law import approach as law  # It imports numba.
         indices, settings = command.indices, self.settings[command.arm]
         arm, result = self._arm(indices, interval_s), Velocities.of(len(indices))
-        scratch = self._scratch
+        scratch, _ = self._physics.scratch
         scratch.qpos[:] = data.qpos
         # Velocities are sought for the end of the interval, so the arm is put where it is then.
         scratch.qpos[self._servos.qpos[indices]] = arm.position
@@ -308,7 +381,7 @@ class CartesianController:
         mujoco.mj_comPos(self._physics.model, scratch)
         tip = self._chains[command.arm].tip
         jacobian = tip.jacobian(self._physics.model, scratch, self._servos.dofs[indices])
-        still, velocity, limit = True, result.velocity, None
+        velocity, limit = result.velocity, None
         if target.until_s == -math.inf:
             change = interval_s * arm.acceleration_limit
             velocity = np.clip(0.0, arm.velocity - change, arm.velocity + change)
@@ -319,60 +392,61 @@ class CartesianController:
             self._see(command, 'the twist', result.held, singular, slowed)
             target.stay_at(tip.pose(scratch), scratch)
         else:
-            still, limit = target.ends_stream(now_s), result.acceleration_limit
-            if still:
-                before = twist = _STILL
-                error = pose_error(target.goal(scratch), tip.view(scratch))
-            else:
-                _, before, _ = target.reference(scratch, now_s)
-                goal, twist, _ = target.reference(scratch, now_s + interval_s)
-                error = pose_error(goal, tip.view(scratch)) - (twist - before) * interval_s / 2.0
-            pace, progress, singular, slowed, target.rests = law.approach(
+            limit = result.acceleration_limit
+            _, before, _ = target.reference(scratch, now_s)
+            goal, twist, _ = target.reference(scratch, now_s + interval_s)
+            error = pose_error(goal, tip.view(scratch)) - (twist - before) * interval_s / 2.0
+            _, progress, singular, slowed, target.rests = law.approach(
                 jacobian, error, arm, interval_s, settings.linear_velocity,
-                settings.angular_velocity, before, twist, not still, target.smooth, target.rests,
+                settings.angular_velocity, before, twist, True, target.smooth, target.rests,
                 result)
-            behind = not still and slowed and bool((np.abs(error) > MISSED).any())
+            behind = slowed and not _is_close(error)
             self._see(command, 'the stream of poses' if behind else 'the motion to the target',
                       result.held, singular, behind)
-            near = still and pace < _SLOW_PACE and bool((np.abs(error) <= _REACHED).all())
-            self._look(command, target, data, now_s, error, near, progress)
+            self.reports[command.arm].see_target(error, _is_close(error), progress, now_s)
         self._setpoints.ramp_to(indices, velocity, interval_s, limit)
-        if (still and target.twists is None
+        if (target.until_s == -math.inf
                 and max(np.abs(velocity).max(), np.abs(arm.velocity).max()) < _AT_REST):
             self._setpoints.ramp_to(indices, np.zeros(len(indices)), interval_s)
             target.settled_in = self._place(command, target, data)
-
-    def _see(self, command: CartesianCommand, what: str, held: BoolArray, singular: bool,
-             slowed: bool = False) -> None:
-        names = [self._names[i] for i in command.indices[held]] if np.count_nonzero(held) else []
-        self.reports[command.arm].see_motion(what, names, singular, slowed)
 
     def _arm(self, indices: IntArray, interval_s: float) -> ArmMotion:
         servos, velocity = self._servos, self._setpoints.velocity[indices]
         return ArmMotion(
             self._setpoints.position[indices] + interval_s * velocity, velocity,
             self._low[indices], self._high[indices], servos.cruising_velocity[indices],
-            servos.acceleration_limit[indices], self._posture[indices], servos.turn[indices])
+            servos.acceleration_limit[indices], self.posture[indices], servos.turn[indices])
 
-    def _look(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
-              error: FloatArray, reached: bool, progress: float) -> None:
-        """Check whether the pose is reached, and report an end effector that comes no nearer."""
+    # ------------------------------------------------------------------ reports
+
+    def _see(self, command: CartesianCommand, what: str, held: BoolArray, singular: bool,
+             slowed: bool = False) -> None:
+        names = [self._names[i] for i in command.indices[held]] if held.any() else []
+        self.reports[command.arm].see_motion(what, names, singular, slowed)
+
+    def _look(self, command: CartesianCommand, targets: Targets, number: int, k: int) -> None:
+        """Check whether a target that rests is reached, and report what keeps an arm from it."""
+        report = self.reports[command.arm]
+        now_s, progress, aside, reached, close, singular, held = targets.facts[number, k].item()
+        self._see(command, 'the motion to the target',
+                  targets.held[number, k, command.indices] if held else _NOBODY, bool(singular))
         if reached and command.handle.is_active:
-            here = self._chains[command.arm].tip.pose(data)
-            command.handle.end(Status.DONE, error=pose_error(target.goal(data), here))
-        self.reports[command.arm].see_target(error, progress, now_s)
-        if target.stream is None or not target.stream.moving:
-            place = target.goal(data)[0] - error[:3]
-            self.reports[command.arm].see_way(target.off_the_way(place, data))
-
-    # ------------------------------------------------------------------ by operational space
+            command.handle.end(Status.DONE, error=targets.missed[number, k].copy())
+        report.see_target(targets.errors[number, k], bool(close), progress, now_s)
+        report.see_way(aside)
 
     def _report(self, command: CartesianCommand, target: Target, solution: EffortSolution,
-                data: mujoco.MjData, now_s: float) -> None:
-        rests, twisted = solution.rests, target.twists is not None
+                now_s: float) -> None:
+        """Report what limits an end effector that efforts move with its target."""
+        twisted = target.twists is not None
         self._see(command, 'the twist' if twisted else 'the motion to the target',
-                  solution.held & (not rests), not rests and solution.singular,
-                  twisted and solution.slowed)
+                  solution.held, solution.singular, twisted and solution.slowed)
         if not twisted:
-            self._look(command, target, data, now_s, solution.error, rests,
-                       solution.progress(self.settings[command.arm]))
+            self.reports[command.arm].see_target(
+                solution.error, _is_close(solution.error),
+                solution.progress(self.settings[command.arm]), now_s)
+
+
+def _is_close(error: FloatArray) -> bool:
+    """Return whether an end effector comes near enough to a target."""
+    return bool((np.abs(error[:3]) <= MISSED).all() and (np.abs(error[3:]) <= MISSED_TURN).all())

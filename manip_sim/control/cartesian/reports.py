@@ -10,14 +10,11 @@ from dataclasses import dataclass, field
 import math
 from typing import ClassVar
 
-import numpy as np
-
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 
-#: A target is unreachable if the end effector is farther from it than this [m, rad], and for this
-#: time [s] makes no more than this share of the wanted motion.
-MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
+#: A target is unreachable if the end effector misses it, and for this time [s] makes no more than
+#: this share of the wanted motion.
 _STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
 #: An end effector has left its way if it is farther from it than this [m].
 _ASIDE = 0.01
@@ -82,16 +79,17 @@ class CartesianReport:
         self._note('slowed', slowed,
                    lambda: f'{what} is slowed down to keep to the limits of the joints')
 
-    def see_target(self, error: FloatArray, progress: float, now_s: float) -> None:
+    def see_target(self, error: FloatArray, close: bool, progress: float, now_s: float) -> None:
         """
         Record whether the end effector comes nearer to its target; a stream counts as one.
 
         :param error: translation [m] and rotation vector [rad] to the target, shape (6,)
+        :param close: whether that misses the target by no more than reports allow
         :param progress: share of the wanted motion that is made
         :param now_s: simulation time [s]
         """
         first = now_s - self._seen_s > _STALLED_S
-        if first or progress > _STALLED_PROGRESS or (np.abs(error) <= MISSED).all():
+        if first or progress > _STALLED_PROGRESS or close:
             self._stalled_s = now_s
         self._seen_s = now_s
         self._note('unreachable', now_s - self._stalled_s >= _STALLED_S,

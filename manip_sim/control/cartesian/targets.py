@@ -89,20 +89,6 @@ class Target:
         mujoco.mju_mulMatMat(rotation, turned, self.rotation)
         return position, rotation
 
-    def off_the_way(self, place: FloatArray, data: mujoco.MjData) -> float:
-        """
-        Return how far an end effector is from the line to the goal, which the first call begins.
-
-        :param place: of the end effector in the world [m], shape (3,)
-        """
-        origin, turned = self.anchor.pose(data)
-        here = transposed_product(turned, place - origin)
-        if self.start is None:
-            self.start = here
-        offset, way = here - self.start, self.position - self.start
-        share = dot(offset, way) / max(dot(way, way), 1e-12)
-        return length(offset - share * way)
-
     @property
     def smooth(self) -> float:
         """Share of the acceleration of a stream of poses that is their own."""
@@ -115,8 +101,7 @@ class Target:
         return self.stream is None or not self.stream.moving
 
     def motion(self, data: mujoco.MjData, tip: Frame, damping: float, now_s: float,
-               duration_s: float
-               ) -> tuple[bool, FloatArray, FloatArray, FloatArray | None]:
+               duration_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """
         Return where the goal is in the next interval, and how it moves; a twist moves it.
 
@@ -124,21 +109,20 @@ class Target:
         :param damping: acceleration of the end effector per velocity [1/s]
         :param now_s: simulation time [s]
         :param duration_s: length of the interval [s]
-        :returns: whether it rests; position [m] and rotation matrix in the anchor; velocity and
-            acceleration / damping in the world [m/s, rad/s], shape (6,), or None
+        :returns: position [m] and rotation matrix in the anchor; velocity and acceleration /
+            damping in the world [m/s, rad/s], shape (6,)
         """
-        along = None
+        along = np.zeros(6)
         if self.twists is not None:
             along = self.in_world(self.twists.at(now_s + duration_s / 2.0), data)
             self.move(data, tip, along, duration_s)
             along += self.in_world(self.twists.acceleration(now_s), data) / damping
         if self.ends_stream(now_s):
-            return True, self.position, self.rotation, along
+            return self.position, self.rotation, along
         assert self.stream is not None
         position, rotation = self.stream.pose(now_s)
         _, twist, acceleration = self.reference(data, now_s)
-        twist = twist + acceleration / damping
-        return False, position, rotation, twist if along is None else along + twist
+        return position, rotation, along + twist + acceleration / damping
 
     def reference(self, data: mujoco.MjData, now_s: float
                   ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:

@@ -1,48 +1,44 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Inputs and outputs of operational space control of an arm; numba is not needed."""
+"""What laws of arms read and write; numba is not needed."""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.control.law.joint_records import readable
+
+
+#: A joint of an arm: its index among the joints of the robot, its addresses in ``qpos`` and
+#: ``qvel``; range [rad], infinite where there is none; velocity limit, and that of setpoints [rad/s];
+#: their acceleration limit [rad/s^2]; lowest and highest effort [N m]; damping of the joint itself
+#: [N m s/rad]; 2 pi where whole turns make no difference, 0 elsewhere [rad]; whether it moves the
+#: end effector.
+CHAIN = np.dtype([
+    *((name, np.int64) for name in ('joint', 'qpos', 'dof')),
+    *((name, np.float64) for name in (
+        'low', 'high', 'velocity_limit', 'cruising_velocity', 'acceleration_limit', 'weakest',
+        'strongest', 'damping', 'turn')),
+    ('moves', np.bool_)], align=True)
 
 
 class Arm(NamedTuple):
     """
     The joints of an arm.
 
-    :ivar joints: their indices in ``postures``, shape (n,)
-    :ivar qpos: addresses in ``qpos``, shape (n,)
-    :ivar dofs: addresses in ``qvel``, shape (n,)
-    :ivar moves: whether a joint moves the end effector, shape (n,)
-    :ivar places: of the inertia in ``M``, -1 where it is zero, shape (n, n)
-    :ivar low: lowest positions [rad], shape (n,)
-    :ivar high: highest positions [rad], shape (n,)
-    :ivar velocity_limit: [rad/s], shape (n,)
-    :ivar weakest: lowest efforts [N m], shape (n,)
-    :ivar strongest: highest efforts [N m], shape (n,)
-    :ivar damping: of the joints themselves [N m s/rad], shape (n,)
-    :ivar turn: 2 pi where whole turns make no difference, 0 elsewhere [rad], shape (n,)
+    :ivar joints: records of :data:`CHAIN`, shape (n,)
+    :ivar places: of their inertia in ``M``, -1 where it is zero, shape (n, n)
     :ivar root: body at the root of the tree of bodies
     """
 
-    joints: IntArray
-    qpos: IntArray
-    dofs: IntArray
-    moves: BoolArray
+    joints: NDArray[np.void]
     places: IntArray
-    low: FloatArray
-    high: FloatArray
-    velocity_limit: FloatArray
-    weakest: FloatArray
-    strongest: FloatArray
-    damping: FloatArray
-    turn: FloatArray
     root: int
 
 
@@ -142,3 +138,78 @@ class Velocities(NamedTuple):
     def of(cls, count: int) -> Velocities:
         """Return arrays for a number of joints."""
         return cls(np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_))
+
+
+#: What an arm does: nothing for the end effector, its joints are led there, it exerts efforts.
+IDLE, LEADS, EXERTS = range(3)
+#: A target that rests, of an end effector: what the arm does, ids of the end effector and of the
+#: frame that the goal stays fixed in, and whether they are sites; whether the end effector is as
+#: near as it can come, whether its setpoints have come to rest, whether its way has begun, whether
+#: efforts are to be noted, and how many solutions are; settings of the spring; when the kinematics
+#: are solved next, and for how long [s].
+TASK = np.dtype([
+    *((name, np.int64) for name in (
+        'acts', 'tip', 'tip_is_site', 'anchor', 'anchor_is_site', 'rests', 'settled', 'begun',
+        'notes', 'solutions')),
+    *((name, np.float64) for name in (
+        'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'solve_s', 'interval_s'))],
+    align=True)
+#: What has become of a solution: when it was found [s], which share of the wanted motion is made,
+#: how far the end effector is off its way [m]; whether it has reached the target, whether it comes
+#: near enough to it, whether a motion is wanted in a direction in which it can hardly move, and
+#: whether ranges of joints keep it from doing more.
+FACTS = np.dtype([
+    *((name, np.float64) for name in ('now_s', 'progress', 'aside')),
+    *((name, np.int64) for name in ('reached', 'close', 'singular', 'held'))], align=True)
+#: So many solutions of a task can be noted.
+MOST_SOLUTIONS = 16
+#: A target is missed if the end effector is farther from it than this [m], [rad].
+MISSED, MISSED_TURN = 2e-3, 2e-2
+
+
+class Targets(NamedTuple):
+    """
+    Targets of the arms of a robot that rest, and what has become of them; of two arms at most.
+
+    :ivar tasks: records of :data:`TASK`, shape (2,)
+    :ivar positions: of the goals in their frames [m], shape (2, 3)
+    :ivar rotations: of the goals in their frames, shape (2, 3, 3)
+    :ivar arms: the joints of each
+    :ivar starts: where the ways of the end effectors began, in the frames of the goals [m], shape
+        (2, 3)
+    :ivar facts: records of :data:`FACTS`, shape (2, k)
+    :ivar errors: translation [m] and rotation vector [rad] from the end effector, as led, to its
+        goal, shape (2, k, 6)
+    :ivar missed: the same, as measured, of targets that are reached, shape (2, k, 6)
+    :ivar held: whether the range of a joint of the robot keeps it from doing more, (2, k, n)
+    """
+
+    tasks: NDArray[np.void]
+    positions: FloatArray
+    rotations: FloatArray
+    arms: tuple[Arm, Arm]
+    starts: FloatArray
+    facts: NDArray[np.void]
+    errors: FloatArray
+    missed: FloatArray
+    held: BoolArray
+
+
+def targets_of(joints: int, solutions: int = MOST_SOLUTIONS) -> Targets:
+    """
+    Return room for the targets of a robot, whose arms do nothing yet.
+
+    :param joints: of the robot
+    :param solutions: how many of each target can be noted
+    """
+    nobody = Arm(readable(np.zeros(0, CHAIN)), np.zeros((0, 0), np.int64), 0)
+    return Targets(readable(np.zeros(2, TASK)), np.zeros((2, 3)), np.zeros((2, 3, 3)),
+                   (nobody, nobody), np.zeros((2, 3)), readable(np.zeros((2, solutions), FACTS)),
+                   np.zeros((2, solutions, 6)), np.zeros((2, solutions, 6)),
+                   np.zeros((2, solutions, joints), np.bool_))
+
+
+@cache
+def no_targets() -> Targets:
+    """Return the targets of a robot without any."""
+    return targets_of(0, 0)

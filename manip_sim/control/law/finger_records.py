@@ -5,57 +5,68 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
-from manip_sim.arrays import BoolArray, FloatArray, IntArray
+import numpy as np
+from numpy.typing import NDArray
 
+from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.control.law.joint_records import readable
 
-class Fingers(NamedTuple):
-    """
-    The actuators of a gripper.
-
-    :ivar ids: of the actuators, shape (n,)
-    :ivar activations: their addresses in ``act``, where they integrate, shape (n,)
-    :ivar is_servo: whether an actuator has a setpoint, shape (n,)
-    :ivar integrates: whether its control is the rate of its setpoint, shape (n,)
-    :ivar gain: of servos, 1 elsewhere, shape (n,)
-    :ivar bias: of servos, constant and per length, zero elsewhere, shape (n, 2)
-    :ivar low: lowest setpoints, shape (n,)
-    :ivar high: highest setpoints, shape (n,)
-    :ivar speeds: of setpoints, at most [1/s], shape (n,)
-    :ivar overtravel: how far they are below and above the place at full force, shape (n, 2)
-    :ivar reach: the same with the present limits of force, shape (n, 2)
-    :ivar tolerance: setpoints that differ by less are the same, shape (n,)
-    :ivar pair: whether they are two independent fingers that close on each other
-    """
-
-    ids: IntArray
-    activations: IntArray
-    is_servo: BoolArray
-    integrates: BoolArray
-    gain: FloatArray
-    bias: FloatArray
-    low: FloatArray
-    high: FloatArray
-    speeds: FloatArray
-    overtravel: FloatArray
-    reach: FloatArray
-    tolerance: FloatArray
-    pair: bool
+#: An actuator of a gripper: its id, its address in ``act`` where it integrates; gain of a servo and
+#: its bias, constant and per length, 1 and 0 elsewhere; range of setpoints, their highest speed,
+#: how far they are below and above the place at full force, and with the present limits of force;
+#: setpoints that differ by less than the tolerance are the same; whether it has a setpoint, and
+#: whether its control is the rate of that.
+FINGER = np.dtype([
+    *((name, np.int64) for name in ('id', 'activation')),
+    *((name, np.float64) for name in (
+        'gain', 'offset', 'per_length', 'low', 'high', 'speed', 'below', 'above', 'reach_below',
+        'reach_above', 'tolerance')),
+    *((name, np.bool_) for name in ('is_servo', 'integrates'))], align=True)
+#: Flags of a gripper: setpoints move, or a finger that was sent to an end has yet to stop; the
+#: goals are new; ``format_action`` will be called again; there are two independent fingers that
+#: close on each other.
+MOVES, TURNED, ACTS, PAIR = range(4)
 
 
 class Grip(NamedTuple):
     """
-    Where the setpoints of a gripper go; the law changes the second and the third.
+    Where the setpoints of a gripper go; the law changes all but the first and the fourth.
 
     :ivar goal: shape (n,)
     :ivar to_end: whether each was sent to the lower and the upper end of its range, and its finger
         is not there, shape (n, 2)
     :ivar pressing: whether its finger has stopped before that, shape (n,)
     :ivar pace: of setpoints, at most [1/s], shape (n,)
+    :ivar stopped: where the fingers were when all had come to rest, as setpoints, shape (n,)
+    :ivar flags: by :data:`MOVES`, :data:`TURNED`, :data:`ACTS`, :data:`PAIR`, shape (4,)
     """
 
     goal: FloatArray
     to_end: BoolArray
     pressing: BoolArray
     pace: FloatArray
+    stopped: FloatArray
+    flags: NDArray[np.bool_]
+
+
+class Hand(NamedTuple):
+    """
+    A gripper.
+
+    :ivar fingers: records of :data:`FINGER`, shape (n,)
+    :ivar grip: where they go
+    """
+
+    fingers: NDArray[np.void]
+    grip: Grip
+
+
+@cache
+def no_hand() -> Hand:
+    """Return a gripper without fingers, which does nothing."""
+    none = np.zeros(0)
+    return Hand(readable(np.zeros(0, FINGER)), Grip(
+        none, np.zeros((0, 2), np.bool_), none > 0.0, none, none, np.zeros(4, np.bool_)))

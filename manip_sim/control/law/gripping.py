@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.compiling import compiled, inner
-from manip_sim.control.law.finger_records import Fingers, Grip
+from manip_sim.control.law.finger_records import ACTS, Grip, Hand, MOVES, PAIR, TURNED
 from manip_sim.control.law.small_matrices import clip
+from manip_sim.physics.physics import WorldArrays
 
 #: A finger has come to an end of its range if it is nearer than this fraction of the range.
 _AT_END = 0.015
@@ -28,71 +30,74 @@ _STEADY = 1e-3
 
 
 @compiled
-def move_fingers(lengths: FloatArray, velocities: FloatArray, activations: FloatArray,
-                 controls: FloatArray, fingers: Fingers, grip: Grip, turned: bool,
-                 duration: float) -> bool:
+def move_fingers(world: WorldArrays, hand: Hand, duration: float) -> None:
     """
-    Write the controls of a gripper for an interval.
+    Write the controls of a gripper for an interval, if its setpoints move or centre fingers.
 
-    :param lengths: ``actuator_length``, shape (nu,)
-    :param velocities: ``actuator_velocity``, shape (nu,)
-    :param activations: ``act``, shape (na,)
-    :param controls: ``ctrl``, shape (nu,), written
-    :param turned: whether the goals are new
+    :param hand: whose grip is changed
     :param duration: of the interval [s]
-    :returns: whether setpoints move, or a finger that was sent to an end has yet to stop
     """
-    count = len(fingers.ids)
+    fingers, grip = hand.fingers, hand.grip
+    centres = grip.flags[PAIR] and grip.pressing[0] and grip.pressing[1]
+    if not (grip.flags[MOVES] or centres):
+        return
+    count = len(fingers)
     place, present, target = np.empty(count), np.empty(count), np.empty(count)
     for i in range(count):
-        x = fingers.ids[i]
-        place[i] = -(fingers.bias[i, 0] + fingers.bias[i, 1] * lengths[x]) / fingers.gain[i]
-        present[i] = activations[fingers.activations[i]] if fingers.integrates[i] else controls[x]
-        speed = -fingers.bias[i, 1] / fingers.gain[i] * velocities[x]
-        target[i] = _find_target(fingers, grip, i, place[i], present[i], speed)
-    centres = fingers.pair and grip.pressing[0] and grip.pressing[1]
+        finger = fingers[i]
+        place[i] = -(finger.offset + finger.per_length * world.lengths[finger.id]) / finger.gain
+        present[i] = (world.activations[finger.activation] if finger.integrates
+                      else world.controls[finger.id])
+        speed = -finger.per_length / finger.gain * world.speeds[finger.id]
+        target[i] = _find_target(finger, grip, i, place[i], present[i], speed)
+    centres = grip.flags[PAIR] and grip.pressing[0] and grip.pressing[1]
     if centres:
         _find_centre(fingers, grip, place, present, duration, target)
     moves = False
     for i in range(count):
-        begin, span = present[i], fingers.high[i] - fingers.low[i]
-        if turned and fingers.is_servo[i] and (target[i] - place[i]) * (begin - place[i]) < 0.0:
+        finger, begin = fingers[i], present[i]
+        if (grip.flags[TURNED] and finger.is_servo
+                and (target[i] - place[i]) * (begin - place[i]) < 0.0):
             # A servo that presses the other way lets go at once, or its finger would have to wait
             # until the setpoint has come back to it.
             begin = place[i]
-        setpoint = begin + _stride(fingers, grip, i, target[i] - begin, centres, duration)
+        setpoint = begin + _stride(finger, grip, i, target[i] - begin, centres, duration)
         change = abs(setpoint - present[i])
-        if change <= fingers.tolerance[i] and fingers.is_servo[i]:
+        if change <= finger.tolerance and finger.is_servo:
             setpoint = present[i]
-        controls[fingers.ids[i]] = (
-            (setpoint - present[i]) / duration if fingers.integrates[i] else setpoint)
+        world.controls[finger.id] = (
+            (setpoint - present[i]) / duration if finger.integrates else setpoint)
         waits = (grip.to_end[i, 0] or grip.to_end[i, 1]) and not grip.pressing[i]
-        steady = _STEADY * span if centres else fingers.tolerance[i]
+        steady = _STEADY * (finger.high - finger.low) if centres else finger.tolerance
         moves = moves or waits or not change <= steady
-    return moves
+    moves = moves or grip.flags[ACTS]
+    if grip.flags[MOVES] and not moves:
+        for i in range(count):
+            grip.stopped[i] = place[i]
+    grip.flags[MOVES], grip.flags[TURNED] = moves, False
 
 
 @inner
-def _find_target(fingers: Fingers, grip: Grip, i: int, place: float, setpoint: float,
-                 speed: float) -> float:
+def _find_target(finger: Any, grip: Grip, i: int, place: float, setpoint: float, speed: float
+                 ) -> float:
     """Return the goal, or beyond the end of the range where the full force is requested."""
-    span, target = fingers.high[i] - fingers.low[i], grip.goal[i]
+    span, target = finger.high - finger.low, grip.goal[i]
     # Forces may also push a finger past the end.
     grip.to_end[i, 0] = grip.to_end[i, 0] and place - grip.goal[i] >= _AT_END * span
     grip.to_end[i, 1] = grip.to_end[i, 1] and grip.goal[i] - place >= _AT_END * span
-    arrived = abs(setpoint - grip.goal[i]) <= fingers.tolerance[i]
+    arrived = abs(setpoint - grip.goal[i]) <= finger.tolerance
     stopped = abs(speed) < span / _STOPPED_S
     grip.pressing[i] = (grip.pressing[i] or arrived and stopped) and (
         grip.to_end[i, 0] or grip.to_end[i, 1])
     if grip.pressing[i] and grip.to_end[i, 0]:
-        target -= fingers.overtravel[i, 0]
+        target -= finger.below
     if grip.pressing[i] and grip.to_end[i, 1]:
-        target += fingers.overtravel[i, 1]
+        target += finger.above
     return float(target)
 
 
 @inner
-def _find_centre(fingers: Fingers, grip: Grip, place: FloatArray, setpoints: FloatArray,
+def _find_centre(fingers: Any, grip: Grip, place: FloatArray, setpoints: FloatArray,
                  duration: float, target: FloatArray) -> None:
     """
     Write setpoints at which two fingers exert their full force where they are equally open.
@@ -107,20 +112,20 @@ def _find_centre(fingers: Fingers, grip: Grip, place: FloatArray, setpoints: Flo
         opened, led = opened + opening[i] / 2.0, led + ahead[i] / 2.0
     for i in range(2):
         inward, lead = -1.0 if grip.to_end[i, 0] else 1.0, 0.0
-        for end in range(2):
-            lead += fingers.reach[i, end] if grip.to_end[i, end] else 0.0
+        lead += fingers[i].reach_below if grip.to_end[i, 0] else 0.0
+        lead += fingers[i].reach_above if grip.to_end[i, 1] else 0.0
         trim = clip(ahead[i] - led + min(duration / _CENTRES_S, 1.0) * (opening[i] - opened),
                     -lead, lead)
         target[i] = grip.goal[i] + inward * (lead + trim - opened)
 
 
 @inner
-def _stride(fingers: Fingers, grip: Grip, i: int, distance: float, centres: bool,
-            duration: float) -> float:
+def _stride(finger: Any, grip: Grip, i: int, distance: float, centres: bool, duration: float
+            ) -> float:
     """Return how far a setpoint moves in an interval."""
     if centres and (distance > 0.0) == grip.to_end[i, 0]:
         return distance  # What is beyond the full force comes back at once.
-    pace = min(fingers.speeds[i], grip.pace[i])
+    pace = min(finger.speed, grip.pace[i])
     if grip.pressing[i]:
-        pace = max(fingers.overtravel[i, 0], fingers.overtravel[i, 1], 0.0) / _PRESS_S
+        pace = max(finger.below, finger.above, 0.0) / _PRESS_S
     return clip(distance, -pace * duration, pace * duration) if pace < math.inf else distance

@@ -10,11 +10,11 @@ A coordinate is a joint, or any other number with limits, such as a component of
 from __future__ import annotations
 
 import os
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.arrays import FloatArray
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 
 #: Fields of a record, each a float [s, rad or m, and per s]; flags are 0 or 1.
@@ -61,38 +61,14 @@ _PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'
 SMOOTHING_S = 0.02
 
 
-class Drives(NamedTuple):
-    """
-    The servos of the joints of a robot.
-
-    :ivar qpos: addresses of the joints in ``qpos``, shape (n,)
-    :ivar dofs: in ``qvel``, shape (n,)
-    :ivar activations: of their actuators in ``act``, shape (n,)
-    :ivar controls: in ``ctrl``, shape (n,)
-    :ivar places: of their inertia in ``M``, -1 where it is zero, shape (n, n)
-    :ivar gear: joint to actuator, shape (n,)
-    :ivar stiffness: [N m/rad or N/m], shape (n,)
-    :ivar drag: damping of servos and joints [N m s/rad or N s/m], shape (n,)
-    :ivar friction: dry [N m or N], shape (n,)
-    :ivar compensated: whether the weight is, shape (n,)
-    :ivar gives: which are sources of effort, shape (n,)
-    :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
-    :ivar top: velocity limit [rad/s or m/s], shape (n,)
-    """
-
-    qpos: IntArray
-    dofs: IntArray
-    activations: IntArray
-    controls: IntArray
-    places: IntArray
-    gear: FloatArray
-    stiffness: FloatArray
-    drag: FloatArray
-    friction: FloatArray
-    compensated: BoolArray
-    gives: BoolArray
-    lead: FloatArray
-    top: FloatArray
+#: A servo: addresses of the joint in ``qpos`` and ``qvel`` and of the actuator in ``act`` and
+#: ``ctrl``; joint to actuator, stiffness [N m/rad or N/m], damping of servo and joint [N m s/rad or
+#: N s/m], dry friction [N m or N], how far a setpoint may be ahead of its joint [rad or m], velocity
+#: limit [rad/s or m/s]; whether the weight is compensated, and whether it is a source of effort.
+SERVO = np.dtype([
+    *((name, np.int64) for name in ('qpos', 'dof', 'activation', 'control')),
+    *((name, np.float64) for name in ('gear', 'stiffness', 'drag', 'friction', 'lead', 'top')),
+    *((name, np.bool_) for name in ('compensated', 'gives'))], align=True)
 
 
 def records(state: FloatArray) -> Any:
@@ -102,8 +78,12 @@ def records(state: FloatArray) -> Any:
     :param state: shape (..., len(FIELDS)), contiguous
     :returns: shape (...)
     """
-    view = state.view(JOINT).reshape(state.shape[:-1])
-    return view.view(np.recarray) if _PLAIN else view
+    return readable(state.view(JOINT).reshape(state.shape[:-1]))
+
+
+def readable(structured: Any) -> Any:
+    """Return structured numbers as the law reads them, by attributes of its elements."""
+    return structured.view(np.recarray) if _PLAIN else structured
 
 
 def blank_state(limit: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.displacement import displace, project_free, way_to_posture
 from manip_sim.control.law.small_matrices import (
     clip, multiply, multiply_matrices, norm3, rotation_vector)
-from manip_sim.physics.physics import WorldArrays
+from manip_sim.physics.physics import Kinematics, WorldArrays
 
 #: Stiffness towards the posture in the null space [1/s^2], critically damped; that of robosuite.
 _POSTURE = 10.0
@@ -45,27 +45,29 @@ def exert(world: WorldArrays, arm: Arm, place: FloatArray, turned: FloatArray, g
     :returns: whether it is as near as it can come, whether a motion is wanted in a direction in
         which it can hardly move, and whether velocity limits of joints slow it down
     """
-    count = len(arm.dofs)
+    count = len(arm.joints)
     jacobian, velocity, accelerations = np.empty((6, count)), np.empty(count), np.empty(count)
-    low, high, away = np.empty(count), np.empty(count), np.empty(count)
-    _find_jacobian(world, arm, place, jacobian)
-    _find_error(place, turned, goal, motion.error)
+    low, high, away, most = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    find_jacobian(world.kinematics, arm, place, jacobian)
+    find_error(place, turned, goal, motion.error)
     for i in range(count):
-        velocity[i] = world.velocities[arm.dofs[i]]
-        position = world.positions[arm.qpos[i]]
-        low[i], high[i] = arm.low[i] - position, arm.high[i] - position
-        away[i] = way_to_posture(postures[arm.joints[i]] - position, arm.turn[i])
+        joint = arm.joints[i]
+        velocity[i], most[i] = world.velocities[joint.dof], joint.velocity_limit
+        position = world.kinematics.positions[joint.qpos]
+        low[i], high[i] = joint.low - position, joint.high - position
+        away[i] = way_to_posture(postures[joint.joint] - position, joint.turn)
     multiply(jacobian, velocity, motion.twist)
-    flags = accelerate(jacobian, motion.error, goal.along, spring, arm.velocity_limit, low, high,
-                       away, velocity, rested, motion.held, accelerations)
+    flags = accelerate(jacobian, motion.error, goal.along, spring, most, low, high, away,
+                       velocity, rested, motion.held, accelerations)
     for i in range(count):
-        dof = arm.dofs[i]
+        joint = arm.joints[i]
         # Gravity that is compensated needs no effort here.
-        effort = world.bias[dof] - world.carried[dof] + arm.damping[i] * velocity[i]
+        effort = (world.bias[joint.dof] - world.carried[joint.dof]
+                  + joint.damping * velocity[i])
         for j in range(count):
             if arm.places[i, j] >= 0:
                 effort += world.inertia[arm.places[i, j]] * accelerations[j]
-        motion.efforts[i] = clip(effort, arm.weakest[i], arm.strongest[i])
+        motion.efforts[i] = clip(effort, joint.weakest, joint.strongest)
     return flags
 
 
@@ -129,22 +131,23 @@ def _find_task(error: FloatArray, along: FloatArray, spring: Spring, task: Float
 
 
 @inner
-def _find_jacobian(world: WorldArrays, arm: Arm, place: FloatArray, jacobian: FloatArray) -> None:
+def find_jacobian(kinematics: Kinematics, arm: Arm, place: FloatArray, jacobian: FloatArray
+                  ) -> None:
     """Write the Jacobian of position and rotation of the end effector, shape (6, n)."""
-    motions, center = world.motions, world.centers[arm.root]
+    motions, center = kinematics.motions, kinematics.centers[arm.root]
     for k in range(3):
         one, two = (k + 1) % 3, (k + 2) % 3
         lever_one, lever_two = place[one] - center[one], place[two] - center[two]
-        for i in range(len(arm.dofs)):
-            dof = arm.dofs[i]
-            linear = motions[dof, 3 + k] + (
-                motions[dof, one] * lever_two - motions[dof, two] * lever_one)
-            jacobian[k, i] = linear if arm.moves[i] else 0.0
-            jacobian[3 + k, i] = motions[dof, k] if arm.moves[i] else 0.0
+        for i in range(len(arm.joints)):
+            joint = arm.joints[i]
+            linear = motions[joint.dof, 3 + k] + (
+                motions[joint.dof, one] * lever_two - motions[joint.dof, two] * lever_one)
+            jacobian[k, i] = linear if joint.moves else 0.0
+            jacobian[3 + k, i] = motions[joint.dof, k] if joint.moves else 0.0
 
 
 @inner
-def _find_error(place: FloatArray, turned: FloatArray, goal: Goal, error: FloatArray) -> None:
+def find_error(place: FloatArray, turned: FloatArray, goal: Goal, error: FloatArray) -> None:
     """Write translation [m] and rotation vector [rad] from an end effector to its goal, (6,)."""
     turn, wanted = np.empty((3, 3)), np.empty((3, 3))
     multiply_matrices(goal.axes, goal.rotation, wanted)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import IntArray
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import SMOOTHING_S
 from manip_sim.control.law.small_matrices import clip
@@ -130,48 +130,26 @@ def rest(x: Any) -> None:
 
 
 @compiled
-def advance(joints: Any, states: Any, now: float, ends: FloatArray) -> bool:
+def advance(joints: Any, counts: IntArray, now: float, duration: float) -> bool:
     """
-    Take in goals that wait, and move the setpoints of a robot in the intervals of a period.
+    Take in goals that wait, and move the setpoints of a robot in an interval.
 
     :param joints: records, shape (n,)
-    :param states: are set to the records at the ends of intervals, shape (k, n)
+    :param counts: of goals beyond the velocity limit and of lost messages, shape (2, n), added to
     :param now: simulation time [s]
-    :param ends: of the intervals, since now [s], shape (k,)
-    :returns: whether anything is counted in the first of them
+    :param duration: of the interval [s]
+    :returns: whether any of them moves on
     """
     take_waiting(joints, now)
-    begin, counted = 0.0, False
+    moves = False
     for i in range(len(joints)):
-        counted = counted or joints[i].limited != 0.0 or joints[i].lost != 0.0
-    for k in range(len(ends)):
-        for i in range(len(joints)):
-            states[k, i] = joints[i] if k == 0 else states[k - 1, i]
-            x = states[k, i]
-            if x.moves != 0.0:
-                move(x, now + begin, ends[k] - begin)
-            else:
-                x.velocity = x.acceleration = 0.0
-        begin = ends[k]
-    return counted
-
-
-@compiled
-def advance_rows(joints: Any, states: Any, now: FloatArray, ends: FloatArray) -> bool:
-    """
-    Advance the setpoints of a robot in several worlds, as :func:`advance` does in one.
-
-    :param joints: records, shape (worlds, n)
-    :param states: shape (worlds, k, n)
-    :param now: simulation times [s], shape (worlds,)
-    :param ends: shape (k,)
-    :returns: whether references move in each world to the end, as streams let them
-    """
-    streams = True
-    for world in range(len(joints)):
-        advance(joints[world], states[world], now[world], ends)
-        moves = False
-        for i in range(joints.shape[1]):
-            moves = moves or states[world, len(ends) - 1, i].rate_goal != 0.0
-        streams = streams and moves
-    return streams
+        x = joints[i]
+        counts[0, i] += int(x.limited)
+        counts[1, i] += int(x.lost)
+        x.limited = x.lost = 0.0
+        if x.moves != 0.0:
+            move(x, now, duration)
+        else:
+            x.velocity = x.acceleration = 0.0
+        moves = moves or x.moves != 0.0
+    return moves

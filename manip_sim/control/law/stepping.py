@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Physics steps in compiled code, with controls that are planned or computed in each interval."""
+"""Physics steps in compiled code, which note contacts and forces on tools."""
 
 from __future__ import annotations
 
@@ -18,22 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.arm_records import Arm, Goal, Motion, Spring
 from manip_sim.control.law.compiling import compiled, inner
-from manip_sim.control.law.operational_space import exert
-from manip_sim.physics.physics import WorldArrays
 
 #: Numbers of contacts by which their place is recognized.
 _MARKS = (987654321, 0)
 #: Share of the memory of ``MjData`` that may have been used so far.
 _MEMORY = 0.5
+#: What compiled code calls of MuJoCo, each with the addresses of an ``MjModel`` and an ``MjData``.
+_CALLED = ('mj_step', 'mj_step2', 'mj_kinematics', 'mj_comPos')
 
 
 def _load_steps() -> bool:
     """Let compiled code call MuJoCo by name, so that numba can keep it; return False if not."""
     for path in sorted(Path(mujoco.__path__[0]).glob('libmujoco*')):
         library = ctypes.CDLL(str(path))
-        for name in ('mj_step', 'mj_step2'):
+        for name in _CALLED:
             llvmlite.binding.add_symbol(
                 name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
         return True
@@ -42,8 +41,8 @@ def _load_steps() -> bool:
 
 #: False where MuJoCo's library lies elsewhere than in its package.
 _LOADED = _load_steps()
-_mj_step, _mj_step2 = (types.ExternalFunction(name, types.void(types.uintp, types.uintp))
-                       for name in ('mj_step', 'mj_step2'))
+_mj_step, _mj_step2, _mj_kinematics, _mj_com_pos = (
+    types.ExternalFunction(name, types.void(types.uintp, types.uintp)) for name in _CALLED)
 
 
 class Notes(NamedTuple):
@@ -137,58 +136,34 @@ def _note(notes: Notes) -> None:
                     notes.rows[tool, number, body - first, k] = notes.forces[body, k]
 
 
-@compiled
-def step_as_planned(model: int, data: int, resumes: bool, intervals: IntArray,
-                    controls: FloatArray, where: IntArray, rates: FloatArray, notes: Notes
-                    ) -> None:
+@inner
+def take_steps(model: int, data: int, steps: int, resumes: bool, notes: Notes) -> None:
     """
-    Run the physics of intervals with controls that are planned.
+    Run physics steps.
+
+    :param resumes: whether the first half of the first step has been computed
+    """
+    for number in range(steps):
+        if resumes and number == 0:
+            _mj_step2(model, data)
+        else:
+            _mj_step(model, data)
+        _note(notes)
+
+
+@compiled
+def step(model: int, data: int, steps: int, resumes: bool, notes: Notes) -> None:
+    """
+    Run physics steps.
 
     :param model: address of the ``MjModel``, ``data`` of its ``MjData``
     :param resumes: whether the first half of the first step has been computed
-    :param intervals: steps of each, shape (k,)
-    :param controls: of all actuators, a view, shape (nu,)
-    :param where: which of them are written, shape (n,)
-    :param rates: what is written in each interval, shape (k, n)
     """
-    for k in range(len(intervals)):
-        for i in range(len(where)):
-            controls[where[i]] = rates[k, i]
-        for _ in range(intervals[k]):
-            if resumes:
-                _mj_step2(model, data)
-                resumes = False
-            else:
-                _mj_step(model, data)
-            _note(notes)
+    take_steps(model, data, steps, resumes, notes)
 
 
-@compiled
-def step_and_exert(model: int, data: int, intervals: IntArray, world: WorldArrays, arm: Arm,
-                   place: FloatArray, turned: FloatArray, goal: Goal, postures: FloatArray,
-                   spring: Spring, rested: bool, motion: Motion, activations: IntArray,
-                   gear: FloatArray, notes: Notes) -> bool:
-    """
-    Exert efforts and run the physics of intervals.
-
-    :param model: address of the ``MjModel``, ``data`` of its ``MjData``
-    :param intervals: steps of each, shape (k,)
-    :param place: position of the end effector in the world, a view; see :func:`exert`, as for the
-        others
-    :param activations: addresses of the actuators in ``act``, shape (n,)
-    :param gear: of these, shape (n,)
-    :returns: whether the end effector is as near as it can come
-    """
-    for steps in intervals:
-        rested, _, _ = exert(world, arm, place, turned, goal, postures, spring, rested, motion)
-        for i in range(len(activations)):
-            world.activations[activations[i]] = motion.efforts[i] / gear[i]
-        for _ in range(steps):
-            _mj_step(model, data)
-            _note(notes)
-    return rested
-
-
-def addresses(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Any, Any]:
-    """Return the addresses of a model and its data for compiled steps."""
-    return np.uintp(model._address), np.uintp(data._address)
+@inner
+def find_places(model: int, data: int) -> None:
+    """Compute where bodies and sites are, and the motions of joints."""
+    _mj_kinematics(model, data)
+    _mj_com_pos(model, data)

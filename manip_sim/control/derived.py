@@ -1,0 +1,28 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is made from the state and the model, and is neither saved nor part of a digest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class Derived:
+    """
+    Values that are made when they are needed, by key.
+
+    They are no state: without a ``__dict__``, nothing that walks through the state looks into
+    this. So a restored state does not forget them; what depends on it is compared with it.
+
+    :ivar of: the values, which their owner clears when the model has changed
+    """
+
+    __slots__ = ('of',)
+
+    def __init__(self) -> None:
+        self.of: dict[Any, Any] = {}
+
+    def __reduce__(self) -> tuple[type[Derived], tuple[()]]:
+        """Let a copy begin without any."""
+        return Derived, ()

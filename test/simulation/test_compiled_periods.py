@@ -1,0 +1,149 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compiled control and physics of a period: the same bits as interval by interval."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.control.commands import Status
+from manip_sim.control.law.stepping import may_step, notes_of
+from manip_sim.models import compose
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.control_period import ControlPeriods
+
+STEPS = 10
+PERIOD_S = 0.02
+
+
+def states_of(name, mode, periods, act):
+    """
+    Return what is measured after each period, and what has become of commands at the end.
+
+    :param act: is called before each period with robot, its number and random numbers
+    """
+    simulation = Simulation(compose(name, arena='table', cube=True))
+    robot, draw, found = simulation.robot, np.random.default_rng(0), []
+    robot.set_control_mode('arm', mode)
+    handles = []
+    for period in range(periods):
+        commands = act(robot, period, draw)
+        robot.apply(*commands, period_s=PERIOD_S)
+        handles += [command.handle for command in commands]
+        simulation.advance(STEPS)
+        effectors = robot.state().end_effectors
+        found.append((simulation.digest(), repr(effectors), int(simulation.data.ncon)))
+    reports = robot.joints.cartesian.reports
+    return found, [(handle.status, repr(handle.error)) for handle in handles], [
+        (report.counts, report.texts) for report in reports.values()]
+
+
+def press_and_grip(robot, period, draw):
+    """Lead the end effectors down to a table and along it, and close and open the grippers."""
+    commands = []
+    if period % 3 == 0:
+        for arm in robot.end_effectors:
+            action = np.clip(0.3 * draw.normal(size=6) - [0, 0, 1.5, 0, 0, 0], -1.0, 1.0)
+            commands.append(robot.parse_cartesian.action(arm, action))
+    if period % 25 == 20:
+        commands += [robot.parse.action(gripper, [1.0 if period < 50 else -1.0]
+                                        * robot.grippers[gripper].dof)
+                     for gripper in robot.grippers]
+    return commands
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """Return a list that grows by how many robots compiled code runs in a part of a period."""
+    begun, begin = [], ControlPeriods._begin_runs
+
+    def counted(periods, awake):
+        found = begin(periods, awake)
+        begun.append(len(found))
+        return found
+    monkeypatch.setattr(ControlPeriods, '_begin_runs', counted)
+    return begun
+
+
+def by_python(monkeypatch):
+    """Let Python control each interval and make each step."""
+    monkeypatch.setattr(ControlPeriods, '_begin_runs', lambda periods, awake: [])
+    monkeypatch.setattr(ControlPeriods, '_may_step', lambda periods, steps: False)
+
+
+@pytest.mark.parametrize('mode', ['effort', 'position'])
+@pytest.mark.parametrize('name', ['Panda', 'Baxter', *(
+    pytest.param(name, marks=pytest.mark.full) for name in (
+        'UR5e', 'Jaco', 'IIWA', 'SO101', 'Sawyer', 'Kinova3', 'XArm7', 'FR3', 'Tiago'))])
+def test_compiled_periods_are_those_of_ticks_to_the_last_bit(name, mode, monkeypatch, runs):
+    found = states_of(name, mode, 90, press_and_grip)
+    assert runs.count(1) >= 90 and not runs.count(0)
+    by_python(monkeypatch)
+    assert found == states_of(name, mode, 90, press_and_grip)
+    states, ends, _ = found
+    assert len({contacts for *_, contacts in states}) > 1
+    assert len({digest for digest, *_ in states}) == 90 and len(set(ends)) > 1
+
+
+def reach(robot, period, draw):
+    """Let end effectors come to poses and rest there, near and out of reach."""
+    if period % 40:
+        return []
+    pose = robot.state().end_effectors['right'].pose
+    far = 2.0 if period == 80 else 0.1
+    return [robot.parse_cartesian.pose('right', pose.position + far * draw.normal(size=3),
+                                       pose.quat_xyzw)]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('mode', ['effort', 'position', 'velocity'])
+def test_targets_that_are_reached_or_missed_are_told_as_by_ticks(mode, monkeypatch, runs):
+    found = states_of('Panda', mode, 160, reach)
+    assert runs.count(1) > 100
+    by_python(monkeypatch)
+    assert found == states_of('Panda', mode, 160, reach)
+    _, ends, ((counts, _),) = found
+    assert Status.DONE in {status for status, _ in ends} and counts['unreachable']
+
+
+def turn(simulation):
+    robot = simulation.robot
+    robot.apply(robot.parse_cartesian.twist('right', [0.1, 0.0, 0.0], np.zeros(3)))
+
+
+def press(simulation):
+    (tool,) = simulation._periods._steps.tools
+    simulation.data.xfrc_applied[tool.bodies.start, 2] = -1.0
+
+
+@pytest.mark.parametrize('act', [turn, press])
+def test_what_else_acts_is_not_left_out(act, runs):
+    simulation = Simulation(compose('Panda', arena='table', cube=True))
+    robot = simulation.robot
+    robot.set_control_mode('arm', 'effort')
+    robot.apply(robot.parse_cartesian.action('right', np.zeros(6)), period_s=PERIOD_S)
+    simulation.advance(STEPS)
+    assert runs == [1]
+    act(simulation)
+    simulation.advance(STEPS)
+    assert len(runs) > 1 and not any(runs[1:])
+
+
+def test_data_that_is_nearly_full_is_left_to_python():
+    model = mujoco.MjModel.from_xml_string('<mujoco/>')
+    data = mujoco.MjData(model)
+    assert may_step(data)
+    data.maxuse_arena = int(0.6 * data.narena)
+    assert not may_step(data)
+
+
+def test_the_number_of_contacts_is_found():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .05"><freejoint/>'
+        '<geom type="box" size=".1 .1 .1"/></body></worldbody></mujoco>')
+    data = mujoco.MjData(model)
+    notes = notes_of(data, np.zeros((0, 3), dtype=np.int64), 1)
+    assert notes.contacts[0] == 0
+    mujoco.mj_forward(model, data)
+    assert notes.contacts[0] == data.ncon > 0
