@@ -203,7 +203,7 @@ class GripperController:
             flags))
 
     def end_run(self, hand: Hand) -> None:
-        """Take over what the compiled law has changed; end commands if all fingers have stopped."""
+        """Take over what the compiled law has changed; end commands once all fingers stand."""
         moved, self._moving, self._turned = (
             self._moving, bool(hand.grip.flags[MOVES]), bool(hand.grip.flags[TURNED]))
         if moved and not self._moving:
@@ -215,7 +215,7 @@ class GripperController:
         if self._action is None:
             return None
         left_s = self._next_call_s - self._timestep_s / 2.0 - data.time
-        return max(1, math.ceil(left_s / self._timestep_s - 1e-6))
+        return max(1, math.ceil(float(left_s) / self._timestep_s - 1e-6))
 
     def _call_if_due(self, data: mujoco.MjData) -> None:
         """Call the gripper's ``format_action`` if it is due."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import threading
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -88,6 +88,25 @@ def places_of_inertia(model: mujoco.MjModel, dofs: IntArray) -> IntArray:
     return places[np.ix_(dofs, dofs)]
 
 
+class Addresses(NamedTuple):
+    """
+    Addresses for compiled code.
+
+    :ivar model: of the ``MjModel``
+    :ivar data: of its ``MjData``
+    :ivar scratch: of an ``MjData`` for the kinematics of other positions
+    """
+
+    model: Any
+    data: Any
+    scratch: Any
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, scratch: mujoco.MjData) -> Addresses:
+        """Return the addresses of these."""
+        return cls(*[np.uintp(found._address) for found in (model, data, scratch)])
+
+
 #: What decides how large the arrays of kinematics are.
 _SIZES = ('nbuffer', 'nq', 'nv', 'nbody', 'njnt', 'ngeom', 'nsite', 'nmocap', 'nflexvert', 'nu')
 
@@ -100,11 +119,6 @@ class _Scratch(threading.local):
 
 
 _scratch = _Scratch()
-
-
-def addresses(*found: mujoco.MjModel | mujoco.MjData) -> tuple[np.uintp, ...]:
-    """Return the addresses of models and data for compiled code."""
-    return tuple([np.uintp(one._address) for one in found])
 
 
 class Physics:
@@ -149,11 +163,7 @@ class Physics:
 
     @property
     def scratch(self) -> tuple[mujoco.MjData, Kinematics]:
-        """
-        Data for the kinematics of other positions, with views, for this thread until it asks again.
-
-        Equal worlds use the same.
-        """
+        """Data for kinematics of other positions, with views, of this thread and equal worlds."""
         if _scratch.sizes != self._sizes:
             data = mujoco.MjData(self.model)
             _scratch.sizes, _scratch.data = self._sizes, (data, Kinematics.of(data))

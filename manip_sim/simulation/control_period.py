@@ -5,22 +5,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any
 
 from manip_sim.arrays import IntArray
 from manip_sim.control.law.arm_records import MOST_SOLUTIONS
 from manip_sim.errors import DivergenceError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.free_base import FreeRoots
-from manip_sim.physics.physics import addresses, Kinematics
+from manip_sim.physics.physics import Addresses, Kinematics
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
 from manip_sim.simulation.robot import RobotRun, SimulatedRobot
-
-if TYPE_CHECKING:
-    from manip_sim.control.law.period import Addresses
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
@@ -28,28 +25,6 @@ _INTERVAL_S = 0.004
 _REMEMBERED = 64
 #: Compiled code runs so many steps at most, as there is room for notes of each.
 _MOST_STEPS = 1000
-
-
-class Interval(NamedTuple):
-    """
-    A part of a control period.
-
-    :ivar control: writes the controls of its beginning
-    :ivar compute: computes its physics, and control in it that is compiled; it may be called in
-        another thread, and spends most of its time without Python's global interpreter lock
-    """
-
-    control: Callable[[], object]
-    compute: Callable[[], object]
-
-    def run(self) -> None:
-        """Run control and physics."""
-        self.control()
-        self.compute()
-
-
-def _nothing() -> None:
-    pass
 
 
 class ControlPeriods:
@@ -103,25 +78,7 @@ class ControlPeriods:
         :raises DivergenceError: if the physics diverges, or is on hold
         """
         if not (self._begin(steps) and self._steps.run_untouched(steps)):
-            for interval in self._intervals(steps):
-                interval.run()
-        self._end(steps)
-        self._check_not_diverged()
-
-    def run(self, steps: int) -> Iterator[Interval]:
-        """
-        Begin a control period, yield its intervals, and end it.
-
-        Each interval has to be run before the next one is asked for.
-
-        :param steps: number of physics steps of the period
-        :raises DivergenceError: if the physics diverges, or is on hold
-        """
-        untouched = self._begin(steps)
-        if untouched:
-            yield Interval(_nothing, partial(self._steps.run_untouched, steps))
-        if not (untouched and self._steps.was_untouched):
-            yield from self._intervals(steps)
+            self._run(steps)
         self._end(steps)
         self._check_not_diverged()
 
@@ -198,23 +155,18 @@ class ControlPeriods:
         if self.diverged is not None:
             raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
 
-    def _intervals(self, steps: int) -> Iterator[Interval]:
-        """Divide a period into parts, each of which control begins; so do late commands."""
+    def _run(self, steps: int) -> None:
+        """Run a period, in parts each of which control begins; so do late commands."""
         self._steps.begin_run()
         while self._left or self._later:
             if not self._left:
                 self._left = self._until_command(self._later)
                 self._later -= self._left
                 self._begin_control(steps * self._timestep_s)
-            awake, chunk = [robot for robot in self._robots if not robot.resting], self._left
+            awake = [robot for robot in self._robots if not robot.resting]
             runs = self._begin_runs(awake)
-            if runs:
-                yield Interval(_nothing, partial(self._run_law, awake, runs))
-                continue
-            if any([robot.moving for robot in awake]):
-                chunk = self._chunk(chunk)
-            yield Interval(partial(self._control, awake, chunk * self._timestep_s),
-                           partial(self._compute, chunk, bool(awake)))
+            self._left -= self._run_law(awake, runs) if runs else self._tick(awake)
+        self._steps.finish()
 
     def _begin_runs(self, awake: Sequence[SimulatedRobot]) -> list[RobotRun]:
         """Begin a run of compiled control and physics of robots, if there can be one."""
@@ -230,13 +182,8 @@ class ControlPeriods:
             runs.append(run)
         return runs
 
-    @staticmethod
-    def _control(awake: Sequence[SimulatedRobot], duration_s: float) -> None:
-        for robot in awake:
-            robot.tick(duration_s)
-
-    def _run_law(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> None:
-        """Run intervals by the compiled law, as control of each and physics steps would."""
+    def _run_law(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> int:
+        """Run intervals by the compiled law, as ticks would; return how many steps."""
         intervals = min([run.intervals for run in runs], key=len)
         if len(runs) == 1:
             steps, moved_s = self._run_alone(runs[0])
@@ -246,7 +193,7 @@ class ControlPeriods:
             steps = int(intervals.sum())
             for robot, run, moved_s in zip(robots, runs, self._run_together(runs, intervals)):
                 robot.end_run(run, moved_s)
-        self._went(steps)
+        return steps
 
     def _run_alone(self, run: RobotRun) -> tuple[int, float]:
         """Run intervals of a robot; return how many steps, and when setpoints stopped to move."""
@@ -279,45 +226,40 @@ class ControlPeriods:
         return moved_s
 
     def _addresses(self) -> tuple[Addresses, Kinematics]:
-        """Return where model and data are, and data for kinematics with its views."""
-        from manip_sim.control.law.period import Addresses  # It imports numba.
-        physics = self._steps
-        scratch, kinematics = physics.scratch
-        return Addresses(*addresses(physics.model, physics.data, scratch)), kinematics
+        """Return addresses for compiled code, and the views of the scratch."""
+        scratch, kinematics = self._steps.scratch
+        return Addresses.of(self._steps.model, self._steps.data, scratch), kinematics
 
     def _step(self, steps: int) -> None:
         """Run steps in compiled code."""
         from manip_sim.control.law.compiling import direct  # It imports numba.
         from manip_sim.control.law.stepping import step
-        physics, notes = self._steps, self._notes(steps)
-        direct(step)(*addresses(physics.model, physics.data), steps, physics.take_resumes(),
-                     notes)
+        where, _ = self._addresses()
+        notes = self._notes(steps)
+        direct(step)(where, steps, self._steps.take_resumes(), notes)
         self._took_steps(steps, notes)
 
-    def _compute(self, steps: int, by_law: bool) -> None:
-        """
-        Compute the physics of an interval, whose controls are written.
-
-        :param by_law: whether compiled code may run it
-        """
+    def _tick(self, awake: Sequence[SimulatedRobot]) -> int:
+        """Let robots act and run the physics until they act again; return how many steps."""
+        steps = self._left
+        if any([robot.moving for robot in awake]):
+            steps = self._chunk(steps)
+        for robot in awake:
+            robot.tick(steps * self._timestep_s)
         physics, lifts = self._steps, self._free_roots.is_needed
-        if by_law and not lifts and physics.lets_laws_step and self._may_step(steps):
+        # Without a robot that acts, nothing is compiled.
+        if awake and not lifts and physics.lets_laws_step and self._may_step(steps):
             self._step(steps)
         else:
             if lifts:
                 self._free_roots.apply()
             physics.run((steps,))
-        self._went(steps)
+        return steps
 
     def _may_step(self, steps: int) -> bool:
         """Return whether compiled code may run steps."""
         from manip_sim.control.law.stepping import may_step  # It imports numba.
         return steps <= _MOST_STEPS and may_step(self._steps.data)
-
-    def _went(self, steps: int) -> None:
-        self._left -= steps
-        if not (self._left or self._later):
-            self._steps.finish()
 
     def _notes(self, steps: int) -> Any:
         """Return empty notes for steps."""

@@ -57,7 +57,7 @@ class RobotRun(NamedTuple):
 
     joints: Joints
     targets: Targets
-    hands: tuple[Hand, ...]
+    hands: tuple[Hand, Hand]
     grippers: list[GripperController]
     intervals: IntArray
 
@@ -443,8 +443,8 @@ class SimulatedRobot:
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
         if calls:
             intervals = intervals[:_count_within(intervals, min(calls))]
-        return RobotRun(*joints, (*hands, *[no_hand()] * (_MOST_HANDS - len(hands))), moving,
-                        np.array(intervals))
+        first, second, *_ = *hands, no_hand(), no_hand()
+        return RobotRun(*joints, (first, second), moving, np.array(intervals))
 
     def end_run(self, run: RobotRun, moved_s: float) -> None:
         """

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import pickle
 from typing import Any
 
@@ -24,7 +23,7 @@ from manip_sim.physics.physics import Physics
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
 from manip_sim.sensing.lidars import Lidars
-from manip_sim.simulation.control_period import ControlPeriods, Interval
+from manip_sim.simulation.control_period import ControlPeriods
 from manip_sim.simulation.control_state import Content
 from manip_sim.simulation.drawn_randomization import Drawn, Randomized
 from manip_sim.simulation.episode_start import EpisodeStart
@@ -276,18 +275,6 @@ class Simulation:
             last good state is held, at rest
         """
         self._periods.advance(whole_number(steps, 1, 'steps', CommandError))
-
-    def period(self, steps: int) -> Iterator[Interval]:
-        """
-        Run one control period as :meth:`advance`, but leave its intervals to the caller.
-
-        Each one has to be run before the next one is asked for.
-
-        :param steps: number of physics steps, from 1
-        :raises CommandError: as :meth:`advance`
-        :raises DivergenceError: as :meth:`advance`
-        """
-        return self._periods.run(whole_number(steps, 1, 'steps', CommandError))
 
     def advance_idle(self, steps: int, periods: int) -> None:
         """

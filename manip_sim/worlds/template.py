@@ -38,9 +38,8 @@ class Template:
     A simulation at its start, of which copies are made.
 
     A copy has a ``MjModel`` and a ``MjData`` of its own, so servo gains, control modes and edits
-    of its model are its own too. It shares the descriptions of robots and objects, and the
-    ``MjData`` in which inverse kinematics is computed: control of two copies must not run at the
-    same time. Grippers, whose ``format_action`` may have a state, are copied.
+    of its model are its own too. It shares the descriptions of robots and objects. Grippers, whose
+    ``format_action`` may have a state, are copied.
 
     :param simulation: which is never changed here; no command must have been applied to it
     """

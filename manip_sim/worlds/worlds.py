@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 import contextlib
+from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -19,7 +20,6 @@ from manip_sim.errors import (
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
-from manip_sim.simulation.control_period import Interval
 from manip_sim.validation import whole_number
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
@@ -147,20 +147,8 @@ class Worlds:
         """
         self._check_open()
         steps = whole_number(steps, 1, 'steps', CommandError)
-        others = [simulation for simulation in self._of(where) if simulation.diverged is None]
-        if len(others) == 1:
-            with contextlib.suppress(DivergenceError):
-                others[0].advance(steps)
-        else:
-            self._run([simulation.period(steps) for simulation in others])
-
-    def _run(self, periods: list[Iterator[Interval]]) -> None:
-        """Run control periods, each part in all worlds before the next one."""
-        while periods:
-            periods, intervals = _next_intervals(periods)
-            for interval in intervals:
-                interval.control()
-            self._threads.run([interval.compute for interval in intervals])
+        self._threads.run([partial(_advance, simulation, steps)
+                           for simulation in self._of(where) if simulation.diverged is None])
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:
@@ -182,7 +170,7 @@ class Worlds:
             if wanted and seed is not None:
                 checked_seed(seed)
         self._threads.run([
-            _bind(simulation.reset, seed)
+            partial(simulation.reset, seed)
             for simulation, seed, wanted in zip(self.simulations, given, mask) if wanted])
 
     def _seeds(self, seeds: Sequence[int] | IntArray | None) -> list[int | None]:
@@ -243,18 +231,6 @@ class Worlds:
         return [simulation for simulation, wanted in zip(self.simulations, mask) if wanted]
 
 
-def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[], None]:
-    return lambda: reset(seed)
-
-
-def _next_intervals(periods: list[Iterator[Interval]]
-                    ) -> tuple[list[Iterator[Interval]], list[Interval]]:
-    """Return the control periods that go on, and the next interval of each."""
-    going, intervals = [], []
-    for period in periods:
-        try:
-            intervals.append(next(period))
-        except (StopIteration, DivergenceError):
-            continue
-        going.append(period)
-    return going, intervals
+def _advance(simulation: Simulation, steps: int) -> None:
+    with contextlib.suppress(DivergenceError):
+        simulation.advance(steps)

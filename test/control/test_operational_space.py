@@ -125,10 +125,10 @@ def way_of_joints(robot, mode, turns):
     for joint, count in zip(endless, turns):
         op.simulation.data.joint(joint).qpos[0] += 2.0 * np.pi * count
     # As if the joints had gone there: setpoints come along, the posture stays at the start.
-    posture = op.robot.joints.cartesian._posture.copy()
+    posture = op.robot.joints.cartesian.posture.copy()
     op.simulation.forward()
     op.robot.joints.reset(op.simulation.data)
-    op.robot.joints.cartesian._posture[:] = posture
+    op.robot.joints.cartesian.posture[:] = posture
     op.run(0.1)
     start, (position, rotation) = op.robot.state().position.copy(), op.pose
     op.go_to((position + [0.0, 0.0, 0.05], rotation))

@@ -82,13 +82,13 @@ def test_compiled_periods_are_those_of_ticks_to_the_last_bit(name, mode, monkeyp
     by_python(monkeypatch)
     assert found == states_of(name, mode, 90, press_and_grip)
     states, ends, _ = found
-    assert len({contacts for *_, contacts in states}) > 1
+    assert len({effectors for _, effectors, _ in states}) > 5
     assert len({digest for digest, *_ in states}) == 90 and len(set(ends)) > 1
 
 
 def reach(robot, period, draw):
     """Let end effectors come to poses and rest there, near and out of reach."""
-    if period % 40:
+    if period % 40 or period > 80:
         return []
     pose = robot.state().end_effectors['right'].pose
     far = 2.0 if period == 80 else 0.1
@@ -99,10 +99,10 @@ def reach(robot, period, draw):
 @pytest.mark.full
 @pytest.mark.parametrize('mode', ['effort', 'position', 'velocity'])
 def test_targets_that_are_reached_or_missed_are_told_as_by_ticks(mode, monkeypatch, runs):
-    found = states_of('Panda', mode, 160, reach)
+    found = states_of('Panda', mode, 280, reach)
     assert runs.count(1) > 100
     by_python(monkeypatch)
-    assert found == states_of('Panda', mode, 160, reach)
+    assert found == states_of('Panda', mode, 280, reach)
     _, ends, ((counts, _),) = found
     assert Status.DONE in {status for status, _ in ends} and counts['unreachable']
 

@@ -25,7 +25,8 @@ from manip_sim.control.commands import Status
 from manip_sim.control.derived import Derived
 from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.law.arm_records import (
-    ArmMotion, EXERTS, IDLE, LEADS, MISSED, MISSED_TURN, no_targets, Targets, targets_of, Velocities)
+    ArmMotion, EXERTS, IDLE, LEADS, MISSED, MISSED_TURN, no_targets, Targets, targets_of,
+    Velocities)
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator

@@ -100,11 +100,12 @@ class OperationalSpaceController:
         :param indices: of the joints, shape (n,)
         """
         key = tip.name, indices.tobytes()
-        damping, arm = self._derived.of.get(key, (None, None))
-        if damping is not self._servos.passive_damping:  # Neither is that of a restored state.
-            arm = self._make_arm(tip, indices)
-            self._derived.of[key] = self._servos.passive_damping, arm
-        return arm
+        found: tuple[FloatArray, Arm] | None = self._derived.of.get(key)
+        if found is None or found[0] is not self._servos.passive_damping:
+            # That of a restored state is another one.
+            found = self._derived.of[key] = (
+                self._servos.passive_damping, self._make_arm(tip, indices))
+        return found[1]
 
     def _make_arm(self, tip: Frame, indices: IntArray) -> Arm:
         servos, model, dofs = self._servos, self._physics.model, self._servos.dofs[indices]

@@ -11,7 +11,7 @@ import math
 import mujoco
 import numpy as np
 
-from manip_sim.algebra import dot, length, product, transposed_product
+from manip_sim.algebra import length, product, transposed_product
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist, PoseAction)

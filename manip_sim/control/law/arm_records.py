@@ -16,10 +16,10 @@ from manip_sim.control.law.joint_records import readable
 
 
 #: A joint of an arm: its index among the joints of the robot, its addresses in ``qpos`` and
-#: ``qvel``; range [rad], infinite where there is none; velocity limit, and that of setpoints [rad/s];
-#: their acceleration limit [rad/s^2]; lowest and highest effort [N m]; damping of the joint itself
-#: [N m s/rad]; 2 pi where whole turns make no difference, 0 elsewhere [rad]; whether it moves the
-#: end effector.
+#: ``qvel``; range [rad], infinite where there is none; velocity limit, and that of setpoints
+#: [rad/s]; their acceleration limit [rad/s^2]; lowest and highest effort [N m]; damping of the
+#: joint itself [N m s/rad]; 2 pi where whole turns make no difference, 0 elsewhere [rad]; whether
+#: it moves the end effector.
 CHAIN = np.dtype([
     *((name, np.int64) for name in ('joint', 'qpos', 'dof')),
     *((name, np.float64) for name in (

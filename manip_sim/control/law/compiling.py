@@ -71,7 +71,7 @@ def direct(law: F) -> F:
     """
     version = _VERSIONS.get(law)
     if version is None:
-        signatures = getattr(law, 'signatures', ())
+        signatures: list[Any] = getattr(law, 'signatures', [])
         if len(signatures) != 1:
             return law
         version = _VERSIONS[law] = cast('Any', law).get_overload(signatures[0])

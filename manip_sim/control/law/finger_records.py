@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.law.joint_records import readable
 
-#: An actuator of a gripper: its id, its address in ``act`` where it integrates; gain of a servo and
-#: its bias, constant and per length, 1 and 0 elsewhere; range of setpoints, their highest speed,
-#: how far they are below and above the place at full force, and with the present limits of force;
-#: setpoints that differ by less than the tolerance are the same; whether it has a setpoint, and
-#: whether its control is the rate of that.
+#: An actuator of a gripper: its id, its address in ``act`` where it integrates; gain of a servo
+#: and its bias, constant and per length, 1 and 0 elsewhere; range of setpoints, their highest
+#: speed, how far they are below and above the place at full force, and with the present limits of
+#: force; setpoints that differ by less than the tolerance are the same; whether it has a setpoint,
+#: and whether its control is the rate of that.
 FINGER = np.dtype([
     *((name, np.int64) for name in ('id', 'activation')),
     *((name, np.float64) for name in (

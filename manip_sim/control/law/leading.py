@@ -26,7 +26,8 @@ _REACHED, _REACHED_TURN = 1e-4, 1e-3
 _SLOW_PACE = 0.005
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
-#: By efforts, it is reached within this [m], [rad], by an end effector that is slower [m/s, rad/s].
+#: By efforts it is reached within this [m], [rad], by an end effector slower than this [m/s,
+#: rad/s].
 _PRESSED, _PRESSED_TURN, _SLOW_TWIST = 1e-3, 1e-2, 2e-3
 
 
@@ -62,10 +63,10 @@ def put_ahead(world: WorldArrays, scratch: Kinematics, setpoints: Any, targets: 
 @inner
 def _within(error: FloatArray, distance: float, turn: float) -> bool:
     """Return whether no component of an error is larger than these [m], [rad]."""
+    inside = True
     for i in range(3):
-        if abs(error[i]) > distance or abs(error[3 + i]) > turn:
-            return False
-    return True
+        inside = inside and abs(error[i]) <= distance and abs(error[3 + i]) <= turn
+    return inside
 
 
 @inner

@@ -18,14 +18,14 @@ from manip_sim.control.law.joint_records import blank_state, readable, records, 
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.operational_space import exert
-from manip_sim.control.law.period import act, Addresses, Joints, run, Time
+from manip_sim.control.law.period import act, Joints, run, Time
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_changes import place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stepping import may_step, notes_of, step
 from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait
-from manip_sim.physics.physics import addresses, WorldArrays
+from manip_sim.physics.physics import Addresses, WorldArrays
 
 #: Joints of an arm that nobody sees.
 _COUNT = 6
@@ -70,12 +70,13 @@ def load_laws() -> None:
     hands = no_hand(), no_hand()
     move_fingers(world, hands[0], 0.1)
     if may_step(data):
+        where = Addresses.of(model, data, data)
         notes, intervals = notes_of(data, np.zeros((0, 3), np.int64), 1), places[:0].copy()
-        step(*addresses(model, data), 0, False, notes)
+        step(where, 0, False, notes)
         robot = (world, world.kinematics, Joints(
             joints[:0], nobody, nowhere, none, counts, none, no[:3]), targets_of(0), hands)
-        act(Addresses(*addresses(model, data, data)), 0.0, 1.0, *robot)
-        run(Addresses(*addresses(model, data, data)), Time(0, 1, 1.0), intervals, False, *robot,
+        act(where, 0.0, 1.0, *robot)
+        run(where, Time(0, 1, 1.0), intervals, False, *robot,
             notes)
     if not PLAIN:
         note_that_all_are_kept()

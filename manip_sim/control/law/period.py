@@ -19,7 +19,7 @@ from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stepping import find_places, Notes, take_steps
-from manip_sim.physics.physics import Kinematics, WorldArrays
+from manip_sim.physics.physics import Addresses, Kinematics, WorldArrays
 
 #: Flags of the joints of a robot: any setpoint moves, efforts have yet to be written, controls are
 #: those of setpoints that move.
@@ -62,14 +62,6 @@ class Time(NamedTuple):
     step_s: float
 
 
-class Addresses(NamedTuple):
-    """Where an ``MjModel`` is, its ``MjData``, and another one for kinematics."""
-
-    model: int
-    data: int
-    scratch: int
-
-
 @inner
 def _waits(targets: Targets, now: float) -> bool:
     """Return whether there is no room to note what is solved now."""
@@ -94,7 +86,7 @@ def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, jo
         elif task.acts == LEADS and task.settled == 0:
             if now >= task.solve_s - 1e-9:
                 put_ahead(world, scratch, joints.setpoints, targets, number)
-                find_places(addresses.model, addresses.scratch)
+                find_places(addresses)
                 lead(world, scratch, joints.setpoints, joints.postures, targets, number, now)
                 joints.flags[MOVES] = True
             acts = True
@@ -167,6 +159,6 @@ def run(addresses: Addresses, time: Time, intervals: IntArray, resumes: bool, wo
         duration = intervals[k] * time.step_s
         if _act(addresses, now, duration, world, scratch, joints, targets, hands):
             moved_s = now + duration
-        take_steps(addresses.model, addresses.data, intervals[k], resumes and k == 0, notes)
+        take_steps(addresses, intervals[k], resumes and k == 0, notes)
         done += intervals[k]
     return len(intervals), moved_s

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import llvmlite.binding
 import mujoco
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.physics.physics import Addresses
 
 #: Numbers of contacts by which their place is recognized.
 _MARKS = (987654321, 0)
@@ -137,7 +138,7 @@ def _note(notes: Notes) -> None:
 
 
 @inner
-def take_steps(model: int, data: int, steps: int, resumes: bool, notes: Notes) -> None:
+def take_steps(addresses: Addresses, steps: int, resumes: bool, notes: Notes) -> None:
     """
     Run physics steps.
 
@@ -145,25 +146,24 @@ def take_steps(model: int, data: int, steps: int, resumes: bool, notes: Notes) -
     """
     for number in range(steps):
         if resumes and number == 0:
-            _mj_step2(model, data)
+            _mj_step2(addresses.model, addresses.data)
         else:
-            _mj_step(model, data)
+            _mj_step(addresses.model, addresses.data)
         _note(notes)
 
 
 @compiled
-def step(model: int, data: int, steps: int, resumes: bool, notes: Notes) -> None:
+def step(addresses: Addresses, steps: int, resumes: bool, notes: Notes) -> None:
     """
     Run physics steps.
 
-    :param model: address of the ``MjModel``, ``data`` of its ``MjData``
     :param resumes: whether the first half of the first step has been computed
     """
-    take_steps(model, data, steps, resumes, notes)
+    take_steps(addresses, steps, resumes, notes)
 
 
 @inner
-def find_places(model: int, data: int) -> None:
-    """Compute where bodies and sites are, and the motions of joints."""
-    _mj_kinematics(model, data)
-    _mj_com_pos(model, data)
+def find_places(addresses: Addresses) -> None:
+    """Compute where bodies and sites are in the scratch, and the motions of joints."""
+    _mj_kinematics(addresses.model, addresses.scratch)
+    _mj_com_pos(addresses.model, addresses.scratch)
