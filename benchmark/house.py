@@ -166,9 +166,9 @@ def print_calls_of_a_command() -> None:
     print(f'{calls.count("commands", "_take", "CommandBuffer.add")} calls from a message to the '
           'buffer')
     physics = calls.by_thread['physics']
-    # MuJoCo's function, or the compiled one that calls it.
+    # MuJoCo's function, or what is asked for last before compiled code calls it.
     steps = [i for i, call in enumerate(physics)
-             if call == 'mj_step' or call.endswith(('step_as_planned', 'step_and_exert'))]
+             if call == 'mj_step' or call.endswith('PhysicsSteps.take_resumes')]
     first = next(i for i, call in enumerate(physics) if call.endswith('PendingCommands.take'))
     print(f'{next(i for i in steps if i > first) - first} calls from the buffer to mj_step')
     print(f'{statistics.median(b - a for a, b in zip(steps, steps[1:])):.0f} calls of an interval')

@@ -104,6 +104,8 @@ class Command:
 
     def without(self: C, indices: IntArray) -> C | None:
         """Return the command without some of its joints, or None if no joint is left."""
+        if indices is self.indices:  # As of streams, whose names are looked up once.
+            return None
         taken = set(indices.tolist())
         kept = [index not in taken for index in self.indices.tolist()]
         if all(kept):

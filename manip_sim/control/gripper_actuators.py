@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.derived import Derived
 from manip_sim.control.law.finger_records import FINGER
 from manip_sim.control.law.joint_records import readable
+from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.declared_limits import declared_velocity

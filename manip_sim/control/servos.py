@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.joint_accelerations import acceleration_limits
-from manip_sim.control.derived import Derived
 from manip_sim.control.law.joint_records import readable, SERVO
 from manip_sim.control.servo_stability import (
     bounded_gains, changes, highest_gains, stable_gains)
+from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.physics.actuator_properties import (
     check_kinds, check_single, effort_range, stiffness_and_damping, velocity_limit)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.derived import Derived
 from manip_sim.control.law.joint_records import blank_state, PLACES, records
+from manip_sim.derived import Derived
 
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
 #: servos add up to 15 % while they take over.
@@ -230,9 +230,10 @@ class SetpointGenerator:
 
     def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
               stamp_s: float, velocities: bool) -> None:
-        from manip_sim.control.law.stream_timing import wait  # It imports numba.
-        wait(self.joints, np.array(indices), _numbers(goals),
-             float(period_s), float(messages), float(stamp_s), velocities)
+        from manip_sim.control.law.compiling import direct  # It imports numba.
+        from manip_sim.control.law.stream_timing import wait
+        direct(wait)(self.joints, indices, _numbers(goals), period_s, messages, stamp_s,
+                     velocities)
         self.moving = True
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.derived import Derived
 from manip_sim.physics.object_spawning import (
     carry_over, in_common, LiveWorld, start_live, WorldPlan)
 #: All that MuJoCo integrates, with what its solvers start from.
@@ -101,24 +102,38 @@ class Addresses(NamedTuple):
     data: Any
     scratch: Any
 
-    @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, scratch: mujoco.MjData) -> Addresses:
-        """Return the addresses of these."""
-        return cls(*[np.uintp(found._address) for found in (model, data, scratch)])
+
+def address_of(found: mujoco.MjModel | mujoco.MjData) -> Any:
+    """Return where a model or its data is."""
+    return np.uintp(found._address)
 
 
 #: What decides how large the arrays of kinematics are.
 _SIZES = ('nbuffer', 'nq', 'nv', 'nbody', 'njnt', 'ngeom', 'nsite', 'nmocap', 'nflexvert', 'nu')
 
 
-class _Scratch(threading.local):
-    """The data of a thread in which kinematics is computed, and the sizes of its model."""
+class Scratch(NamedTuple):
+    """
+    Data in which kinematics is computed for other positions of joints.
+
+    :ivar data: a ``mujoco.MjData``
+    :ivar kinematics: views into it
+    :ivar address: where it is
+    """
+
+    data: mujoco.MjData
+    kinematics: Kinematics
+    address: Any
+
+
+class _Kept(threading.local):
+    """The scratch of a thread, and the sizes of its model."""
 
     sizes: tuple[int, ...] = ()
-    data: tuple[mujoco.MjData, Kinematics]
+    scratch: Scratch
 
 
-_scratch = _Scratch()
+_kept = _Kept()
 
 
 class Physics:
@@ -147,10 +162,12 @@ class Physics:
 
     def __init__(self, plan: WorldPlan) -> None:
         self._adapt: list[Callable[[], None]] = []
+        self._derived = Derived()
         self.kept_dofs: tuple[IntArray, IntArray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._take(start_live(plan))
 
     def _take(self, live: LiveWorld) -> None:
+        self._derived.of.clear()
         self.plan: WorldPlan = live.plan
         self.model: mujoco.MjModel = live.model
         data = self.data = live.data
@@ -162,12 +179,21 @@ class Physics:
             adapt()
 
     @property
-    def scratch(self) -> tuple[mujoco.MjData, Kinematics]:
-        """Data for kinematics of other positions, with views, of this thread and equal worlds."""
-        if _scratch.sizes != self._sizes:
+    def scratch(self) -> Scratch:
+        """Data for kinematics of other positions, of this thread and of equal worlds."""
+        if _kept.sizes != self._sizes:
             data = mujoco.MjData(self.model)
-            _scratch.sizes, _scratch.data = self._sizes, (data, Kinematics.of(data))
-        return _scratch.data
+            _kept.sizes = self._sizes
+            _kept.scratch = Scratch(data, Kinematics.of(data), address_of(data))
+        return _kept.scratch
+
+    @property
+    def addresses(self) -> Addresses:
+        """Addresses for compiled code in this thread."""
+        own: tuple[Any, Any] | None = self._derived.of.get('addresses')
+        if own is None:
+            own = self._derived.of['addresses'] = address_of(self.model), address_of(self.data)
+        return Addresses(*own, self.scratch.address)
 
     def on_change(self, adapt: Callable[[], None]) -> None:
         """Call a function now, and each time the model and its data were replaced."""

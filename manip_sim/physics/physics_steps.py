@@ -23,7 +23,7 @@ from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
 from manip_sim.physics.friction_laws import FrictionLaws
-from manip_sim.physics.physics import Kinematics, Physics, PHYSICS, WorldArrays
+from manip_sim.physics.physics import Addresses, Physics, PHYSICS, Scratch, WorldArrays
 
 _EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 #: Integrators with which a step after ``mj_forward`` may go on from there, with the same bits.
@@ -242,9 +242,14 @@ class PhysicsSteps:
         return self._model
 
     @property
-    def scratch(self) -> tuple[mujoco.MjData, Kinematics]:
-        """Data of this thread for kinematics, with views."""
+    def scratch(self) -> Scratch:
+        """Data of this thread for kinematics."""
         return self._physics.scratch
+
+    @property
+    def addresses(self) -> Addresses:
+        """Addresses for compiled code in this thread."""
+        return self._physics.addresses
 
     @property
     def arrays(self) -> WorldArrays:

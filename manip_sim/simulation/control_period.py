@@ -9,12 +9,13 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from manip_sim.arrays import IntArray
 from manip_sim.control.law.arm_records import MOST_SOLUTIONS
 from manip_sim.errors import DivergenceError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.free_base import FreeRoots
-from manip_sim.physics.physics import Addresses, Kinematics
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
 from manip_sim.simulation.robot import RobotRun, SimulatedRobot
@@ -48,7 +49,7 @@ class ControlPeriods:
         self.diverged: str | None = None
         self.look_at_robots()
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
-        self._cuts: dict[int, tuple[int, ...]] = {}
+        self._cuts: dict[int, IntArray] = {}
         #: Steps left until a late command takes effect, or until the end of the period.
         self._left = 0
         #: Steps of the period after that.
@@ -174,9 +175,9 @@ class ControlPeriods:
             return []
         if not self._may_step(self._left):
             return []
-        runs = []
+        runs, intervals = [], self._cut(self._left)
         for robot in awake:
-            run = robot.begin_run(self._cut(self._left))
+            run = robot.begin_run(intervals)
             if run is None:
                 return []
             runs.append(run)
@@ -200,13 +201,12 @@ class ControlPeriods:
         from manip_sim.control.law.compiling import direct  # It imports numba.
         from manip_sim.control.law.period import run as run_intervals, Time
         physics, clock = self._steps, self._clock
-        where, kinematics = self._addresses()
-        notes = self._notes(int(run.intervals.sum()))
-        done, moved_s = direct(run_intervals)(
+        where, kinematics = physics.addresses, physics.scratch.kinematics
+        notes = self._notes(self._left)
+        steps, moved_s = direct(run_intervals)(
             where, Time(clock.control_steps, clock.step_ns, self._timestep_s), run.intervals,
             physics.take_resumes(), physics.arrays, kinematics, run.joints, run.targets,
             run.hands, notes)
-        steps = int(run.intervals[:done].sum())
         self._took_steps(steps, notes)
         return steps, moved_s
 
@@ -214,29 +214,24 @@ class ControlPeriods:
         """Run intervals of several robots; return when the setpoints of each stopped to move."""
         from manip_sim.control.law.compiling import direct  # It imports numba.
         from manip_sim.control.law.period import act
-        where, kinematics = self._addresses()
+        physics = self._steps
+        where, kinematics = physics.addresses, physics.scratch.kinematics
         moved_s = [-1.0] * len(runs)
         for steps in intervals.tolist():
             now_s, duration_s = self._clock.control_s, steps * self._timestep_s
             for number, run in enumerate(runs):
-                if direct(act)(where, now_s, duration_s, self._steps.arrays, kinematics,
+                if direct(act)(where, now_s, duration_s, physics.arrays, kinematics,
                                run.joints, run.targets, run.hands):
                     moved_s[number] = now_s + duration_s
             self._step(steps)
         return moved_s
 
-    def _addresses(self) -> tuple[Addresses, Kinematics]:
-        """Return addresses for compiled code, and the views of the scratch."""
-        scratch, kinematics = self._steps.scratch
-        return Addresses.of(self._steps.model, self._steps.data, scratch), kinematics
-
     def _step(self, steps: int) -> None:
         """Run steps in compiled code."""
         from manip_sim.control.law.compiling import direct  # It imports numba.
         from manip_sim.control.law.stepping import step
-        where, _ = self._addresses()
-        notes = self._notes(steps)
-        direct(step)(where, steps, self._steps.take_resumes(), notes)
+        physics, notes = self._steps, self._notes(steps)
+        direct(step)(physics.addresses, steps, physics.take_resumes(), notes)
         self._took_steps(steps, notes)
 
     def _tick(self, awake: Sequence[SimulatedRobot]) -> int:
@@ -262,7 +257,7 @@ class ControlPeriods:
         return steps <= _MOST_STEPS and may_step(self._steps.data)
 
     def _notes(self, steps: int) -> Any:
-        """Return empty notes for steps."""
+        """Return room for the notes of steps."""
         from manip_sim.control.law.stepping import notes_of  # It imports numba.
         physics = self._steps
         key = physics.data._address, steps  # A copy of this world has other data.
@@ -271,7 +266,6 @@ class ControlPeriods:
             if len(physics.notes) == _REMEMBERED:
                 physics.notes.clear()
             notes = physics.notes[key] = notes_of(physics.data, physics.tool_bodies, steps)
-        notes.present[:], notes.counts[:] = (physics.contacts, 0), 0
         return notes
 
     def _took_steps(self, steps: int, notes: Any) -> None:
@@ -282,7 +276,7 @@ class ControlPeriods:
         """Return the steps of the next interval; they divide what is left of a period evenly."""
         return -(-left // -(-left // self._interval_steps))
 
-    def _cut(self, steps: int) -> tuple[int, ...]:
+    def _cut(self, steps: int) -> IntArray:
         """Return the steps of all intervals in which setpoints move, of what is left."""
         if steps not in self._cuts:
             if len(self._cuts) == _REMEMBERED:
@@ -291,7 +285,7 @@ class ControlPeriods:
             while left:
                 chunks.append(self._chunk(left))
                 left -= chunks[-1]
-            self._cuts[steps] = tuple(chunks)
+            self._cuts[steps] = np.array(chunks)
         return self._cuts[steps]
 
 

@@ -10,8 +10,6 @@ from dataclasses import asdict, replace
 from itertools import accumulate
 from typing import Any, NamedTuple, TYPE_CHECKING
 
-import numpy as np
-
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
@@ -164,7 +162,7 @@ class SimulatedRobot:
         """
         for command in commands:
             self.check_own(command)
-        if period_s is not None:
+        if period_s is not None and period_s != self._period_s:
             self._period_s = positive_number(period_s, 'period_s', CommandError)
         for command in commands:
             if self._late or self.sensing.settings.delays_commands:
@@ -425,16 +423,16 @@ class SimulatedRobot:
             if gripper.moving:
                 gripper.tick(self._physics.data, duration_s)
 
-    def begin_run(self, intervals: Sequence[int]) -> RobotRun | None:
+    def begin_run(self, intervals: IntArray) -> RobotRun | None:
         """
         Begin intervals that the compiled law runs.
 
-        :param intervals: physics steps of each
+        :param intervals: physics steps of each, shape (k,)
         :returns: None if the law does not know what this robot does
         """
         if len(self.grippers) > _MOST_HANDS:
             return None
-        data, duration_s = self._physics.data, intervals[0] * self._timestep_s
+        data, duration_s = self._physics.data, int(intervals[0]) * self._timestep_s
         joints = self.joints.begin_run(self._clock.control_s, duration_s)
         if joints is None:
             return None
@@ -442,14 +440,15 @@ class SimulatedRobot:
         hands = [gripper.begin_run(data) for gripper in moving]
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
         if calls:
-            intervals = intervals[:_count_within(intervals, min(calls))]
+            intervals = intervals[:_count_within(intervals.tolist(), min(calls))]
         first, second, *_ = *hands, no_hand(), no_hand()
-        return RobotRun(*joints, (first, second), moving, np.array(intervals))
+        return RobotRun(*joints, (first, second), moving, intervals)
 
     def end_run(self, run: RobotRun, moved_s: float) -> None:
         """
         Take over what the compiled law has changed.
 
+        :param run: what :meth:`begin_run` has returned
         :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
         """
         self.joints.end_run(run.joints, run.targets, moved_s)

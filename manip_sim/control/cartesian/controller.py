@@ -22,7 +22,6 @@ from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport
 from manip_sim.control.cartesian.targets import pose_error, Target, target_of
 from manip_sim.control.commands import Status
-from manip_sim.control.derived import Derived
 from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.law.arm_records import (
     ArmMotion, EXERTS, IDLE, LEADS, MISSED, MISSED_TURN, no_targets, Targets, targets_of,
@@ -31,6 +30,7 @@ from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.control.velocity_stream import VelocityStream
+from manip_sim.derived import Derived
 from manip_sim.errors import UnknownNameError
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
@@ -310,7 +310,7 @@ class CartesianController:
             for k in range(int(task['solutions'])):
                 self._look(command, targets, number, k)
             if task['settled'] and target.settled_in is None:
-                scratch, _ = self._physics.scratch
+                scratch = self._physics.scratch.data
                 target.settled_in = self._place(command, target, scratch)
 
     def follow(self, command: CartesianCommand, data: mujoco.MjData, now_s: float,
@@ -351,11 +351,11 @@ class CartesianController:
         if targets.tasks[0]['acts'] == EXERTS:
             press_on(world, efforts, self.posture, targets, 0, now_s)
         else:
-            (scratch, kinematics), joints = self._physics.scratch, self._setpoints.joints
-            put_ahead(world, kinematics, joints, targets, 0)
-            mujoco.mj_kinematics(model, scratch)
-            mujoco.mj_comPos(model, scratch)
-            lead(world, kinematics, joints, self.posture, targets, 0, now_s)
+            scratch, joints = self._physics.scratch, self._setpoints.joints
+            put_ahead(world, scratch.kinematics, joints, targets, 0)
+            mujoco.mj_kinematics(model, scratch.data)
+            mujoco.mj_comPos(model, scratch.data)
+            lead(world, scratch.kinematics, joints, self.posture, targets, 0, now_s)
             self._setpoints.moving = True
         self.end_run([command], targets)
 
@@ -374,7 +374,7 @@ class CartesianController:
         from manip_sim.control.law import approach as law  # It imports numba.
         indices, settings = command.indices, self.settings[command.arm]
         arm, result = self._arm(indices, interval_s), Velocities.of(len(indices))
-        scratch, _ = self._physics.scratch
+        scratch = self._physics.scratch.data
         scratch.qpos[:] = data.qpos
         # Velocities are sought for the end of the interval, so the arm is put where it is then.
         scratch.qpos[self._servos.qpos[indices]] = arm.position

@@ -13,10 +13,10 @@ from manip_sim.algebra import dot
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.cartesian.targets import Target
-from manip_sim.control.derived import Derived
 from manip_sim.control.law.arm_records import Arm, CHAIN, Goal, Motion, Spring
 from manip_sim.control.law.joint_records import readable
 from manip_sim.control.servos import Servos
+from manip_sim.derived import Derived
 from manip_sim.physics.physics import Physics, places_of_inertia
 from manip_sim.physics.robot_frames import Frame
 

@@ -25,7 +25,7 @@ from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stepping import may_step, notes_of, step
 from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait
-from manip_sim.physics.physics import Addresses, WorldArrays
+from manip_sim.physics.physics import address_of, Addresses, WorldArrays
 
 #: Joints of an arm that nobody sees.
 _COUNT = 6
@@ -70,7 +70,7 @@ def load_laws() -> None:
     hands = no_hand(), no_hand()
     move_fingers(world, hands[0], 0.1)
     if may_step(data):
-        where = Addresses.of(model, data, data)
+        where = Addresses(address_of(model), *[address_of(data)] * 2)
         notes, intervals = notes_of(data, np.zeros((0, 3), np.int64), 1), places[:0].copy()
         step(where, 0, False, notes)
         robot = (world, world.kinematics, Joints(

@@ -18,7 +18,7 @@ from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.stepping import find_places, Notes, take_steps
+from manip_sim.control.law.stepping import begin_notes, find_places, Notes, take_steps
 from manip_sim.physics.physics import Addresses, Kinematics, WorldArrays
 
 #: Flags of the joints of a robot: any setpoint moves, efforts have yet to be written, controls are
@@ -148,17 +148,18 @@ def run(addresses: Addresses, time: Time, intervals: IntArray, resumes: bool, wo
 
     :param intervals: steps of each, shape (k,)
     :param resumes: whether the first half of the first step has been computed
-    :returns: how many intervals were run, fewer where no room is left to note what has become of
+    :returns: how many steps were made, fewer where no room is left to note what has become of
         targets; simulation time when setpoints stopped to move, as far as that is known, or -1 [s]
     """
     done, moved_s = 0, -1.0
+    begin_notes(notes)
     for k in range(len(intervals)):
         now = (time.step + done) * time.step_ns * 1e-9
         if _waits(targets, now):
-            return k, moved_s
+            break
         duration = intervals[k] * time.step_s
         if _act(addresses, now, duration, world, scratch, joints, targets, hands):
             moved_s = now + duration
         take_steps(addresses, intervals[k], resumes and k == 0, notes)
         done += intervals[k]
-    return len(intervals), moved_s
+    return done, moved_s

@@ -108,6 +108,14 @@ def notes_of(data: mujoco.MjData, tools: IntArray, steps: int) -> Notes:
 
 
 @inner
+def begin_notes(notes: Notes) -> None:
+    """Begin to note what happens from now on."""
+    notes.present[0], notes.present[1] = notes.contacts[0], 0
+    for tool in range(len(notes.counts)):
+        notes.counts[tool] = 0
+
+
+@inner
 def _touches(forces: FloatArray, first: int, end: int) -> bool:
     """Return whether any force on some bodies is not zero."""
     for body in range(first, end):
@@ -159,6 +167,7 @@ def step(addresses: Addresses, steps: int, resumes: bool, notes: Notes) -> None:
 
     :param resumes: whether the first half of the first step has been computed
     """
+    begin_notes(notes)
     take_steps(addresses, steps, resumes, notes)
 
 
