@@ -10,6 +10,7 @@ from enum import Enum
 from typing import ClassVar, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.trajectory import Trajectory
@@ -174,6 +175,16 @@ class JointTrajectory(Command):
         """Return the command with a trajectory of its joints alone."""
         return replace(self, trajectory=self.trajectory.of(self.columns),
                        columns=np.arange(len(self.columns)))
+
+    def motion(self, times_s: ArrayLike) -> FloatArray:
+        """
+        Return position, velocity and acceleration of its joints at some times.
+
+        :param times_s: since the last reset [s]
+        :returns: the three on the first axis, then the shape of ``times_s``, then the joints
+        """
+        since_s = np.asarray(times_s) - (self.start_s or 0.0)
+        return self.trajectory.at(since_s)[..., self.columns]
 
     def as_setpoint(self, modes: tuple[str, ...]) -> JointSetpoint:
         """Return the command to go to the last point, in the modes of its joints."""

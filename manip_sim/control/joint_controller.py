@@ -25,6 +25,7 @@ from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.modes import Arrival, MODES
 from manip_sim.control.law.arm_records import no_targets, Targets
 from manip_sim.control.trajectory_following import TrajectoryFollowing
+from manip_sim.physics.clock import Clock
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from manip_sim.control.law.period import Joints
 
 C = TypeVar('C', bound=Command)
+#: No joint that a trajectory leads.
+_NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
 
 
 class JointController(ControlledJoints):
@@ -382,25 +385,33 @@ class JointController(ControlledJoints):
         self._written, self._efforts_due = True, False
         self._servos.drive(setpoints.joints, self._effort, duration_s)
 
-    def begin_run(self, now_s: float, duration_s: float) -> tuple[Joints, Targets] | None:
+    def begin_run(self, intervals: IntArray, clock: Clock) -> tuple[Joints, Targets] | None:
         """
         Return joints and targets for the compiled law, None if they do what it cannot.
 
-        :param now_s: simulation time since the last reset [s]
-        :param duration_s: length of the next interval [s]
+        :param intervals: physics steps of each, shape (k,)
+        :param clock: of the simulation
         """
-        if self.commands.waiting or any(
-                [isinstance(c, (JointTrajectory, BaseTwist)) for c in self.commands.running]):
-            return None
-        targets = self.cartesian.begin_run(self._cartesian_commands(), now_s, duration_s)
-        if targets is None:
+        trajectories, arms, step_s = [], [], self._servos.step_s
+        for command in self.commands.running:
+            if isinstance(command, JointTrajectory):
+                trajectories.append(command)
+            elif isinstance(command, CartesianCommand):
+                arms.append(command)
+            elif isinstance(command, BaseTwist):
+                return None
+        led: tuple[IntArray, FloatArray] | None = _NOT_LED
+        if trajectories or self.commands.waiting:
+            led = self._trajectories.path(trajectories, clock.ends_s(intervals, step_s))
+        targets = self.cartesian.begin_run(arms, clock.control_s, int(intervals[0]) * step_s)
+        if targets is None or led is None:
             return None
         from manip_sim.control.law.period import Joints  # It imports numba.
         servos, setpoints = self._servos, self._setpoints
         return Joints(
             setpoints.joints, servos.records, servos.places, self._effort, setpoints.counts,
             self.cartesian.posture,
-            np.array([setpoints.moving, self._efforts_due, self._written])), targets
+            np.array([setpoints.moving, self._efforts_due, self._written]), *led), targets
 
     def end_run(self, joints: Joints, targets: Targets, moved_s: float) -> None:
         """

@@ -167,9 +167,7 @@ class Ledger:
         """
         for command in self.running:
             if command.handle is handle and isinstance(command, JointTrajectory):
-                position, velocity, acceleration = (
-                    values[command.columns]
-                    for values in command.trajectory.at(now_s - (command.start_s or 0.0)))
+                position, velocity, acceleration = command.motion(now_s)
                 return position, velocity, acceleration
         return None
 

@@ -276,6 +276,11 @@ class Servos:
         data.ctrl[self._ids] = 0.0
 
     @property
+    def step_s(self) -> float:
+        """Length of a physics step [s]."""
+        return float(self._physics.model.opt.timestep)
+
+    @property
     def records(self) -> Any:
         """The servos as the compiled law reads them, shape (n,)."""
         gives, records = self._derived.of.get('records', (None, None))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
@@ -110,22 +111,27 @@ class Trajectory:
         speeds = np.einsum('kst,skn->stn', powers, self._coefficients[:, 1:])
         return np.asarray(np.abs(speeds).max(axis=(0, 1)))
 
-    def at(self, time_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def at(self, times_s: ArrayLike) -> FloatArray:
         """
-        Return position, velocity and acceleration at a time, each of shape (n,), copies.
+        Return position, velocity and acceleration at some times.
 
-        :param time_s: since time zero [s]; after the end the last point counts
+        :param times_s: since time zero [s]; after the end the last point counts
+        :returns: the three on the first axis, then the shape of ``times_s``, then the joints
         """
-        if time_s >= self.end_s:
-            return self._end[0].copy(), self._end[1].copy(), self._end[2].copy()
-        segment = max(0, int(np.searchsorted(self._knots, time_s, side='right')) - 1)
-        since_s = max(0.0, time_s - float(self._knots[segment]))
-        position = velocity = acceleration = np.zeros(self.positions.shape[1])
-        for coefficient in self._coefficients[segment, ::-1]:
-            acceleration = acceleration * since_s + 2.0 * velocity
-            velocity = velocity * since_s + position
-            position = position * since_s + coefficient
-        return position, velocity, acceleration
+        times = np.asarray(times_s, dtype=float)
+        motion = np.zeros((3, *times.shape, self.positions.shape[1]))
+        ended = times >= self.end_s
+        motion[:, ended] = np.stack(self._end)[:, None]
+        if not ended.all():
+            segments = np.maximum(np.searchsorted(self._knots, times[~ended], 'right') - 1, 0)
+            since = np.maximum(times[~ended] - self._knots[segments], 0.0)[:, None]
+            position, velocity, acceleration = np.zeros((3, len(segments), motion.shape[-1]))
+            for power in range(self._coefficients.shape[1] - 1, -1, -1):
+                acceleration = acceleration * since + 2.0 * velocity
+                velocity = velocity * since + position
+                position = position * since + self._coefficients[segments, power]
+            motion[:, ~ended] = position, velocity, acceleration
+        return motion
 
 
 def check_times(times: FloatArray) -> None:

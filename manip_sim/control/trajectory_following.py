@@ -5,9 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+import math
 
-from manip_sim.arrays import FloatArray
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.commands import JointTrajectory, Status
 from manip_sim.control.ledger import Ledger
 from manip_sim.control.setpoints import SetpointGenerator
@@ -77,6 +81,31 @@ class TrajectoryFollowing:
         else:
             self._commands.begin(replace(own, start_s=start_s))
 
+    def path(self, commands: Sequence[JointTrajectory], ends_s: FloatArray
+             ) -> tuple[IntArray, FloatArray] | None:
+        """
+        Return where trajectories lead joints in intervals, up to the first of them that ends.
+
+        :param commands: those that run
+        :param ends_s: of the intervals, simulation time since the last reset [s], shape (k,)
+        :returns: the joints, shape (m,), and position, velocity and acceleration at the ends of
+            intervals, shape (j, m, 3) with j <= k; None if one ends or begins in the first one
+        """
+        count = len(ends_s)
+        for command in self._commands.waiting:
+            start_s = -math.inf if command.start_s is None else command.start_s
+            count = min(count, int(np.count_nonzero(start_s >= ends_s - 1e-9)))
+        for command in commands:
+            last_s = (command.start_s or 0.0) + command.trajectory.end_s
+            count = min(count, int(np.count_nonzero(ends_s < last_s - 1e-9)))
+        if not count:
+            return None
+        if not commands:
+            return np.empty(0, np.int64), np.empty((count, 0, 3))
+        motions = [command.motion(ends_s[:count]) for command in commands]
+        return (np.concatenate([command.indices for command in commands]),
+                np.ascontiguousarray(np.concatenate(motions, axis=2).transpose(1, 2, 0)))
+
     def follow(self, command: JointTrajectory, end_s: float) -> FloatArray | None:
         """
         Let setpoints be where a trajectory is at the end of an interval.
@@ -85,7 +114,6 @@ class TrajectoryFollowing:
         :returns: the last position of the joints, if they are there, shape (n,)
         """
         since_s = end_s - (command.start_s or 0.0)
-        position, velocity, acceleration = (
-            values[command.columns] for values in command.trajectory.at(since_s))
+        position, velocity, acceleration = command.motion(end_s)
         self._setpoints.follow(command.indices, position, velocity, acceleration)
         return position if since_s >= command.trajectory.end_s - 1e-9 else None

@@ -5,6 +5,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+
 
 class Clock:
     """
@@ -35,6 +39,16 @@ class Clock:
     def control_s(self) -> float:
         """Simulation time since the last reset [s]."""
         return self.control_steps * self.step_ns * 1e-9
+
+    def ends_s(self, intervals: IntArray, step_s: float) -> FloatArray:
+        """
+        Return what :attr:`control_s` will be at the ends of intervals, shape (k,).
+
+        :param intervals: steps of each, shape (k,)
+        :param step_s: length of a step, as the physics has it [s]
+        """
+        begins = (self.control_steps + np.cumsum(intervals) - intervals) * self.step_ns * 1e-9
+        return np.asarray(begins + intervals * step_s)
 
     def since_reset_s(self, time_ns: int) -> float:
         """Return the time from the last reset to a simulation time [s]."""

@@ -217,10 +217,10 @@ class ControlPeriods:
         physics = self._steps
         where, kinematics = physics.addresses, physics.scratch.kinematics
         moved_s = [-1.0] * len(runs)
-        for steps in intervals.tolist():
+        for k, steps in enumerate(intervals.tolist()):
             now_s, duration_s = self._clock.control_s, steps * self._timestep_s
             for number, run in enumerate(runs):
-                if direct(act)(where, now_s, duration_s, physics.arrays, kinematics,
+                if direct(act)(where, k, now_s, duration_s, physics.arrays, kinematics,
                                run.joints, run.targets, run.hands):
                     moved_s[number] = now_s + duration_s
             self._step(steps)

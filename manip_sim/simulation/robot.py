@@ -432,17 +432,19 @@ class SimulatedRobot:
         """
         if len(self.grippers) > _MOST_HANDS:
             return None
-        data, duration_s = self._physics.data, int(intervals[0]) * self._timestep_s
-        joints = self.joints.begin_run(self._clock.control_s, duration_s)
-        if joints is None:
+        found, data = self.joints.begin_run(intervals, self._clock), self._physics.data
+        if found is None:
             return None
+        joints, targets = found
+        if len(joints.path):
+            intervals = intervals[:len(joints.path)]
         moving = [gripper for gripper in self.grippers.values() if gripper.moving]
         hands = [gripper.begin_run(data) for gripper in moving]
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
         if calls:
             intervals = intervals[:_count_within(intervals.tolist(), min(calls))]
         first, second, *_ = *hands, no_hand(), no_hand()
-        return RobotRun(*joints, (first, second), moving, intervals)
+        return RobotRun(joints, targets, (first, second), moving, intervals)
 
     def end_run(self, run: RobotRun, moved_s: float) -> None:
         """

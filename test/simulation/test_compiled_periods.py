@@ -107,6 +107,28 @@ def test_targets_that_are_reached_or_missed_are_told_as_by_ticks(mode, monkeypat
     assert Status.DONE in {status for status, _ in ends} and counts['unreachable']
 
 
+def follow(robot, period, draw):
+    """Follow trajectories, some of which begin later, take joints of others or end in a period."""
+    if period % 30:
+        return []
+    names = robot.joints.names[:7]
+    positions = robot.joints._setpoints.position[:7] + 0.1 * draw.normal(size=(3, 7))
+    times = np.cumsum(draw.uniform(0.05, 0.2, 3))
+    if period == 60:
+        names, positions = names[:3], positions[:, :3]
+    begin_ns = robot._clock.time_ns + 33_000_000 if period % 60 else 0
+    return [robot.parse.trajectory('arm', names, times, positions, start_ns=begin_ns)]
+
+
+@pytest.mark.parametrize('name', ['Panda', pytest.param('Tiago', marks=pytest.mark.full)])
+def test_trajectories_are_those_of_ticks_to_the_last_bit(name, monkeypatch, runs):
+    found = states_of(name, 'position', 130, follow)
+    assert runs.count(1) > 100 and 5 < runs.count(0) < 30
+    by_python(monkeypatch)
+    assert found == states_of(name, 'position', 130, follow)
+    assert Status.DONE in {status for status, _ in found[1]}
+
+
 def turn(simulation):
     robot = simulation.robot
     robot.apply(robot.parse_cartesian.twist('right', [0.1, 0.0, 0.0], np.zeros(3)))

@@ -74,8 +74,9 @@ def load_laws() -> None:
         notes, intervals = notes_of(data, np.zeros((0, 3), np.int64), 1), places[:0].copy()
         step(where, 0, False, notes)
         robot = (world, world.kinematics, Joints(
-            joints[:0], nobody, nowhere, none, counts, none, no[:3]), targets_of(0), hands)
-        act(where, 0.0, 1.0, *robot)
+            joints[:0], nobody, nowhere, none, counts, none, no[:3], places[:0].copy(),
+            np.zeros((1, 0, 3))), targets_of(0), hands)
+        act(where, 0, 0.0, 1.0, *robot)
         run(where, Time(0, 1, 1.0), intervals, False, *robot,
             notes)
     if not PLAIN:

@@ -17,6 +17,7 @@ from manip_sim.control.law.finger_records import Hand
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.servo_rates import drive
+from manip_sim.control.law.setpoint_changes import follow
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stepping import begin_notes, find_places, Notes, take_steps
 from manip_sim.physics.physics import Addresses, Kinematics, WorldArrays
@@ -37,6 +38,9 @@ class Joints(NamedTuple):
     :ivar counts: of goals beyond the velocity limit and of lost messages, shape (2, n)
     :ivar postures: that redundant arms tend to [rad], shape (n,)
     :ivar flags: by :data:`MOVES`, :data:`DUE`, :data:`WRITTEN`, shape (3,)
+    :ivar led: those that trajectories lead, shape (m,)
+    :ivar path: their position, velocity and acceleration at the ends of intervals, shape (k, m, 3);
+        of no intervals where no trajectory runs or waits
     """
 
     setpoints: NDArray[np.void]
@@ -46,6 +50,8 @@ class Joints(NamedTuple):
     counts: IntArray
     postures: FloatArray
     flags: NDArray[np.bool_]
+    led: IntArray
+    path: FloatArray
 
 
 class Time(NamedTuple):
@@ -94,11 +100,11 @@ def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, jo
 
 
 @inner
-def _move_joints(world: WorldArrays, joints: Joints, acts: bool, now: float, duration: float
-                 ) -> bool:
+def _move_joints(world: WorldArrays, joints: Joints, k: int, acts: bool, now: float,
+                 duration: float) -> bool:
     """Write the controls of joints in an interval; return whether they do not just rest."""
     flags, held = joints.flags, False
-    if not (acts or flags[MOVES] or flags[DUE]):
+    if not (acts or len(joints.path) or flags[MOVES] or flags[DUE]):
         if flags[WRITTEN]:
             for i in range(len(joints.servos)):
                 world.controls[joints.servos[i].control] = 0.0
@@ -108,35 +114,39 @@ def _move_joints(world: WorldArrays, joints: Joints, acts: bool, now: float, dur
         held = held or joints.setpoints[i].held != 0.0
     if flags[MOVES] or held:
         flags[MOVES] = advance(joints.setpoints, joints.counts, now, duration)
+    if len(joints.led):
+        follow(joints.setpoints, joints.led, joints.path[k])
+        flags[MOVES] = True
     drive(world, joints.servos, joints.places, joints.setpoints, joints.efforts, duration)
     flags[DUE], flags[WRITTEN] = False, True
     return True
 
 
 @inner
-def _act(addresses: Addresses, now: float, duration: float, world: WorldArrays,
+def _act(addresses: Addresses, k: int, now: float, duration: float, world: WorldArrays,
          scratch: Kinematics, joints: Joints, targets: Targets, hands: tuple[Hand, Hand]) -> bool:
     """Write the controls of a robot for an interval; return whether joints do not just rest."""
     leads = _lead_arms(addresses, world, scratch, joints, targets, now)
-    moved = _move_joints(world, joints, leads, now, duration)
+    moved = _move_joints(world, joints, k, leads, now, duration)
     for number in range(2):
         move_fingers(world, hands[number], duration)
     return moved
 
 
 @compiled
-def act(addresses: Addresses, now: float, duration: float, world: WorldArrays,
+def act(addresses: Addresses, k: int, now: float, duration: float, world: WorldArrays,
         scratch: Kinematics, joints: Joints, targets: Targets, hands: tuple[Hand, Hand]) -> bool:
     """
     Write the controls of a robot for an interval.
 
+    :param k: number of the interval
     :param now: simulation time [s]
     :param duration: of the interval [s]
     :param scratch: views into the data for kinematics
     :param hands: grippers of the robot, those that are not there without fingers
     :returns: whether joints do not just rest
     """
-    return _act(addresses, now, duration, world, scratch, joints, targets, hands)
+    return _act(addresses, k, now, duration, world, scratch, joints, targets, hands)
 
 
 @compiled
@@ -158,7 +168,7 @@ def run(addresses: Addresses, time: Time, intervals: IntArray, resumes: bool, wo
         if _waits(targets, now):
             break
         duration = intervals[k] * time.step_s
-        if _act(addresses, now, duration, world, scratch, joints, targets, hands):
+        if _act(addresses, k, now, duration, world, scratch, joints, targets, hands):
             moved_s = now + duration
         take_steps(addresses, intervals[k], resumes and k == 0, notes)
         done += intervals[k]

@@ -81,10 +81,32 @@ def place(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatA
     :param acceleration: [rad/s^2 or m/s^2], shape (k,)
     """
     for k in range(len(indices)):
-        x = joints[indices[k]]
-        x.position = clip(position[k], x.low, x.high)
-        x.velocity = clip(velocity[k], 0.0 if position[k] < x.low else -math.inf,
-                          0.0 if position[k] > x.high else math.inf)
-        x.acceleration = acceleration[k]
-        come_to(x, 0.0)
-        _forget_stream(x)
+        _place(joints[indices[k]], position[k], velocity[k], acceleration[k])
+
+
+@inner
+def _place(x: Any, position: float, velocity: float, acceleration: float) -> None:
+    """Set a setpoint, which comes to rest from there."""
+    x.position = clip(position, x.low, x.high)
+    x.velocity = clip(velocity, 0.0 if position < x.low else -math.inf,
+                      0.0 if position > x.high else math.inf)
+    x.acceleration = acceleration
+    come_to(x, 0.0)
+    _forget_stream(x)
+
+
+@inner
+def follow(joints: Any, indices: IntArray, motion: FloatArray) -> None:
+    """
+    Set setpoints from another source; beyond the range they rest at its end.
+
+    :param joints: records, shape (n,)
+    :param indices: of those that are set, shape (k,)
+    :param motion: their position, velocity and acceleration, shape (k, 3)
+    """
+    for k in range(len(indices)):
+        x, position = joints[indices[k]], motion[k, 0]
+        if x.low <= position <= x.high:
+            _place(x, position, motion[k, 1], motion[k, 2])
+        else:
+            _place(x, position, 0.0, 0.0)
