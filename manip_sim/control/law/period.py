@@ -39,8 +39,8 @@ class Joints(NamedTuple):
     :ivar postures: that redundant arms tend to [rad], shape (n,)
     :ivar flags: by :data:`MOVES`, :data:`DUE`, :data:`WRITTEN`, shape (3,)
     :ivar led: those that trajectories lead, shape (m,)
-    :ivar path: their position, velocity and acceleration at the ends of intervals, shape (k, m, 3);
-        of no intervals where no trajectory runs or waits
+    :ivar path: their position, velocity and acceleration at the ends of intervals, shape
+        (k, m, 3), with k = 0 where no trajectory runs or waits
     """
 
     setpoints: NDArray[np.void]
