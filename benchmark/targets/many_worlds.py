@@ -32,6 +32,8 @@ from targets.processes import memory_mb, Process
 ROBOSUITE_PYTHON = 'ROBOSUITE_PYTHON'
 #: Steps of a control period: 20 ms, and 50 ms for operational space control.
 STEPS, STEPS_OF_OSC = 10, 25
+#: The environment whose steps are measured; a control period has 50 ms.
+ENVIRONMENT = 'manip_sim/PickCube-v0'
 #: Numbers of worlds of the picture, and the threads of their physics.
 COUNTS, THREADS = (1, 4, 16, 64), (1, 2)
 #: By worlds and threads: what a world-step may cost, as multiples of bare ``mj_step``.
@@ -185,6 +187,8 @@ def measure(settings: Settings) -> Iterator[Figure]:
                         series[name].setdefault(str(threads), []).append(
                             1.0 / min(cost.wall_s for cost in values))
     settings.series['worlds'] = series
+    settings.report('worlds, environments')
+    yield from _environments(settings)
     settings.report('worlds, copies, state and command')
     yield from _copies(settings)
     yield from _calls(settings)
@@ -195,6 +199,38 @@ def measure(settings: Settings) -> Iterator[Figure]:
 def _worlds(count: int, threads: int) -> str:
     return (f'{count} world{"s" * (count > 1)}, physics in {threads} '
             f'thread{"s" * (threads > 1)}')
+
+
+def _environments(settings: Settings) -> Iterator[Figure]:
+    """Measure environments with random actions, beside the bare physics of their worlds."""
+    try:
+        import gymnasium
+    except ModuleNotFoundError:
+        settings.report('environments are skipped: gymnasium is not installed')
+        return
+    import manip_sim.env  # noqa: F401  It registers them.
+    threads = THREADS[-1]
+    envs: Any = gymnasium.make_vec(
+        ENVIRONMENT, num_envs=COUNTS[-1], vectorization_mode='vector_entry_point', threads=threads)
+    envs.reset(seed=0)
+    envs.action_space.seed(0)
+    worlds, costs_of, bare_costs = envs.unwrapped.worlds, [], []
+    units = STEPS_OF_OSC * len(worlds)
+    bare = Bare(worlds)
+    envs.step(envs.action_space.sample())
+    for _ in range(settings.rounds):
+        costs_of.append(_cost(lambda: envs.step(envs.action_space.sample()), units, settings))
+        bare.start()
+        bare_costs.append(_cost(lambda: bare.step(STEPS_OF_OSC), units, settings))
+    bare.close()
+    envs.close()
+    what = (f'`{ENVIRONMENT}`, {len(worlds)} in {threads} threads, random actions: a step, '
+            'times bare `mj_step`')
+    yield Figure('worlds', f'{what}, CPU time', [
+        ours.cpu_s / base.cpu_s for ours, base in zip(costs_of, bare_costs)],
+        target=Target('<=', 2.0))
+    yield Figure('worlds', f'{what}, wall time', [
+        ours.wall_s / base.wall_s for ours, base in zip(costs_of, bare_costs)])
 
 
 def _copies(settings: Settings) -> Iterator[Figure]:

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 C = TypeVar('C', bound=Command)
 #: No joint that a trajectory leads.
 _NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
+#: No base that follows a twist.
+_NOT_DRIVEN = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3))
 
 
 class JointController(ControlledJoints):
@@ -375,7 +377,7 @@ class JointController(ControlledJoints):
             if isinstance(command, CartesianCommand):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
             elif isinstance(command, BaseTwist):
-                self._base.follow(command, data, now_s, duration_s)
+                self._base.follow(command, now_s + duration_s, duration_s)
         setpoints.advance(duration_s)
         for command in others:
             if isinstance(command, JointTrajectory):
@@ -393,13 +395,15 @@ class JointController(ControlledJoints):
         :param clock: of the simulation
         """
         trajectories, arms, step_s = [], [], self._servos.step_s
+        base: tuple[Any, ...] = _NOT_DRIVEN
         for command in self.commands.running:
             if isinstance(command, JointTrajectory):
                 trajectories.append(command)
             elif isinstance(command, CartesianCommand):
                 arms.append(command)
             elif isinstance(command, BaseTwist):
-                return None
+                base = (command.joints, command.columns,
+                        self._base.wanted(clock.ends_s(intervals, step_s)))
         led: tuple[IntArray, FloatArray] | None = _NOT_LED
         if trajectories or self.commands.waiting:
             led = self._trajectories.path(trajectories, clock.ends_s(intervals, step_s))
@@ -407,11 +411,12 @@ class JointController(ControlledJoints):
         if targets is None or led is None:
             return None
         from manip_sim.control.law.period import Joints  # It imports numba.
-        servos, setpoints = self._servos, self._setpoints
+        servos, setpoints, (indices, path) = self._servos, self._setpoints, led
         return Joints(
             setpoints.joints, servos.records, servos.places, self._effort, setpoints.counts,
             self.cartesian.posture,
-            np.array([setpoints.moving, self._efforts_due, self._written]), *led), targets
+            np.array([setpoints.moving, self._efforts_due, self._written]), indices, path,
+            *base), targets
 
     def end_run(self, joints: Joints, targets: Targets, moved_s: float) -> None:
         """

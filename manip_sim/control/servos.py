@@ -27,7 +27,7 @@ from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.physics.actuator_properties import (
     check_kinds, check_single, effort_range, stiffness_and_damping, velocity_limit)
-from manip_sim.physics.physics import Physics, places_of_inertia
+from manip_sim.physics.physics import Physics, places_of_inertia, WorldArrays
 
 #: Position range that actions span for a joint without a range [rad or m].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
@@ -274,6 +274,11 @@ class Servos:
     def rest(self, data: mujoco.MjData) -> None:
         """Keep the setpoints where they are."""
         data.ctrl[self._ids] = 0.0
+
+    @property
+    def arrays(self) -> WorldArrays:
+        """The arrays of the world for laws of control."""
+        return self._physics.arrays
 
     @property
     def step_s(self) -> float:

@@ -129,6 +129,26 @@ def test_trajectories_are_those_of_ticks_to_the_last_bit(name, monkeypatch, runs
     assert Status.DONE in {status for status, _ in found[1]}
 
 
+def drive(robot, period, draw):
+    """Drive a mobile base, now and then, while its arm goes somewhere."""
+    commands = []
+    if period % 40 < 25 and period % 2 == 0:
+        commands.append(robot.parse.twist(*(0.3 * np.sin(0.1 * period + np.arange(3)))))
+    if period == 50:
+        commands.append(robot.parse.action('base', [0.0, 0.2, 0.1]))
+    if period % 30 == 10:
+        commands.append(robot.parse.action('right', draw.uniform(-0.2, 0.2, 7)))
+    return commands
+
+
+@pytest.mark.parametrize('name', ['Tiago', pytest.param('PandaOmron', marks=pytest.mark.full)])
+def test_bases_drive_as_by_ticks_to_the_last_bit(name, monkeypatch, runs):
+    found = states_of(name, 'position', 120, drive)
+    assert runs.count(1) > 100 and not runs.count(0)
+    by_python(monkeypatch)
+    assert found == states_of(name, 'position', 120, drive)
+
+
 def turn(simulation):
     robot = simulation.robot
     robot.apply(robot.parse_cartesian.twist('right', [0.1, 0.0, 0.0], np.zeros(3)))

@@ -12,6 +12,7 @@ from manip_sim.control.law.approach import approach, follow_twist
 from manip_sim.control.law.arm_records import (
     Arm, ArmMotion, CHAIN, Goal, Motion, Spring, targets_of, Velocities)
 from manip_sim.control.law.compiling import PLAIN
+from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import no_hand
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import blank_state, readable, records, SERVO
@@ -55,6 +56,8 @@ def load_laws() -> None:
     set_velocity(joints, places, none)
     ramp_to(joints, places, none, 0.1, one)
     place(joints, places, none, none, none)
+    drive_base(world, readable(np.zeros(3, SERVO)), joints, places[:3].copy(), places[:3].copy(),
+               np.zeros(3), 1.0)
     jacobian, result = np.eye(_COUNT), Velocities.of(_COUNT)
     motion = ArmMotion(none, none, -one, one, one, one, none, none)
     approach(jacobian, none, motion, 0.1, 1.0, 1.0, none, none, False, 0.0, False, result)
@@ -75,7 +78,8 @@ def load_laws() -> None:
         step(where, 0, False, notes)
         robot = (world, world.kinematics, Joints(
             joints[:0], nobody, nowhere, none, counts, none, no[:3], places[:0].copy(),
-            np.zeros((1, 0, 3))), targets_of(0), hands)
+            np.zeros((1, 0, 3)), places[:0].copy(), places[:0].copy(), np.zeros((0, 3))),
+            targets_of(0), hands)
         act(where, 0, 0.0, 1.0, *robot)
         run(where, Time(0, 1, 1.0), intervals, False, *robot,
             notes)

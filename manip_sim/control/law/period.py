@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.arm_records import EXERTS, LEADS, MOST_SOLUTIONS, Targets
 from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import Hand
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.leading import lead, press_on, put_ahead
@@ -41,6 +42,9 @@ class Joints(NamedTuple):
     :ivar led: those that trajectories lead, shape (m,)
     :ivar path: their position, velocity and acceleration at the ends of intervals, shape
         (k, m, 3), with k = 0 where no trajectory runs or waits
+    :ivar base: the joints x, y and yaw of a base that follows a twist, or no joints, shape (3,)
+    :ivar owned: which of these the twist owns, shape (j,)
+    :ivar twists: what it wants at the ends of intervals, in the frame of the base, shape (k, 3)
     """
 
     setpoints: NDArray[np.void]
@@ -52,6 +56,9 @@ class Joints(NamedTuple):
     flags: NDArray[np.bool_]
     led: IntArray
     path: FloatArray
+    base: IntArray
+    owned: IntArray
+    twists: FloatArray
 
 
 class Time(NamedTuple):
@@ -127,6 +134,10 @@ def _act(addresses: Addresses, k: int, now: float, duration: float, world: World
          scratch: Kinematics, joints: Joints, targets: Targets, hands: tuple[Hand, Hand]) -> bool:
     """Write the controls of a robot for an interval; return whether joints do not just rest."""
     leads = _lead_arms(addresses, world, scratch, joints, targets, now)
+    if len(joints.base):
+        drive_base(world, joints.servos, joints.setpoints, joints.base, joints.owned,
+                   joints.twists[k], duration)
+        joints.flags[MOVES] = True
     moved = _move_joints(world, joints, k, leads, now, duration)
     for number in range(2):
         move_fingers(world, hands[number], duration)
