@@ -155,7 +155,7 @@ def references(spec: mujoco.MjSpec) -> Iterator[Reference]:
 
 
 def resolve_files(spec: mujoco.MjSpec, file: Path, model: XmlModel | None = None,
-                  missing: dict[str, MissingMeshError] | None = None) -> None:
+                  missing: dict[tuple[str, str], MissingMeshError] | None = None) -> None:
     """
     Make a spec name its files by absolute paths, so that it can be composed and written anywhere.
 
@@ -163,7 +163,8 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, model: XmlModel | None = None
 
     :param file: the file that the spec was loaded from
     :param model: what ``check_xml`` read of it; None: the spec has been resolved before
-    :param missing: is given the meshes whose files are missing, by name; None: that is an error
+    :param missing: is given why files are missing, by their kind and the name of the element;
+        None: that is an error
     :raises ModelError: if a file is missing, not regular, too large or not readable
     """
     folders = [AssetFolders(file.parent, spec.meshdir, spec.texturedir)]
@@ -176,11 +177,11 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, model: XmlModel | None = None
         if _is_held(spec, reference):
             continue
         path = _find(reference, folders, model, base_name_too)
-        if missing is not None and reference.kind == 'mesh':
+        if missing is not None:
             try:
                 check_fetched(path)
             except MissingMeshError as error:
-                missing[reference.element_name] = error
+                missing[reference.kind, reference.element_name] = error
                 continue
         check_file(path, f'{reference.kind} file', MAX_ASSET_BYTES)
         check_image(path, reference.kind)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import logging
+import os
 from pathlib import Path
 from typing import Any
 import warnings
@@ -17,11 +18,11 @@ import numpy as np
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.missing_meshes import MissingMeshError
-from manip_sim.models.xml_check import check_xml
+from manip_sim.models.mjcf_versions import ERRORS, read_mjcf, read_mjcf_text
+from manip_sim.models.skipped_elements import skip_missing
+from manip_sim.models.xml_check import check_xml, XmlModel
 from manip_sim.quoting import one_line, quoted
 
-#: MuJoCo raises the first for errors in a file, the others if there is not enough memory.
-_ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
 #: Numbers that MuJoCo accepts from a file even if nan or inf, by the prefix of the field's name.
 _NUMBERS = [(kind, what) for kind, fields in {
     'body': ('mass', 'inertia', 'pos', 'quat', 'ipos'), 'geom': ('size', 'pos', 'friction'),
@@ -57,7 +58,7 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
         with warnings.catch_warnings():
             warnings.filterwarnings('ignore', _EMPTY_PREFIX)
             model = spec.compile()
-    except _ERRORS as error:
+    except ERRORS as error:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
     _reject_not_finite(model, name)
     _reject_what_tactile_sensors_cannot_feel(model, name)
@@ -110,24 +111,45 @@ def _reject_not_finite(model: mujoco.MjModel, name: str) -> None:
                              f'{quoted(getattr(model, kind)(index).name)} must be finite')
 
 
-def load_spec(file: Path, missing: dict[str, MissingMeshError] | None = None) -> mujoco.MjSpec:
+def load_spec(file: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
     """
     Read a spec from an MJCF or URDF file; it names its asset files by absolute paths.
 
-    :param missing: as for ``resolve_files``
+    :param notes: is given sentences on what MuJoCo has dropped since the file was written, and on
+        what is left out as its file is missing; None: a missing file is an error
     :raises ModelError: if a file is missing, is not MJCF or URDF, or could crash the process
     """
     model = check_xml(file)
-    try:
-        if file.suffix.lower() == '.mjcf':  # MuJoCo chooses a reader by the suffix.
-            spec = mujoco.MjSpec.from_string(file.read_text(encoding='utf-8'))
-        else:
-            spec = mujoco.MjSpec.from_file(str(file))
-    except _ERRORS as error:
-        raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
-    resolve_files(spec, file, model, missing)
+    if file.suffix.lower() == '.mjcf':  # MuJoCo chooses a reader by the suffix.
+        spec, dropped = read_mjcf(file)
+    else:
+        spec, dropped = _read_file(file, model)
+    _tell(dropped, notes)
+    missing: dict[tuple[str, str], MissingMeshError] = {}
+    resolve_files(spec, file, model, None if notes is None else missing)
+    if notes is not None:
+        notes += skip_missing(spec, missing, file)
     _apply_total_mass(spec, file)
     return spec
+
+
+def _read_file(file: Path, model: XmlModel) -> tuple[mujoco.MjSpec, list[str]]:
+    try:
+        # Of a relative path, MuJoCo repeats the folders before files that included ones name.
+        return mujoco.MjSpec.from_file(os.path.abspath(file)), []
+    except ERRORS as error:
+        if model.is_urdf:
+            raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
+    return read_mjcf(file)
+
+
+def _tell(sentences: list[str], notes: list[str] | None) -> None:
+    """Add sentences to notes, or log them if nobody takes notes."""
+    if notes is not None:
+        notes += sentences
+        return
+    for sentence in sentences:
+        logging.getLogger(__name__).warning(sentence)
 
 
 def _apply_total_mass(spec: mujoco.MjSpec, file: Path) -> None:
@@ -154,18 +176,24 @@ def _apply_total_mass(spec: mujoco.MjSpec, file: Path) -> None:
 
 
 def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None = None,
-                     assets: Mapping[str, bytes] | None = None) -> Any:
+                     assets: Mapping[str, bytes] | None = None,
+                     notes: list[str] | None = None) -> Any:
     """
     Read a spec from the text of a file, in which all paths are absolute.
 
     :param models: contents of model files that are not on the disk, by the names in the text
     :param assets: likewise of meshes and images
+    :param notes: is given sentences on what MuJoCo has dropped; None: they are logged
     """
     try:
         return mujoco.MjSpec.from_string(text, include=models or None,
                                          assets=dict(assets) if assets else None)
-    except _ERRORS as error:
-        raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
+    except ERRORS as error:
+        if text.startswith('<robot'):
+            raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
+    spec, dropped = read_mjcf_text(text, file, models or {}, assets or {})
+    _tell(dropped, notes)
+    return spec
 
 
 def _one_line(error: Exception) -> str:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tell which shapes a model lacks because their files are missing or cannot be read."""
+"""Tell what a model lacks because its files are missing or cannot be read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _POINTER = b'version https://git-lfs'
 
 
 class LostShape(str):
-    """A sentence about shapes that a model lost, which is logged as a warning."""
+    """A sentence about what a model lost with a missing file, which is logged as a warning."""
 
     __slots__ = ()
 
@@ -42,9 +42,9 @@ class MissingMeshError(Exception):
 @dataclass(frozen=True)
 class Lost:
     """
-    A shape that was left out.
+    A shape or texture that was left out.
 
-    :ivar kind: ``visual`` or ``collision``
+    :ivar kind: ``visual shape``, ``collision shape``, ``texture`` or ``skin``
     :ivar mesh: name of its file
     :ivar element: what has it, such as ``link 'base'``
     """
@@ -83,9 +83,9 @@ def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
     # Lost collision shapes change what happens, so they come first.
     for (kind, _), group in sorted(groups.items(), key=lambda item: item[0][0]):
         first = group[0]
-        untouched = '; nothing touches these links there' if kind == 'collision' else ''
+        untouched = '; nothing touches these links there' if kind == 'collision shape' else ''
         remedy = f'; {first.error.remedy}' if first.error.remedy else ''
-        found.append(f'left out: {counted(len(group), f"{kind} shape")} of files that cannot be '
+        found.append(f'left out: {counted(len(group), kind)} of files that cannot be '
                      f'read, such as {quoted(first.mesh)} ({first.error.why}) of '
                      f'{first.element} in {file}{untouched}{remedy}')
     return found

@@ -68,8 +68,10 @@ def object_from_model(model: HeldModel, name: str | None = None) -> ObjectModel:
     :param name: of the object; None: that of its root body, or of the model
     :raises ModelError: if it is no object, or takes too long or too much memory
     """
-    spec = model.load()
+    notes: list[str] = []
+    spec = model.load(notes)
     found = ObjectModel(name or _own_name(spec), spec, model.name)
+    found.inferred += notes
     _check_dof(found)
     return found
 
@@ -161,7 +163,7 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
         elif isinstance(description, MeshDescription):
             (spec, inferred), origin = mesh_spec(description, folder, where, files), where
         else:
-            spec, origin = _file_spec(description, folder, files)
+            spec, origin = _file_spec(description, folder, files, inferred)
         found = kind(description.name or _own_name(spec), spec, origin, description.visual)
     except ModelError as error:
         if isinstance(error, UnknownNameError) or str(error).startswith(where):
@@ -193,21 +195,25 @@ def _shape_spec(description: ShapeDescription) -> mujoco.MjSpec:
     return spec
 
 
-def _file_spec(description: FileDescription, folder: Path, files: Files | None
-               ) -> tuple[mujoco.MjSpec, str]:
-    """Return a spec and what it was read from."""
+def _file_spec(description: FileDescription, folder: Path, files: Files | None,
+               notes: list[str]) -> tuple[mujoco.MjSpec, str]:
+    """Return a spec and what it was read from; notes are given what is left out."""
     if files is None and is_of_others(description.file):
         file = find_source(description.file, 'objects') or Path()
     else:
         file = folder / description.file
-    return (load_spec(file) if files is None else hold_model(file, files).load()), str(file)
+    return (load_spec(file, notes) if files is None
+            else hold_model(file, files).load(notes)), str(file)
 
 
 def _read(file: Path, name: str | None = None, files: Files | None = None) -> ObjectModel:
     if files is not None:
         return object_from_model(hold_model(file, files), name)
-    spec = load_spec(file)
-    return ObjectModel(name or _own_name(spec), spec, str(file))
+    notes: list[str] = []
+    spec = load_spec(file, notes)
+    found = ObjectModel(name or _own_name(spec), spec, str(file))
+    found.inferred += notes
+    return found
 
 
 def _own_name(spec: mujoco.MjSpec) -> str:

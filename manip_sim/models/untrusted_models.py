@@ -67,21 +67,22 @@ class HeldModel:
     assets: dict[str, bytes] = field(default_factory=dict)
     is_light: bool = True
 
-    def load(self) -> mujoco.MjSpec:
+    def load(self, notes: list[str] | None = None) -> mujoco.MjSpec:
         """
         Return a new spec.
 
         A model that may take long, or crash MuJoCo, is compiled in another process first.
 
+        :param notes: as for ``spec_from_string``
         :raises ModelError: if it is no model, or compiling it takes too long or too much memory
         """
         if not self.is_light:
             try_to_do(self.name, compile_held, self.xml, self.models, self.assets)
-        return self.load_tried()
+        return self.load_tried(notes)
 
-    def load_tried(self) -> mujoco.MjSpec:
+    def load_tried(self, notes: list[str] | None = None) -> mujoco.MjSpec:
         """Return a new spec, of a model that is compiled elsewhere first."""
-        spec = spec_from_string(self.xml, Path(self.name), self.models, self.assets)
+        spec = spec_from_string(self.xml, Path(self.name), self.models, self.assets, notes)
         for reference in references(spec):
             if reference.file not in self.assets:
                 raise ModelError(f'{one_line(self.name)}: {reference.kind} '

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import os
 from pathlib import Path
+import re
 from typing import NoReturn
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -26,6 +27,8 @@ from manip_sim.quoting import one_line, quoted
 #: The elements that name files, or say where they are.
 _FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler', 'mesh'))
 _CHECKED = _FOLLOWED | LIMITED | {'composite'}
+#: What some old files have before the XML declaration.
+_COMMENT, _BLANKS = re.compile(rb'<!--.*?-->', re.DOTALL), b' \t\r\n\xef\xbb\xbf'
 
 
 @dataclass
@@ -43,9 +46,13 @@ class AssetFolders:
     prefix: str = ''
 
 
-def check_xml(file: Path) -> XmlModel:
-    """Read all XML files of a model, and reject what could crash the process."""
-    return XmlModel(file, Budget())
+def check_xml(file: Path, traced: bool = False) -> XmlModel:
+    """
+    Read all XML files of a model, and reject what could crash the process.
+
+    :param traced: keep the :attr:`XmlModel.origins`
+    """
+    return XmlModel(file, Budget(), traced=traced)
 
 
 @dataclass
@@ -68,6 +75,7 @@ class XmlModel:
     One model: its file and all that it includes; models that it attaches have their own.
 
     :param loaded_by: the files of models that are being loaded, the outermost first
+    :param traced: keep the origins
     :raises ModelError: naming file and line
     :ivar root: tag of its root element, ``mujoco`` or ``robot``
     :ivar tree: its root element, with what included files hold in place of the includes
@@ -75,11 +83,14 @@ class XmlModel:
     :ivar folders: of the model, then of the models that are attached to it
     :ivar mesh_files: names of mesh files in a URDF, by the last part of the name
     :ivar models: the models that it loads, by the name of the file in the element ``model``
+    :ivar origins: file and line of each element, or nothing
     """
 
     def __init__(self, file: Path, budget: Budget, loaded_by: tuple[Path, ...] = (),
-                 files: Files | None = None) -> None:
+                 files: Files | None = None, traced: bool = False) -> None:
         self.root = self.name = ''
+        self.origins: dict[ElementTree.Element, tuple[Path, int]] = {}
+        self._traced = traced
         self.elements = 0
         self.models: dict[str, XmlModel] = {}
         self._files = files or Files()
@@ -118,6 +129,7 @@ class XmlModel:
             raise ModelError(f'{one_line(str(self._file))} is loaded from more than '
                              f'{limits.files} files, {limits.bytes / 1e6:.0f} MB of XML, or files '
                              f'that are loaded by others {limits.depth} deep')
+        data = _declared_first(data)
         self._chain.append(real)
         self._open.append(_OpenFile(data))
         try:
@@ -130,15 +142,20 @@ class XmlModel:
         return root
 
     def _parsed(self, data: bytes) -> ElementTree.Element:
-        """Return the root element; Python runs for no other element."""
+        """Return the root element; Python runs for no other element, unless they are traced."""
         parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder()
+
+        def trace(tag: str, attributes: dict[str, str]) -> None:
+            element = builder.start(tag, attributes)
+            self.origins[element] = self._chain[-1], parser.CurrentLineNumber
 
         def reject_entities(name: str, *_: object) -> NoReturn:
             where = self._place(parser.CurrentLineNumber)
             raise ModelError(f'{where}: the entity {quoted(name)} is declared; models must not '
                              'declare any')
 
-        parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+        parser.StartElementHandler = trace if self._traced else builder.start
+        parser.EndElementHandler = builder.end
         parser.CharacterDataHandler, parser.buffer_text = builder.data, True
         parser.EntityDeclHandler = reject_entities
         parser.Parse(data, True)
@@ -218,7 +235,7 @@ class XmlModel:
                 # After it MuJoCo hangs when it attaches another spec.
                 raise ModelError(f'{self._place()}: <model> needs a file')
             model = XmlModel(self._file.parent / file, self._budget, tuple(self._chain),
-                             self._files)
+                             self._files, self._traced)
             self._by_name[attributes.get('name', model.name)] = self.models[file] = model
         elif tag == 'attach':
             self._attached.append((attributes.get('model', ''), attributes.get('prefix', ''),
@@ -253,6 +270,15 @@ class XmlModel:
             where = self._place() if self._open else one_line(str(self._file))
             raise ModelError(f'{where}: elements that make several, such as replicate, would make '
                              f'more than {self._budget.limits.made}')
+
+
+def _declared_first(data: bytes) -> bytes:
+    """Return a document whose XML declaration is blank if comments precede it; no line moves."""
+    before, declaration, after = data.partition(b'<?xml ')
+    if not before or not declaration or _COMMENT.sub(b'', before).strip(_BLANKS):
+        return data
+    rest, end, after = after.partition(b'?>')
+    return before + re.sub(rb'[^\n]', b' ', declaration + rest + end) + after
 
 
 def _replace(element: ElementTree.Element, parent: ElementTree.Element | None,

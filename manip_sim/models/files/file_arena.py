@@ -66,7 +66,7 @@ class FileArena(Arena, registered=False):
         if self._other is not None:
             self._keyframes = self._other._keyframes
             return self._other._spec.copy()
-        spec = load_spec(self.file)
+        spec = load_spec(self.file, self.inferred)
         name_unnamed_elements(spec)
         keys = list(spec.keys)
         if keys:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Union
+from typing import Union
 
 import mujoco
 import numpy as np
@@ -26,10 +26,9 @@ from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.files.urdf_joints import support_couplings
 from manip_sim.models.loading import compile_alone, load_spec, name_unnamed_elements
-from manip_sim.models.missing_meshes import Lost, LostShape, MissingMeshError, warnings_of
 from manip_sim.models.regular_files import Files
+from manip_sim.models.skipped_elements import infer_inertias_once
 from manip_sim.models.untrusted_models import hold_robot
-from manip_sim.quoting import quoted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
@@ -167,12 +166,12 @@ def read_model(file: Path, description: Description, where: object,
     elif files is None:
         spec, notes = _load_mjcf(file, expects_meshes)
     else:
-        spec = hold_robot(file, files).load_tried()
+        spec = hold_robot(file, files).load_tried(notes)
     notes += _gravity_of_file(spec)
     name_unnamed_elements(spec)
     for joint in spec.joints:  # MuJoCo would leave the rotor out of dof_invweight0 of some slides.
         joint.parent.simple = 0
-    _infer_inertias_once(spec)
+    infer_inertias_once(spec)
     model = compile_alone(spec, str(file))
     if urdf:
         lighter = lighten(spec, model)
@@ -219,18 +218,6 @@ def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:
     numbers = ' '.join(f'{number:g}' for number in gravity)
     return [f'left behind: the gravity of the file, {numbers} m/s^2; '
             f'<option gravity="{numbers}"/> in the MJCF file of an arena sets that of its worlds']
-
-
-def _infer_inertias_once(spec: mujoco.MjSpec) -> None:
-    """
-    Let masses come from shapes where a file says so for all bodies, whatever else it says of them.
-
-    With ``inertiafromgeom`` true, MuJoCo compiles no model whose visual shapes are left out.
-    """
-    if int(spec.compiler.inertiafromgeom) == int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE):
-        for body in spec.bodies:
-            body.explicitinertial, body.ipos = False, [np.nan] * 3
-        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
 def _choose_key(model: mujoco.MjModel, preferred: Sequence[str], wanted: str | None, file: Path
@@ -296,38 +283,10 @@ def shape_heights(model: mujoco.MjModel, data: mujoco.MjData, which: BoolArray |
 
 
 def _load_mjcf(file: Path, expects_meshes: bool) -> tuple[mujoco.MjSpec, list[str]]:
-    """
-    Read a spec from an MJCF file, without the shapes whose meshes are missing.
-
-    :raises ModelError: if it cannot be read, or the mass of a body follows from a missing mesh
-    """
-    missing: dict[str, MissingMeshError] = {}
-    spec = load_spec(file, missing)
-    lost = []
-    for geom in list(spec.geoms) if missing else []:
-        if geom.meshname in missing:
-            error = missing[geom.meshname]
-            if _gives_mass(spec, geom):
-                raise ModelError(f'{file}: body {quoted(geom.parent.name)} has its mass from mesh '
-                                 f'{quoted(geom.meshname)}: {error.why}; {error.remedy}, or give '
-                                 'the body an <inertial>')
-            kind = 'collision' if geom.contype or geom.conaffinity else 'visual'
-            lost.append(Lost(kind, geom.meshname, f'body {quoted(geom.parent.name)}', error))
-            for pair in [pair for pair in spec.pairs if geom.name
-                         and geom.name in (pair.geomname1, pair.geomname2)]:
-                spec.delete(pair)
-            spec.delete(geom)
-    for mesh in [mesh for mesh in spec.meshes if mesh.name in missing]:
-        spec.delete(mesh)
-    said = warnings_of(lost, file)
-    return spec, [LostShape(sentence) for sentence in said] if expects_meshes else said
-
-
-def _gives_mass(spec: mujoco.MjSpec, geom: Any) -> bool:
-    body, ruled = geom.parent, mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    if geom.mass == 0.0 or geom.density == 0.0 or body.name == 'world':
-        return False
-    return not body.explicitinertial or int(spec.compiler.inertiafromgeom) == int(ruled)
+    """Read a spec from an MJCF file, without what is missing, and return sentences about it."""
+    notes: list[str] = []
+    spec = load_spec(file, notes)
+    return spec, notes if expects_meshes else [str(sentence) for sentence in notes]
 
 
 def _of_undeclared(notes: list[str], joints: Iterable[str],

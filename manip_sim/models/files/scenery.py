@@ -33,7 +33,8 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     Left out are lights and grounds of the world body, its cameras, other shapes and sites if the
     only root is free, mocap bodies (without a sentence), empty bodies, free bodies without
     actuators if there are other roots, roots without joints if only one other has some, and,
-    with their actuators, roots of which one body moves beside a robot that floats.
+    beside a robot that floats, roots that no actuator drives and nothing ties to another, and,
+    with their actuators, roots of which one body moves.
 
     :param spec: the ``mujoco.MjSpec``, without keyframes; changed in place
     :returns: the spec or, with a new root, another one, and a sentence for each change
@@ -160,11 +161,29 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
         is_object = _is_free(body) and not driven.intersection(joints)
         # Some robots keep the joints that a variant lacks on bodies beside it.
         is_dummy = floats and not _is_free(body) and len({*model.jnt_bodyid[joints]}) == 1
-        is_furniture = not joints and (floats or len(articulated) == 1)
+        is_furniture = (not joints and (floats or len(articulated) == 1)) or (
+            floats and not driven.intersection(joints) and not _is_tied(model, below))
         if (body.mocap or empty or is_furniture or is_dummy
                 or (is_object and (driven or len(roots) > 1))):
             objects.append(body)
     return objects if len(objects) < len(roots) else []
+
+
+def _is_tied(model: mujoco.MjModel, bodies: list[int]) -> bool:
+    """Return whether an equality constraint ties some of the bodies to others but the world."""
+    inside = {0, *bodies}
+    of_bodies = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+    for kind, objtype, first, second in zip(model.eq_type, model.eq_objtype, model.eq_obj1id,
+                                            model.eq_obj2id):
+        if int(kind) == int(mujoco.mjtEq.mjEQ_JOINT) and second >= 0:
+            first, second = model.jnt_bodyid[[first, second]]
+        elif int(kind) not in of_bodies:
+            continue
+        elif int(objtype) == int(mujoco.mjtObj.mjOBJ_SITE):
+            first, second = model.site_bodyid[[first, second]]
+        if (first in inside) != (second in inside):
+            return True
+    return False
 
 
 def _is_free(body: Any) -> bool:

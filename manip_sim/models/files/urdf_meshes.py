@@ -48,10 +48,11 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool,
             try:
                 mesh.set('filename', str(_read(_resolve(name, folder, file, files), files)))
             except MissingMeshError as error:
-                lost.append(Lost(shape.tag, name, f'link {quoted(link.get("name"))}', error))
+                lost.append(Lost(f'{shape.tag} shape', name, f'link {quoted(link.get("name"))}',
+                                 error))
                 link.remove(shape)
     said = warnings_of(lost, file)
-    if any(one.kind == 'collision' for one in lost) and robot.find('link/collision') is None:
+    if any(one.kind == 'collision shape' for one in lost) and robot.find('link/collision') is None:
         unseen = '' if robot.find('link/visual') is not None else ', and it cannot be seen'
         said.append(f'no collision shape is left in {file}: nothing touches it{unseen}')
     return [LostShape(sentence) for sentence in said] if expected else said

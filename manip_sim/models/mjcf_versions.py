@@ -1,0 +1,274 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Read MJCF that was written for an earlier version of MuJoCo, and tell where an error in MJCF is.
+
+MuJoCo rejects what its format has no longer. Here that is left out, or gets its later name, each
+time that the installed version rejects it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+import os
+from pathlib import Path
+import re
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+import mujoco
+
+from manip_sim.errors import ModelError
+from manip_sim.models.asset_files import places
+from manip_sim.models.xml_check import check_xml, XmlModel
+from manip_sim.quoting import one_line, quoted
+
+#: MuJoCo raises the first for errors in a file, the others if there is not enough memory.
+ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
+#: Attributes that the format once had, by element and name, with what replaces them. Of MuJoCo 1
+#: from dm_control's schema of 2018, of later ones from the reader's tables of all releases.
+_ATTRIBUTES: Mapping[tuple[str, str], tuple[str, ...]] = {
+    ('camera', 'orthographic'): ('projection',),
+    ('compiler', 'convexhull'): (),
+    ('compiler', 'exactmeshinertia'): (),
+    ('contact', 'internal'): (),
+    ('contact', 'vertcollide'): (),
+    ('flag', 'passive'): ('spring', 'damper'),
+    ('flag', 'sensornoise'): (),
+    ('flexcomp', 'class'): (),
+    ('joint', 'actuatorforcelimited'): ('actuatorfrclimited',),
+    ('joint', 'actuatorforcerange'): ('actuatorfrcrange',),
+    ('lengthrange', 'inteval'): ('interval',),
+    ('option', 'apirate'): (),
+    ('option', 'collision'): (),
+    ('option', 'impedance'): (),
+    ('option', 'mpr_iterations'): ('ccd_iterations',),
+    ('option', 'mpr_tolerance'): ('ccd_tolerance',),
+    ('option', 'reference'): (),
+    ('plugin', 'name'): (),
+    ('quality', 'numarrows'): ()}
+#: Likewise elements, by the element around them, where an empty name is any; and the values of
+#: attributes that have another name now.
+_ELEMENTS = {
+    ('', 'composite'): '', ('equality', 'distance'): '', ('equality', 'flexvert'): '',
+    ('extension', 'required'): 'plugin',
+    **{('material', layer): '' for layer in (
+        'emissive', 'metallic', 'normal', 'occlusion', 'opacity', 'orm', 'rgb', 'rgba',
+        'roughness')}}
+_VALUES = {'orthographic': {'true': 'orthographic', 'false': 'perspective'}}
+#: The elements that name files with shapes or images.
+_WITH_FILES = ('flexcomp', 'hfield', 'mesh', 'skin', 'texture')
+#: What MuJoCo says about which element, of an attached model if there is an error in that.
+_MESSAGE = re.compile(r"Error: *(?P<what>(?:(?!Error:).)*?)\s*Element '(?P<tag>[^']*)', line "
+                      r'(?P<line>\d+)', re.DOTALL)
+_UNKNOWN = re.compile(r"Schema violation: unrecognized attribute: '(.*)'")
+_UNKNOWN_ELEMENT = 'Schema violation: unrecognized element'
+_RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
+_TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
+_ORIENTATIONS = ('quat', 'axisangle', 'xyaxes', 'zaxis', 'euler')
+
+
+def read_mjcf(file: Path) -> tuple[mujoco.MjSpec, list[str]]:
+    """
+    Read a spec from an MJCF file, without what MuJoCo has dropped.
+
+    :returns: the spec, and a sentence for each element that was changed
+    :raises ModelError: naming file, line and element
+    """
+    documents: list[_Document] = []
+    _add(check_xml(file, traced=True), documents)
+    return _read(documents, {}, file)
+
+
+def read_mjcf_text(text: str, file: Path, models: Mapping[str, bytes],
+                   assets: Mapping[str, bytes]) -> tuple[mujoco.MjSpec, list[str]]:
+    """
+    Read a spec from a text that has been checked, as :func:`read_mjcf` does.
+
+    :param models: contents of model files that are not on the disk, by the names in the text
+    :param assets: likewise of meshes and images
+    """
+    documents = [_Document(ElementTree.fromstring(content), {}, name)  # noqa: S314
+                 for name, content in {'': text.encode(), **models}.items()]
+    return _read(documents, assets, file)
+
+
+class _Document:
+    """
+    The XML of a model or of one that it attaches.
+
+    :param origins: file and line of its elements
+    :param name: by which another document names it; empty for the first
+    """
+
+    def __init__(self, root: ElementTree.Element,
+                 origins: Mapping[ElementTree.Element, tuple[Path, int]], name: str) -> None:
+        self.root, self.name = root, name
+        self._origins = origins
+
+    def text(self) -> str:
+        """Return it as text, each element on a line of its own."""
+        for element in self.root.iter():
+            element.tail = '\n'
+            if len(element):
+                element.text = '\n'
+        return ElementTree.tostring(self.root, encoding='unicode')
+
+    def at(self, line: int) -> ElementTree.Element | None:
+        """Return the element that begins at a line of the text."""
+        parser = expat.ParserCreate()
+        lines: list[int] = []
+        parser.StartElementHandler = lambda *_: lines.append(parser.CurrentLineNumber)
+        parser.Parse(self.text(), True)
+        return next((element for element, begin in zip(self.root.iter(), lines)
+                     if begin == line), None)
+
+    def place(self, element: ElementTree.Element) -> str:
+        """Return where an element was read, or nothing."""
+        if element not in self._origins:
+            return ''
+        file, line = self._origins[element]
+        return f'{one_line(str(file), 200)}, line {line}'
+
+
+def _add(model: XmlModel, documents: list[_Document]) -> str:
+    """Add the documents of a model and of those that it attaches, and return its name."""
+    name = f'model{len(documents)}.xml' if documents else ''
+    documents.append(_Document(model.tree, model.origins, name))
+    _resolve_included(model)
+    attached = {file: _add(inner, documents) for file, inner in model.models.items()}
+    for element in model.tree.iter('model'):
+        element.set('file', attached[element.get('file', '')])
+    return name
+
+
+def _resolve_included(model: XmlModel) -> None:
+    """Let elements name their files by absolute paths if these lie beside an included file."""
+    own = model.folders[0]
+    for element, (file, _) in model.origins.items():
+        for attribute in [key for key in element.attrib if element.tag in _WITH_FILES
+                          and key.startswith('file')]:
+            name = element.attrib[attribute]
+            beside = file.parent / name
+            # MuJoCo reads those of flexcomp at once, from the working directory.
+            if beside.is_file() and (element.tag == 'flexcomp' or not any(
+                    place.is_file() for place in places(element.tag, name, own))):
+                element.set(attribute, os.path.abspath(beside))
+
+
+def _read(documents: list[_Document], assets: Mapping[str, bytes], file: Path
+          ) -> tuple[mujoco.MjSpec, list[str]]:
+    notes: list[str] = []
+    while True:
+        whole, *attached = (document.text() for document in documents)
+        models = {document.name: text.encode()
+                  for document, text in zip(documents[1:], attached)}
+        try:
+            return mujoco.MjSpec.from_string(whole, include=models or None,
+                                             assets=dict(assets) or None), notes
+        except ERRORS as error:
+            changed = list(_changed(documents, str(error)))
+            if not changed:
+                raise ModelError(_explained(documents, error, file)) from error
+            notes += changed
+
+
+def _changed(documents: list[_Document], message: str) -> Iterator[str]:
+    """Change what a message of MuJoCo rejects, if an earlier version had it; yield sentences."""
+    match = _MESSAGE.search(message)
+    what, tag = (match['what'], match['tag']) if match else (message, '')
+    unknown = _UNKNOWN.match(what)
+    for document in documents:
+        if unknown and (tag, unknown[1]) in _ATTRIBUTES:
+            yield from _drop_attribute(document, tag, unknown[1])
+        elif what == _UNKNOWN_ELEMENT:
+            yield from _drop_elements(document, tag)
+        elif what == _RENAMED_MAIN:
+            yield from _rename_main(document)
+        elif what.startswith(_TWO_ORIENTATIONS):
+            yield from _drop_orientations(document)
+
+
+def _drop_attribute(document: _Document, tag: str, name: str) -> Iterator[str]:
+    later = _ATTRIBUTES[tag, name]
+    for element in document.root.iter(tag):
+        value = element.attrib.pop(name, None)
+        if value is None:
+            continue
+        for other in later:
+            element.attrib.setdefault(other, _VALUES.get(name, {}).get(value, value))
+        yield _sentence(document, element, f'{name}={quoted(value)} of <{tag}>',
+                        f'read as {" and ".join(later)}' if later else '')
+
+
+def _drop_elements(document: _Document, tag: str) -> Iterator[str]:
+    for parent in list(document.root.iter()):
+        later = _ELEMENTS.get((parent.tag, tag), _ELEMENTS.get(('', tag)))
+        for element in parent.findall(tag) if later is not None else ():
+            yield _sentence(document, element, f'<{tag}>', f'read as <{later}>' if later else '')
+            if later:
+                element.tag = later
+            else:
+                parent.remove(element)
+
+
+def _rename_main(document: _Document) -> Iterator[str]:
+    """Let the outermost default class be called main, as MuJoCo wants it."""
+    for element in document.root.findall('default'):
+        name = element.get('class')
+        if name in (None, 'main'):
+            continue
+        for user in document.root.iter():
+            for attribute in ('class', 'childclass'):
+                if user.get(attribute) == name:
+                    user.set(attribute, 'main')
+        yield _sentence(document, element, f'class={quoted(name)} of the outermost <default>',
+                        "read as 'main'")
+
+
+def _drop_orientations(document: _Document) -> Iterator[str]:
+    """Leave out what a full inertia matrix, which has axes of its own, took precedence over."""
+    for element in document.root.iter('inertial'):
+        others = [name for name in _ORIENTATIONS if name in element.attrib]
+        if 'fullinertia' in element.attrib and others:
+            for name in others:
+                del element.attrib[name]
+            yield _sentence(document, element, f'{" and ".join(others)} of an <inertial> that '
+                            'has fullinertia', '')
+
+
+def _sentence(document: _Document, element: ElementTree.Element, what: str, later: str) -> str:
+    place = document.place(element)
+    return (f'{later or "ignored"}: {what}{" in " if place else ""}{place}, which MuJoCo reads no '
+            'longer')
+
+
+def _explained(documents: Iterable[_Document], error: Exception, file: Path) -> str:
+    """Return what MuJoCo says, with file, line, element and a remedy for what is unknown."""
+    match = _MESSAGE.search(str(error))
+    begin = f'{one_line(str(file))} is not MJCF that MuJoCo can read'
+    if match is None:
+        return f'{begin}: {one_line(_joined(error))}'
+    what, tag = match['what'], match['tag']
+    unknown = _UNKNOWN.match(what)
+    place = ''
+    for document in documents:
+        elements = [element for element in [document.at(int(match['line']))]
+                    if element is not None and element.tag == tag]
+        elements += document.root.iter(tag)
+        fitting = (document.place(element) for element in elements
+                   if unknown is None or unknown[1] in element.attrib)
+        place = place or next(fitting, '')
+    place = f'{place}: ' if place else ''
+    if unknown:
+        return (f'{begin}: {place}<{tag}> has no attribute {quoted(unknown[1])}: correct its '
+                'name, or delete it')
+    if what == _UNKNOWN_ELEMENT:
+        return (f'{begin}: {place}there is no element <{one_line(tag, 60)}> here: correct its '
+                'name or its place, or delete it')
+    return f'{begin}: {place}<{tag}>: {one_line(what)}'
+
+
+def _joined(error: Exception) -> str:
+    return ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
