@@ -15,6 +15,7 @@ import numpy as np
 from manip_sim.cli.composing_options import compose_from
 from manip_sim.errors import ModelError
 from manip_sim.models import World
+from manip_sim.models.files.urdf import is_urdf
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.quoting import counted
@@ -28,19 +29,19 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
     if options.file is not None:
-        name, defects = str(options.file), _defects_of_file(options.file)
-        note, lowered = '', list[str]()
+        name, note = str(options.file), ''
+        defects, told = _defects_of_file(options.file)
     else:
         world = compose_from(options).composition.world
         name = f'{world.name} in arena {world.arena.arena_name}'
-        found, lowered = _defects_of(world)
+        found, told = _defects_of(world)
         defects = [*found, *(StartDefect(
             'meshes', sentence, 'see there, or accept it by meshes: none in the YAML file of the '
             'model') for sentence in lost_shapes(world))]
-        prefixes = [part.naming_prefix for robot in world.robots
-                    for part in (robot, *robot.models)]
-        note = f'Names in the files lack the prefixes {", ".join(prefixes)}.'
-    notes = [f'note: {sentence}' for sentence in lowered]
+        prefixes = list(_prefixes(world))
+        note = (f'Names in the files lack the prefix{"es" if len(prefixes) > 1 else ""} '
+                f'{", ".join(prefixes)}.' if prefixes else '')
+    notes = [f'note: {sentence}' for sentence in told]
     if not defects:
         return '\n'.join([f'{name}: nothing is wrong with the start', *notes]), 0
     lines = [f'{name}: {counted(len(defects), "defect")}',
@@ -51,6 +52,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 def _defects_of(world: World) -> tuple[list[StartDefect], list[str]]:
     """Return the defects of a world, and which gains of its servos were lowered."""
     roots = [robot.root_body for robot in world.robots]
+    urdf = tuple(prefix for prefix, is_of_urdf in _prefixes(world).items() if is_of_urdf)
     try:
         simulation = Simulation(world)
     except ModelError as error:
@@ -59,13 +61,25 @@ def _defects_of(world: World) -> tuple[list[StartDefect], list[str]]:
         data = start_without_control(model, world.init_qpos())
         return [StartDefect('control', f'this cannot be simulated: {error}',
                             'change the model as the message says'),
-                *find_start_defects(model, data, roots)], []
-    return (find_start_defects(simulation.model, simulation.data, roots),
+                *find_start_defects(model, data, roots, urdf)], []
+    return (find_start_defects(simulation.model, simulation.data, roots, urdf),
             simulation.lowered_gains)
 
 
-def _defects_of_file(file: Path) -> list[StartDefect]:
-    spec = load_spec(file)
+def _prefixes(world: World) -> dict[str, bool]:
+    """Return the prefixes of the parts of robots, and whether the first part of each is URDF."""
+    prefixes: dict[str, bool] = {}
+    for robot in world.robots:
+        for part in (robot, *robot.models):
+            if part.naming_prefix:
+                prefixes.setdefault(part.naming_prefix, is_urdf(part.file))
+    return prefixes
+
+
+def _defects_of_file(file: Path) -> tuple[list[StartDefect], list[str]]:
+    """Return the defects of a whole model, and what is left out of it."""
+    notes: list[str] = []
+    spec = load_spec(file, notes)
     model = compile_spec(spec, str(file))
     data = mujoco.MjData(model)
     if model.nkey:
@@ -75,7 +89,7 @@ def _defects_of_file(file: Path) -> list[StartDefect]:
     roots = _robots(model)
     if not roots:
         raise ModelError(f'{file} has no body with joints, so no robot to check')
-    return find_start_defects(model, data, roots)
+    return find_start_defects(model, data, roots), notes
 
 
 def _robots(model: mujoco.MjModel) -> list[int]:

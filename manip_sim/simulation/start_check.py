@@ -18,6 +18,7 @@ from manip_sim.models.mechanism import actuated_joints, joints_between
 from manip_sim.models.robots.subsystems import driven_joint
 from manip_sim.simulation.start_defect import StartDefect
 from manip_sim.simulation.start_drives import find_drive_defects
+from manip_sim.simulation.start_remedies import remedies_for
 
 #: Geoms that overlap by less only touch [m].
 _TOUCHING_M = 0.0005
@@ -42,23 +43,25 @@ def check_start(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]
     return [defect.text for defect in find_start_defects(model, data, roots)]
 
 
-def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str | int]
-                       ) -> list[StartDefect]:
+def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str | int],
+                       urdf: tuple[str, ...] = ()) -> list[StartDefect]:
     """
     Find overlaps, blocked joints, joints outside their range and drive defects at the start.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
     :param roots: the root bodies of the robots, by their names or ids
+    :param urdf: what the names of elements from URDF files begin with; their remedies are for URDF
     :returns: overlaps first, the deepest before others; empty if nothing is wrong
     """
     own = _bodies_below(model, [model.body(root).id for root in roots])
     contacts = [contact for contact in data.contact if min(contact.geom) >= 0
                 and own[model.geom_bodyid[contact.geom]].any()]
     joints = [joint for joint in _actuated_joints(model) if own[model.jnt_bodyid[joint]]]
-    return [*_overlaps(model, contacts, own), *_blocked(model, data, contacts, joints, own),
-            *_out_of_range(model, data, own),
-            *find_drive_defects(model, data, own)]
+    return [*_overlaps(model, contacts, own, urdf),
+            *_blocked(model, data, contacts, joints, own, urdf),
+            *_out_of_range(model, data, own, urdf),
+            *find_drive_defects(model, data, own, urdf)]
 
 
 def _bodies_below(model: mujoco.MjModel, roots: list[int]) -> BoolArray:
@@ -76,7 +79,8 @@ def _actuated_joints(model: mujoco.MjModel) -> list[int]:
     return [joint for joint in dict.fromkeys(found) if int(model.jnt_type[joint]) in _SCALAR]
 
 
-def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray) -> Iterator[StartDefect]:
+def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray, urdf: tuple[str, ...]
+              ) -> Iterator[StartDefect]:
     deepest: dict[tuple[int, ...], Any] = {}
     for contact in sorted(contacts, key=lambda contact: float(contact.dist)):
         if contact.dist < -_TOUCHING_M:
@@ -86,26 +90,28 @@ def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray) -> Ite
         outer, inner = sorted(contact.geom, key=lambda geom: (
             bool(own[model.geom_bodyid[geom]]), int(model.geom_bodyid[geom])))
         yield StartDefect(
-            'overlap', f'{_geom(model, inner)} starts {-1e3 * contact.dist:.1f} mm inside '
-            f'{_geom(model, outer)}', _apart(model, inner, outer, own))
+            'overlap', f'{_geom(model, inner, urdf)} starts {-1e3 * contact.dist:.1f} mm inside '
+            f'{_geom(model, outer, urdf)}', _apart(model, inner, outer, own, urdf))
 
 
-def _apart(model: mujoco.MjModel, inner: int, outer: int, own: BoolArray) -> str:
+def _apart(model: mujoco.MjModel, inner: int, outer: int, own: BoolArray, urdf: tuple[str, ...]
+           ) -> str:
     """Return the remedy for a geom of a robot that overlaps another geom."""
     bodies = [int(model.geom_bodyid[geom]) for geom in (outer, inner)]
     other, body = (model.body(index).name for index in bodies)
     if not own[bodies[0]]:
         return (f"place the robot elsewhere (its position, or base_xpos_offset), or move '{other}'"
                 ', or start in another pose')
+    remedies = remedies_for(body, urdf)
     if len(joints_between(model, *bodies)) < 2:
         # Geoms of neighbours often overlap at their common joint.
-        return f'write <exclude body1="{other}" body2="{body}"/> into <contact>'
-    return ('start in another pose (init_qpos, or the keyframe), or mount the part farther out, '
-            'or make the shapes smaller')
+        return remedies.exclusion(other, body)
+    return (f'start in another pose ({remedies.pose}), or mount the part farther out, or make the '
+            'shapes smaller')
 
 
 def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], joints: list[int],
-             own: BoolArray) -> Iterator[StartDefect]:
+             own: BoolArray, urdf: tuple[str, ...]) -> Iterator[StartDefect]:
     trial = copy.copy(model) if contacts else model
     for joint in joints:
         moved = _bodies_below(model, [int(model.jnt_bodyid[joint])])
@@ -119,7 +125,7 @@ def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], jo
             contact.geom, key=lambda geom: not moved[model.geom_bodyid[geom]])
         yield StartDefect(
             'blocked', f"joint '{model.joint(joint).name}' starts blocked by "
-            f'{_geom(model, neighbour)}', _apart(model, mover, neighbour, own))
+            f'{_geom(model, neighbour, urdf)}', _apart(model, mover, neighbour, own, urdf))
 
 
 def _is_blocked(model: mujoco.MjModel, trial: Any, data: mujoco.MjData, joint: int) -> bool:
@@ -161,8 +167,8 @@ def _full_force(model: mujoco.MjModel, joint: int) -> float:
     return max(forces, default=float(_TRIAL_ACCELERATION * inertia))
 
 
-def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
-                  ) -> Iterator[StartDefect]:
+def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray,
+                  urdf: tuple[str, ...]) -> Iterator[StartDefect]:
     for joint in range(model.njnt):
         if (not own[model.jnt_bodyid[joint]] or int(model.jnt_type[joint]) not in _SCALAR
                 or not model.jnt_limited[joint]):
@@ -177,10 +183,10 @@ def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
                 'range', f"joint '{name}' starts at {position:.4g} "
                 f'{"rad" if hinge else "m"}, {beyond:.4g} outside its range of {low:.4g} to '
                 f'{high:.4g}',
-                f'write a value from {low:.4g} to {high:.4g} for it into init_qpos, or the '
-                'keyframe, or give the joint a wider range')
+                f'write a value from {low:.4g} to {high:.4g} for it into '
+                f'{remedies_for(name, urdf).pose}, or {remedies_for(name, urdf).wider_range()}')
 
 
-def _geom(model: mujoco.MjModel, geom: int) -> str:
+def _geom(model: mujoco.MjModel, geom: int, urdf: tuple[str, ...]) -> str:
     body = model.body(model.geom_bodyid[geom]).name
-    return f"geom '{model.geom(geom).name}' of body '{body}'"
+    return remedies_for(body, urdf).shape(model.geom(geom).name, body)

@@ -18,6 +18,7 @@ from manip_sim.models.setpoint_activation import position_servos
 from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.quoting import quoted_names
 from manip_sim.simulation.start_defect import StartDefect
+from manip_sim.simulation.start_remedies import remedies_for
 
 #: A force nearer to its limit than this fraction of it is at the limit.
 _AT_LIMIT = 1e-6
@@ -28,23 +29,24 @@ _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 
 
-def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
-                       ) -> Iterator[StartDefect]:
+def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray,
+                       urdf: tuple[str, ...] = ()) -> Iterator[StartDefect]:
     """
     Yield what is wrong with the actuators of robots.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
     :param own: which bodies are those of robots, shape (nbody,)
+    :param urdf: what the names of elements from URDF files begin with
     """
     joints = [joint for joint in np.flatnonzero(own[model.jnt_bodyid]).tolist()
               if int(model.jnt_type[joint]) != _FREE]
     drivers = _drivers(model, joints)
     yield from _shared(model, drivers)
-    yield from _undriven(model, joints)
+    yield from _undriven(model, joints, urdf)
     alone = {joint: actuators[0] for joint, actuators in drivers.items() if len(actuators) == 1
              and int(model.jnt_type[joint]) != _BALL}
-    weak = list(_too_weak(model, data, alone))
+    weak = list(_too_weak(model, data, alone, urdf))
     yield from (defect for _, defect in weak)
     yield from _at_full_force(model, data, set(joints), {joint for joint, _ in weak})
 
@@ -69,7 +71,8 @@ def _shared(model: mujoco.MjModel, drivers: dict[int, list[int]]) -> Iterator[St
                 f'leave one of them in <actuator>: delete {quoted_names(names[1:])}')
 
 
-def _undriven(model: mujoco.MjModel, joints: list[int]) -> Iterator[StartDefect]:
+def _undriven(model: mujoco.MjModel, joints: list[int], urdf: tuple[str, ...]
+              ) -> Iterator[StartDefect]:
     moved = moved_joints(model)
     names = [model.joint(joint).name for joint in joints if joint not in moved]
     if names:
@@ -78,14 +81,11 @@ def _undriven(model: mujoco.MjModel, joints: list[int]) -> Iterator[StartDefect]
             'undriven', f'{"joint" if one else "joints"} {quoted_names(names, _LISTED)} '
             f'{"has" if one else "have"} no actuator, and no spring or coupling to a joint that '
             f'has one: nothing holds {"it" if one else "them"}',
-            f'write <motor joint="{names[0]}" ctrlrange="-LIMIT LIMIT"/> into <actuator>, with '
-            'the torque limit [N m or N]'
-            + ('' if one else ', and so for each of them')
-            + '; a body that must not move needs no <joint>')
+            remedies_for(names[0], urdf).drive(names))
 
 
-def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int]
-              ) -> Iterator[tuple[int, StartDefect]]:
+def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int],
+              urdf: tuple[str, ...]) -> Iterator[tuple[int, StartDefect]]:
     """Yield the joints whose actuator cannot hold the start pose, and their defects."""
     if not drivers:
         return
@@ -105,13 +105,11 @@ def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int
         effort, name = float(needed[index]), model.joint(joint).name
         there = limit[1] if effort > 0.0 else limit[0]
         unit = _unit(model, joint)
-        enough = float(f'{1.1 * abs(effort):.2g}')
+        enough, remedies = float(f'{1.1 * abs(effort):.2g}'), remedies_for(name, urdf)
         yield joint, StartDefect(
             'effort', f"joint '{name}' needs {effort:.4g} {unit} to keep its start pose, its "
             f"actuator '{model.actuator(int(actuators[index])).name}' has {there:.4g} {unit}",
-            f'start where the joint carries less (init_qpos, or the keyframe), or write a higher '
-            f'limit, such as actuatorfrcrange="{-enough:g} {enough:g}" on the joint, and so '
-            'forcerange or ctrlrange of the actuator where they are lower')
+            f'start where the joint carries less ({remedies.pose}), or {remedies.limit(enough)}')
 
 
 def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int], reported: set[int]

@@ -158,3 +158,27 @@ def test_a_file_that_cannot_be_checked_is_one_line(content, what, rejected, tmp_
     if content is not None:
         file.write_text(content)
     assert what in rejected('check', file)
+
+
+def test_a_urdf_is_told_what_to_write_in_urdf_and_each_prefix_once(here, tmp_path):
+    solid = ('<inertial><mass value="2"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" '
+             'iyz="0"/></inertial><collision><geometry><box size="0.2 0.2 0.2"/></geometry>'
+             '</collision>')
+    links = ''.join(f'<link name="{name}">{solid}</link>' for name in (
+        'base', 'upper', 'palm', 'thumb', 'finger'))
+    joints = ''.join(
+        f'<joint name="{child}_joint" type="revolute"><parent link="{parent}"/><child '
+        f'link="{child}"/><origin xyz="0.5 {y} 0"/><axis xyz="0 1 0"/><limit lower="0" upper="1" '
+        f'effort="{effort}" velocity="1"/></joint>' for parent, child, y, effort in (
+            ('base', 'upper', 0, 3), ('upper', 'palm', 0, 90), ('palm', 'thumb', 0.3, 40),
+            ('palm', 'finger', -0.3, 40)))
+    file = tmp_path / 'arm.urdf'
+    file.write_text(f'<robot name="r">{links}{joints}</robot>')
+    code, text, errors = here('check', '--robot', str(file), '--base', 'none', '--position', '0',
+                              '0', '2')
+    assert (code, errors) == (1, '')
+    assert 'or write a higher limit, such as <limit effort="' in text
+    assert "init_qpos, or 'start' in the YAML file" in text
+    for word in ('actuatorfrcrange', 'keyframe', 'geom', 'body'):
+        assert word not in text
+    assert text.count('robot0_,') + text.count('robot0_.') == 1
