@@ -129,7 +129,7 @@ class XmlModel:
             raise ModelError(f'{one_line(str(self._file))} is loaded from more than '
                              f'{limits.files} files, {limits.bytes / 1e6:.0f} MB of XML, or files '
                              f'that are loaded by others {limits.depth} deep')
-        data = _declared_first(data)
+        data = declared_first(data)
         self._chain.append(real)
         self._open.append(_OpenFile(data))
         try:
@@ -272,7 +272,7 @@ class XmlModel:
                              f'more than {self._budget.limits.made}')
 
 
-def _declared_first(data: bytes) -> bytes:
+def declared_first(data: bytes) -> bytes:
     """Return a document whose XML declaration is blank if comments precede it; no line moves."""
     before, declaration, after = data.partition(b'<?xml ')
     if not before or not declaration or _COMMENT.sub(b'', before).strip(_BLANKS):

@@ -5,53 +5,163 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
+from itertools import islice
+import logging
 import os
 from pathlib import Path
 import re
 
 from manip_sim.errors import ModelError
 from manip_sim.models.regular_files import Files
+from manip_sim.quoting import quoted
 from manip_sim.resources import PACKAGE, share_directory
 
-#: How many folders above a file may have packages in them that are called something else.
-_LEVELS = 6
+#: In how many folders above a file packages are looked for, how deep below each, and in how many
+#: folders altogether.
+_LEVELS, _DEPTH, _MAX_FOLDERS = 6, 5, 3000
+#: Files that keep a folder and all below it out of a workspace.
+_IGNORED = ('COLCON_IGNORE', 'AMENT_IGNORE', 'CATKIN_IGNORE', 'rospack_nosubdirs')
 #: Largest ``package.xml`` that is read.
 _MAX_BYTES = 1_000_000
 _NAME = re.compile(r'<name>\s*(\S+?)\s*</name>')
 
 
-def package_folders(package: str, file: Path, files: Files | None = None) -> Iterator[Path]:
+class PackageFolders:
     """
-    Return the folders that may be meant by the name of a package, the likeliest first.
+    The folders of packages that a file may name.
 
-    :param file: that names it; a folder above it counts if it has the name, or its
-        ``package.xml`` has
+    A package is a folder with the name, or one whose ``package.xml`` has it: installed, in
+    ``ROS_PACKAGE_PATH``, or above the file; else, as rospack finds it, anywhere below folders of
+    ``ROS_PACKAGE_PATH`` or in the workspace of the file.
+
+    :param file: that names them
+    :param files: those that a request may read, of which none is looked for below folders
     """
-    at = files or Files()
-    if package == PACKAGE:  # A URDF that was written here.
-        return iter([share_directory()])
-    found = [Path(prefix) / 'share' / package for prefix in
-             os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
-    for entry in os.environ.get('ROS_PACKAGE_PATH', '').split(os.pathsep):
-        found += [Path(entry), Path(entry) / package] if entry else []
-    above = file.resolve().parents
-    for folder in above:
-        found += [folder, folder / package]
-    named = [folder for folder in found if at.is_folder(folder)
-             and (folder.name == package or _own_name(folder, at) == package)]
-    if files is not None:  # A request could make it look for any number of names.
-        return iter(named)
-    # Beside those above the file; far above it are no packages of the same repository.
-    return iter(named or (other for folder in above[:_LEVELS] if at.is_folder(folder)
-                          for other in at.listed(folder) if _own_name(other, at) == package))
+
+    def __init__(self, file: Path, files: Files | None = None) -> None:
+        self._file, self._requested = file, files is not None
+        self._at = files or Files()
+        self._known: dict[str, list[Path]] = {}
+        self._below: list[tuple[str, Path]] | None = None
+        self._within: dict[Path, list[Path]] = {}
+
+    def find(self, package: str) -> list[Path]:
+        """Return the folders that may be meant by the name of a package, the likeliest first."""
+        if package not in self._known:
+            self._known[package] = list(self._find(package))
+        return self._known[package]
+
+    def missing(self, package: str) -> tuple[str, str]:
+        """Return that there is no such package, and what to do."""
+        return (f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or ROS_PACKAGE_PATH '
+                f'nor a folder above the file{self._at.rule}',
+                f'source the workspace that has {quoted(package)}, or add its folder to '
+                'ROS_PACKAGE_PATH')
+
+    def file_in(self, folder: Path, rest: str) -> Path | None:
+        """
+        Return a file that a package installs in another place than where its sources have it.
+
+        :param folder: of the sources
+        :param rest: path of the file in the installed package
+        :returns: the only file whose path ends as that does, or as its last two parts do
+        """
+        if self._requested or not (folder / 'package.xml').is_file():
+            return None
+        if folder not in self._within:
+            self._within[folder] = list(_walk(folder, _DEPTH, set()))
+        parts = Path(rest).parts
+        places = [place for place in self._within[folder] if (place / parts[-1]).is_file()]
+        for start in range(max(len(parts) - 1, 1)):
+            ending = parts[start:-1]
+            found = [place / parts[-1] for place in places
+                     if place.parts[len(place.parts) - len(ending):] == ending]
+            if found:
+                return found[0] if len(found) == 1 else None
+        return None
+
+    def _find(self, package: str) -> Iterator[Path]:
+        if package == PACKAGE:  # A URDF that was written here.
+            yield share_directory()
+            return
+        found = [Path(prefix) / 'share' / package for prefix in
+                 os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
+        for entry in _package_path():
+            found += [entry, entry / package]
+        for folder in self._file.resolve().parents:
+            found += [folder, folder / package]
+        named = [folder for folder in found if self._at.is_folder(folder)
+                 and (folder.name == package or _own_name(folder, self._at) == package)]
+        yield from named
+        if not named and not self._requested:  # A request could ask for any number of names.
+            yield from self._crawled(package)
+
+    def _crawled(self, package: str) -> list[Path]:
+        if self._below is None:
+            seen: set[str] = set()
+            above = list(self._file.resolve().parents[:_LEVELS])
+            near = self._levels_of_workspace(above)
+            tops = [*((folder, _DEPTH) for folder in (*_package_path(), *above[:near])),
+                    *((folder, 1) for folder in above[near:])]
+            # What is near the file comes before the rest, and no folder is visited twice.
+            folders = (folder for top, depth in tops for folder in _walk(top, depth, seen))
+            self._below = [(name, folder) for folder in islice(folders, _MAX_FOLDERS)
+                           if (name := _own_name(folder, self._at)) is not None]
+        found = [folder for name, folder in self._below if name == package]
+        if found:
+            logging.getLogger(__name__).info('package %s is %s', package, found[0])
+        return found
+
+    def _levels_of_workspace(self, above: list[Path]) -> int:
+        """Return how many of the folders above the file are likely to be of its workspace."""
+        packages = [number for number, folder in enumerate(above)
+                    if _own_name(folder, self._at) is not None]
+        # Packages are in a repository, often in a folder of it, and that beside others.
+        levels = packages[0] + 3 if packages else 2
+        sources = [number + 1 for number, folder in enumerate(above) if folder.name == 'src']
+        # Below these is everything of a user or of the machine.
+        too_high = [number for number, folder in enumerate(above)
+                    if len(folder.parts) <= 2 or folder == Path.home()]
+        return min([max([levels, *sources]), *too_high])
+
+
+def _package_path() -> list[Path]:
+    return [Path(entry) for entry in os.environ.get('ROS_PACKAGE_PATH', '').split(os.pathsep)
+            if entry]
+
+
+def _walk(top: Path, depth: int, seen: set[str]) -> Iterator[Path]:
+    """
+    Yield a folder and those below it, the highest first, but hidden and ignored ones.
+
+    :param seen: real paths of folders that are left out; those that are yielded are added
+    """
+    queue = deque([(top, 0)])
+    while queue:
+        folder, level = queue.popleft()
+        real = os.path.realpath(folder)
+        if real in seen:
+            continue
+        seen.add(real)
+        try:
+            names = sorted(entry.name for entry in os.scandir(folder))
+        except OSError:  # It is no folder, or may not be read.
+            continue
+        if any(name in _IGNORED for name in names):
+            continue
+        yield folder
+        if level < depth:
+            queue += [(folder / name, level + 1) for name in names if not name.startswith('.')]
 
 
 def _own_name(folder: Path, files: Files) -> str | None:
+    """Return the name in the manifest of a package, or that of the folder of a rosbuild one."""
     manifest = folder / 'package.xml'
     try:
         if not files.is_file(manifest):
-            return None
+            return folder.name if files.is_file(folder / 'manifest.xml') else None
         match = _NAME.search(
             files.read(manifest, 'package manifest', _MAX_BYTES).decode('utf-8'))
     except (ModelError, UnicodeDecodeError):

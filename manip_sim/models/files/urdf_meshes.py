@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES
-from manip_sim.models.files.package_folders import package_folders
+from manip_sim.models.files.package_folders import PackageFolders
 from manip_sim.models.missing_meshes import (
     check_fetched, Lost, LostShape, MissingMeshError, warnings_of)
 from manip_sim.models.regular_files import Files
@@ -38,7 +38,7 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool,
     """
     extension = robot.find('mujoco/compiler')
     folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
-    lost = []
+    lost, packages = [], PackageFolders(file, files)
     for link in robot.iter('link'):
         for shape in [*link.findall('visual'), *link.findall('collision')]:
             mesh = shape.find('geometry/mesh')
@@ -46,7 +46,8 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool,
                 continue
             name = mesh.get('filename', '')
             try:
-                mesh.set('filename', str(_read(_resolve(name, folder, file, files), files)))
+                path = _resolve(name, folder, file, packages, files)
+                mesh.set('filename', str(_read(path, files)))
             except MissingMeshError as error:
                 lost.append(Lost(f'{shape.tag} shape', name, f'link {quoted(link.get("name"))}',
                                  error))
@@ -92,41 +93,43 @@ def _readable(mesh: Path, files: Files) -> Path | None:
                  if files.is_file(other := mesh.with_suffix(suffix))), None)
 
 
-def _resolve(name: str, folder: Path, file: Path, files: Files | None) -> Path:
+def _resolve(name: str, folder: Path, file: Path, packages: PackageFolders, files: Files | None
+             ) -> Path:
     """
     Return the path of a mesh.
 
     :raises MissingMeshError: if its package or its file does not exist
     """
     match, at = _PACKAGE.fullmatch(name), files or Files()
+    roots, rest = list[Path](), ''
     if match is None:
         path = folder / name.removeprefix('file://')
-        candidates = [path, *(_elsewhere(path, file) if files is None else ())]
+        candidates = [path, *(_elsewhere(path, packages) if files is None else ())]
     else:
         package, rest = match.groups()
-        roots = list(package_folders(package, file, files)) or [
+        roots = packages.find(package) or [
             # The package has another name here.
             folder for folder in file.resolve().parents[:2] if at.is_file(folder / rest)]
         if not roots:
-            raise MissingMeshError(
-                f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or ROS_PACKAGE_PATH '
-                f'nor a folder above the file{at.rule}',
-                f'source the workspace that has {quoted(package)}, or add its folder to '
-                'ROS_PACKAGE_PATH', f'package {package}')
+            raise MissingMeshError(*packages.missing(package), f'package {package}')
         candidates = [root / rest for root in roots]
     for candidate in candidates:
         if at.is_file(candidate) or _readable(candidate, at) not in (None, candidate):
             return Path(candidate.resolve())
+    for root in roots:
+        installed = packages.file_in(root, rest)
+        if installed is not None:
+            return installed.resolve()
     if files is None:
         check_fetched(candidates[0])
     raise MissingMeshError(f'{candidates[0]} is no file{at.rule}', cause='file')
 
 
-def _elsewhere(path: Path, file: Path) -> Iterator[Path]:
+def _elsewhere(path: Path, packages: PackageFolders) -> Iterator[Path]:
     """Yield where a mesh of an absolute path of another machine may be: in a package it names."""
     if path.is_absolute() and not path.is_file():
         for number, part in enumerate(path.parts[1:-1], start=2):
-            for root in package_folders(part, file):
+            for root in packages.find(part):
                 yield root.joinpath(*path.parts[number:])
 
 

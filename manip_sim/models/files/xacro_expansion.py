@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
+import os
 from pathlib import Path
 import re
 import shlex
@@ -14,11 +16,14 @@ import threading
 from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.files.package_folders import package_folders
+from manip_sim.models.files.old_xacro import called, parsed
+from manip_sim.models.files.package_folders import PackageFolders
 from manip_sim.quoting import one_line, quoted
 
 SUFFIX = '.xacro'
 _WITH_ARGUMENTS = re.compile(r'(.*?\.xacro)\s+(\S.*)', re.IGNORECASE | re.DOTALL)
+_USED = re.compile(r'\$\(arg\s+(\w+)\s*\)')
+_WITH_DEFAULT = re.compile(r'<(?:xacro:)?arg\s(?=[^>]*\bdefault\s*=)[^>]*\bname\s*=\s*["\'](\w+)')
 _UNDEFINED = re.compile(r'Undefined substitution argument (\w+)')
 #: xacro keeps the files and arguments that it works with in its module.
 _ONE_FILE = threading.Lock()
@@ -75,49 +80,134 @@ def expanded(file: Path, arguments: Mapping[str, str]) -> str:
     """
     Return the URDF that a xacro file makes.
 
-    ``$(find PACKAGE)`` is looked up as ``package://`` is. The file may read others and compute,
-    so it must be one that the user of the process has chosen.
+    ``$(find PACKAGE)`` is looked up as ``package://`` is, and files that a package installs
+    elsewhere are found where its sources have them. The file may read others and compute, so it
+    must be one that the user of the process has chosen.
 
     :raises ModelError: with xacro's message, or if xacro is not installed
     :raises UnknownNameError: if the file has no such argument
     """
     try:
-        from xacro import process_file, substitution_args
+        import xacro
+        from xacro import substitution_args
     except ImportError as error:
         raise ModelError(f'{file} needs xacro: pip install xacro, or apt install '
                          'ros-jazzy-xacro') from error
     given = _Arguments(arguments)
-    with _ONE_FILE, _finding(substitution_args, file):
-        try:
-            text = str(process_file(str(file), mappings=given).toxml())
-        except Exception as error:  # Expressions in the file may raise anything.
-            raise ModelError(_explained(file, error)) from error
+    with _ONE_FILE:
+        finder = _Finder(xacro, file)
+        with finder.replacing(substitution_args):
+            try:
+                document = xacro.process_file(str(file), mappings=given)
+            except Exception as error:  # Expressions in the file may raise anything.
+                raise ModelError(_explained(file, error, given, finder)) from error
     for name in arguments:
         if name not in given.known:
             raise UnknownNameError(f'argument of {file}', name, sorted(given.known))
-    return text
+    if not document.getElementsByTagName('link'):
+        raise ModelError(f'{file} makes no link: it only defines what another xacro file uses; '
+                         'load the one that calls its macros')
+    return str(document.toxml())
 
 
-def _explained(file: Path, error: Exception) -> str:
-    message = one_line(str(error) or type(error).__name__, 300)
+class _Finder:
+    """Finds files for xacro, and reads what it reads no longer."""
+
+    def __init__(self, xacro: Any, file: Path) -> None:
+        self._xacro = xacro
+        self._packages = PackageFolders(file)
+        #: The folders that were found, by name of the package.
+        self._found: dict[str, Path] = {}
+
+    @contextmanager
+    def replacing(self, substitution: Any) -> Iterator[None]:
+        """Let functions of xacro do more, until the end."""
+        xacro = self._xacro
+        places = [(substitution, '_eval_find', self._folder),
+                  (xacro, 'abs_filename_spec', partial(self._file, xacro.abs_filename_spec)),
+                  (xacro, 'parse', partial(parsed, xacro.parse)),
+                  (xacro, 'handle_macro_call', partial(
+                      called, xacro.handle_macro_call, xacro.grab_macro, xacro.resolve_macro))]
+        before = [(module, name, getattr(module, name)) for module, name, _ in places]
+        try:
+            for module, name, function in places:
+                setattr(module, name, function)
+            yield
+        finally:
+            for module, name, function in before:
+                setattr(module, name, function)
+
+    def package_of(self, path: str) -> str | None:
+        """Return the package in whose folder a path is, of those that were found."""
+        return next((package for package, folder in self._found.items()
+                     if Path(path).is_relative_to(folder)), None)
+
+    def current_file(self) -> str:
+        """Return the file that xacro works on."""
+        return str((self._xacro.filestack or [''])[-1])
+
+    def _folder(self, package: str) -> str:
+        folders = self._packages.find(package)
+        if not folders:
+            raise ModelError('; '.join(self._packages.missing(package)))
+        self._found[package] = folders[0]
+        return str(folders[0])
+
+    def _file(self, absolute: Callable[[str], str], name: str) -> str:
+        path = absolute(name)
+        package = None if os.path.exists(path) else self.package_of(path)
+        if package is not None:
+            folder = self._found[package]
+            installed = self._packages.file_in(folder, str(Path(path).relative_to(folder)))
+            return path if installed is None else str(installed)
+        return path
+
+
+def _explained(file: Path, error: Exception, given: _Arguments, finder: _Finder) -> str:
+    """Return what is wrong, once, and what to do."""
+    causes = list(_causes(error))
+    inside = finder.current_file()
+    where = '' if inside == str(file) or not inside else f'{one_line(inside, 200)}: '
+    begin = f'{file} cannot be expanded by xacro: {where}'
+    for cause in causes:
+        if isinstance(cause, ModelError):
+            return f'{begin}{cause}'
+        if isinstance(cause, OSError) and cause.filename:
+            package = finder.package_of(str(cause.filename))
+            return (f'{begin}no such file: {one_line(str(cause.filename), 300)}' + (
+                f'; if package {quoted(package)} makes it or installs it from elsewhere, build '
+                'and source the package' if package else ''))
+    message = one_line(_message(causes), 300)
     missing = _UNDEFINED.search(message)
-    hint = f": give it, as in '{file.name} {missing[1]}:=VALUE', or by xacro_args in the YAML " \
-        f'file' if missing else ''
-    return f'{file} cannot be expanded by xacro: {message}{hint}'
+    if missing:
+        names = _required(file, missing[1], given)
+        values = ' '.join(f'{name}:=VALUE' for name in names)
+        return (f'{begin}{message}: give it, as in {quoted(f"{file.name} {values}", 300)}, or by '
+                'xacro_args in the YAML file')
+    return begin + message
 
 
-@contextmanager
-def _finding(substitution: Any, file: Path) -> Iterator[None]:
-    """Let xacro find packages that are not installed, too: in folders above the file."""
-    def find(package: str) -> str:
-        folder = next(package_folders(package, file), None)
-        if folder is None:
-            raise ModelError(f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or '
-                             'ROS_PACKAGE_PATH nor a folder above the file')
-        return str(folder)
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an exception and those that it tells of, the innermost last."""
+    while error is not None:
+        yield error
+        error = getattr(error, 'exc', None)
 
-    before, substitution._eval_find = substitution._eval_find, find
-    try:
-        yield
-    finally:
-        substitution._eval_find = before
+
+def _message(causes: list[BaseException]) -> str:
+    """Return what exceptions of xacro say, each once; they repeat those that they tell of."""
+    said: list[str] = []
+    for cause in causes:
+        own = str(cause.args[0]) if hasattr(cause, 'exc') and cause.args else str(cause)
+        parts = [own if own != 'None' else '', getattr(cause, 'suffix', None) or '']
+        said += [part.strip() for part in parts if part.strip()
+                 and not part.startswith('<class ')]
+    return ' '.join(said) or type(causes[-1]).__name__
+
+
+def _required(file: Path, missing: str, given: Mapping[str, str]) -> list[str]:
+    """Return the arguments that a file uses and has no value for, with one that is missing."""
+    text = file.read_text(encoding='utf-8', errors='replace')
+    known = {*given, *_WITH_DEFAULT.findall(text)}
+    return list(dict.fromkeys([missing, *(
+        name for name in _USED.findall(text) if name not in known)]))
