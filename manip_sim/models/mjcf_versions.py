@@ -57,12 +57,14 @@ _ELEMENTS = {
         'emissive', 'metallic', 'normal', 'occlusion', 'opacity', 'orm', 'rgb', 'rgba',
         'roughness')}}
 _VALUES = {'orthographic': {'true': 'orthographic', 'false': 'perspective'}}
+_NUMBERS = re.compile(r'[\s,\d.eE+-]*')
 #: The elements that name files with shapes or images.
 _WITH_FILES = ('flexcomp', 'hfield', 'mesh', 'skin', 'texture')
 #: What MuJoCo says about which element, of an attached model if there is an error in that.
 _MESSAGE = re.compile(r"Error: *(?P<what>(?:(?!Error:).)*?)\s*Element '(?P<tag>[^']*)', line "
                       r'(?P<line>\d+)', re.DOTALL)
 _UNKNOWN = re.compile(r"Schema violation: unrecognized attribute: '(.*)'")
+_BAD_FORMAT = re.compile(r"bad format in attribute '(.*)'")
 _UNKNOWN_ELEMENT = 'Schema violation: unrecognized element'
 _RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
 _TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
@@ -178,9 +180,11 @@ def _changed(documents: list[_Document], message: str) -> Iterator[str]:
     """Change what a message of MuJoCo rejects, if an earlier version had it; yield sentences."""
     match = _MESSAGE.search(message)
     what, tag = (match['what'], match['tag']) if match else (message, '')
-    unknown = _UNKNOWN.match(what)
+    unknown, bad = _UNKNOWN.match(what), _BAD_FORMAT.match(what)
     for document in documents:
-        if unknown and (tag, unknown[1]) in _ATTRIBUTES:
+        if bad:
+            yield from _drop_commas(document, tag, bad[1])
+        elif unknown and (tag, unknown[1]) in _ATTRIBUTES:
             yield from _drop_attribute(document, tag, unknown[1])
         elif what == _UNKNOWN_ELEMENT:
             yield from _drop_elements(document, tag)
@@ -236,6 +240,16 @@ def _drop_orientations(document: _Document) -> Iterator[str]:
                 del element.attrib[name]
             yield _sentence(document, element, f'{" and ".join(others)} of an <inertial> that '
                             'has fullinertia', '')
+
+
+def _drop_commas(document: _Document, tag: str, name: str) -> Iterator[str]:
+    """Let blanks separate numbers that commas separate."""
+    for element in document.root.iter(tag):
+        value = element.get(name, '')
+        if ',' in value and _NUMBERS.fullmatch(value):
+            element.set(name, value.replace(',', ' '))
+            yield _sentence(document, element, f'the commas in {name}={quoted(value)} of <{tag}>',
+                            '')
 
 
 def _sentence(document: _Document, element: ElementTree.Element, what: str, later: str) -> str:

@@ -18,8 +18,13 @@ from manip_sim.quoting import one_line, quoted
 
 #: Environment variable of the folders to add to the catalogue, separated as in PATH.
 PATH_VARIABLE = 'MANIP_SIM_PATH'
-#: Environment variable of the path of a checkout of google-deepmind/mujoco_menagerie.
-MENAGERIE_VARIABLE = 'MENAGERIE_ROOT'
+#: Environment variables of the path of a checkout of google-deepmind/mujoco_menagerie; the package
+#: reads the first.
+MENAGERIE_VARIABLES = ('MENAGERIE_ROOT', 'MENAGERIE')
+#: What to do where models cannot be fetched.
+_OFFLINE = ('without internet, bring a clone of '
+            "https://github.com/google-deepmind/mujoco_menagerie and type 'export "
+            "MENAGERIE_ROOT=FOLDER', or name its folder in model_path")
 KINDS = ('robots', 'grippers', 'bases', 'arenas')
 _YAML = ('.yaml', '.yml')
 _SUFFIXES = (*_YAML, '.xml', '.mjcf', '.urdf')
@@ -118,14 +123,11 @@ def find_source(name: str | os.PathLike[str], kind: str) -> Path | None:
 
 def _of_menagerie(name: str) -> Path:
     model, _, file = name.partition('/')
-    root = os.environ.get(MENAGERIE_VARIABLE)
-    if root:
-        folders = {entry.name: entry for entry in sorted(_folders_of(Path(root)))}
-        if model not in folders:
-            raise UnknownNameError(f'model of {MENAGERIE_VARIABLE} ({root})', model, folders)
-        folder = folders[model]
-    else:
+    checkout = _checkout_of_menagerie(model)
+    if checkout is None:
         folder, file = _of_menagerie_package(model, file)
+    else:
+        folder = checkout
     if not file:
         return _main_file(folder)
     if not (folder / file).is_file():
@@ -134,16 +136,34 @@ def _of_menagerie(name: str) -> Path:
     return folder / file
 
 
-def _folders_of(root: Path) -> list[Path]:
+def _checkout_of_menagerie(model: str) -> Path | None:
+    """Return the folder of a model in a checkout; None if there is no checkout that has it."""
+    for variable in MENAGERIE_VARIABLES:
+        root = os.environ.get(variable)
+        if root:
+            folders = {entry.name: entry for entry in sorted(_folders_of(Path(root), variable))}
+            if model not in folders:
+                raise UnknownNameError(f'model of {variable} ({root})', model, folders)
+            return folders[model]
+    for folder in model_path():
+        for place in (folder / model, folder / 'mujoco_menagerie' / model):
+            if model and place.is_dir() and any(place.glob('*.xml')):
+                return place
+    return None
+
+
+def _folders_of(root: Path, variable: str) -> list[Path]:
+    root = root.expanduser()
     if not root.is_dir():
-        raise ModelError(f'no such folder in {MENAGERIE_VARIABLE}: {root}')
+        raise ModelError(f'no such folder in {variable}: {root}')
     return [entry for entry in root.iterdir() if entry.is_dir() and any(entry.glob('*.xml'))]
 
 
 def _of_menagerie_package(model: str, file: str) -> tuple[Path, str]:
     if importlib.util.find_spec('mujoco_menagerie') is None:
         raise ModelError(f'menagerie:{model} needs the package mujoco-menagerie, or a checkout '
-                         f'of Menagerie in {MENAGERIE_VARIABLE}')
+                         f"of Menagerie in {MENAGERIE_VARIABLES[0]}: type 'pip install "
+                         f"mujoco-menagerie'; {_OFFLINE}")
     package: Any = importlib.import_module('mujoco_menagerie')
     if model not in package.names():
         raise UnknownNameError('model of mujoco_menagerie', model, package.names())
@@ -151,8 +171,9 @@ def _of_menagerie_package(model: str, file: str) -> tuple[Path, str]:
         entry = package.get(model)
         return Path(entry.path()), file or entry.entry(entry.default_model).file
     except Exception as error:
+        remedy = f'; {_OFFLINE}' if type(error).__name__ == 'DownloadError' else ''
         raise ModelError(f'menagerie:{model} cannot be loaded: '
-                         f'{one_line(str(error), 200)}') from error
+                         f'{one_line(str(error), 200)}{remedy}') from error
 
 
 def _main_file(folder: Path) -> Path:

@@ -228,7 +228,13 @@ class XmlModel:
         file = attributes.get('file', '')
         if tag == 'include' and file:
             places = [self._file.parent / file, self._chain[-1].parent / file]
-            content = self._read(self._files.first(places), 'included file', times, depth)
+            found = self._files.first(places)
+            if not self._files.rule and not os.path.lexists(found):
+                raise ModelError(
+                    f"no such included file: {self._place()} names it; put it there ('git "
+                    "submodule update --init' does if it is of a submodule), or correct the name: "
+                    f'{one_line(str(found))}')
+            content = self._read(found, 'included file', times, depth)
             _replace(element, parent, [*content, *element])
         elif tag == 'model':
             if not file:

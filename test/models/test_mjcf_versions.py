@@ -82,6 +82,8 @@ OLD = {
                          inside='<geom class="robot" size="0.01"/>'), "read as 'main': class="),
     'inertial quat': (arm(inside='<inertial pos="0 0 0" mass="1" quat="1 0 0 0" '
                                  'fullinertia="1 1 1 0.1 0 0"/>'), 'ignored: quat of an'),
+    'site commas': (arm(inside='<site name="s" size="0.01, 0.02, 0.03"/>'),
+                    "ignored: the commas in size='0.01, 0.02, 0.03' of <site>"),
 }
 LOADING = {name: values for name, values in OLD.items() if values[1]}
 
@@ -92,7 +94,7 @@ def notes_of(robot):
 
 @pytest.mark.parametrize('name', OLD)
 def test_mujoco_rejects_what_is_listed_as_dropped(name):
-    with pytest.raises(ValueError, match=r'unrecognized|renamed|at most one of'):
+    with pytest.raises(ValueError, match=r'unrecognized|renamed|at most one of|bad format'):
         mujoco.MjSpec.from_string(OLD[name][0])
 
 

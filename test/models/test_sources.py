@@ -11,7 +11,7 @@ import pytest
 from files_rig import ARM, HAND, write
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models import arena_names, create_arena, set_model_path
+from manip_sim.models import arena_names, create_arena, load_robot, set_model_path
 from manip_sim.models.bases import base_names, create_base
 from manip_sim.models.grippers import create_gripper, gripper_names
 from manip_sim.models.robots import create_robot, robot_names
@@ -23,7 +23,7 @@ STAND = '<mujoco><worldbody><body name="stand"><geom size="0.1"/></body></worldb
 @pytest.fixture(autouse=True)
 def no_folders(monkeypatch):
     """Begin and end without folders of a user."""
-    for variable in ('MANIP_SIM_PATH', 'MENAGERIE_ROOT'):
+    for variable in ('MANIP_SIM_PATH', 'MENAGERIE_ROOT', 'MENAGERIE'):
         monkeypatch.delenv(variable, raising=False)
     yield
     set_model_path([])
@@ -145,7 +145,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 def names():
-    return ['acme', 'far', 'wordy']
+    return ['acme', 'far', 'wordy', 'away']
 
 def get(name):
     def path():
@@ -153,6 +153,8 @@ def get(name):
             raise OSError('no\\nnetwork')
         if name == 'wordy':
             raise OSError(201 * 'x')
+        if name == 'away':
+            raise type('DownloadError', (Exception,), {})('https://x/away.tar.xz: no route')
         return Path(__file__).parent / 'models' / name
     return SimpleNamespace(path=path, default_model='arm',
                            entry=lambda entry: SimpleNamespace(file=f'{entry}.xml'))
@@ -164,12 +166,30 @@ def get(name):
         create_robot('menagerie:far')
     with pytest.raises(ModelError, match=r'menagerie:wordy cannot be loaded: x{200}\.\.\.$'):
         create_robot('menagerie:wordy')
+    with pytest.raises(ModelError, match=r'away.tar.xz: no route; without internet, bring a clone '
+                                         r"of .* and type 'export MENAGERIE_ROOT=FOLDER', or"):
+        create_robot('menagerie:away')
+
+
+@pytest.mark.parametrize('place', ['', 'mujoco_menagerie'])
+def test_a_checkout_of_menagerie_may_be_named_in_several_ways(place, tmp_path, monkeypatch):
+    write(tmp_path / place / 'acme_arm' / 'arm.xml', ARM)
+    monkeypatch.setattr('importlib.util.find_spec', lambda name: None)
+    set_model_path([tmp_path])
+    assert create_robot('menagerie:acme_arm').name == 'arm0'
+    set_model_path([])
+    monkeypatch.setenv('MENAGERIE', str(tmp_path / place))
+    assert create_robot('menagerie:acme_arm').name == 'arm0'
+    assert load_robot('menagerie:acme_arm/arm.xml').name == 'arm0'
+    with pytest.raises(UnknownNameError, match='unknown model of MENAGERIE .*acme_am'):
+        create_robot('menagerie:acme_am')
 
 
 def test_menagerie_without_package_and_checkout_says_what_it_needs(monkeypatch):
     monkeypatch.setattr('importlib.util.find_spec', lambda name: None)
     with pytest.raises(ModelError, match='menagerie:x needs the package mujoco-menagerie, or a '
-                                         'checkout of Menagerie in MENAGERIE_ROOT'):
+                                         'checkout of Menagerie in MENAGERIE_ROOT: type .pip '
+                                         'install mujoco-menagerie.; without internet, bring a'):
         create_robot('menagerie:x')
     with pytest.raises(ModelError, match='robosuite:x needs the package robosuite or'):
         create_robot('robosuite:x')

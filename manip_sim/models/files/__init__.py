@@ -22,7 +22,8 @@ def load_robot(path: str | PathLike[str], idn: int | str = 0) -> FileRobot:
     """
     Load a robot from a file.
 
-    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder
+    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder; or a name
+        such as ``menagerie:NAME``
     :param idn: number or word in names, as in ``robot0_joint1``
     :returns: a ``ManipulatorModel`` if the robot has arms; its ``inferred`` says what was inferred
         or left out
@@ -38,7 +39,8 @@ def load_gripper(path: str | PathLike[str], idn: int | str = 0) -> FileGripper:
     """
     Load a gripper or hand from a file.
 
-    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder
+    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder; or a name
+        such as ``menagerie:NAME``
     :param idn: number or word in names, as in ``gripper0_right_finger``
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known
@@ -51,7 +53,8 @@ def load_base(path: str | PathLike[str], idn: int | str = 0) -> FileBase:
     """
     Load a base from a file.
 
-    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder
+    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder; or a name
+        such as ``menagerie:NAME``
     :param idn: number or word in names, as in ``fixed_mount0_base``
     :returns: a ``MountModel``, or a ``MobileBaseModel`` if it has joints
     :raises ModelError: if something cannot be read or does not fit together

@@ -12,7 +12,7 @@ from manip_sim.models.files.part_descriptions import (
     ArenaDescription, Description, DescriptionT, read_description, RobotDescription)
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
 from manip_sim.models.regular_files import Files
-from manip_sim.models.sources import is_path
+from manip_sim.models.sources import find_source, is_of_others, is_path
 from manip_sim.quoting import one_line
 
 YAML = ('.yaml', '.yml')
@@ -27,11 +27,14 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str, files: Files | N
     A model ``panda.xml`` is described by ``panda.yaml`` beside it, or by a file of a fixed name,
     such as ``robot.yaml``, that names it or has no other model beside it.
 
-    :param path: a model, a YAML file, or a folder; arguments may follow the name of a xacro file
+    :param path: a model, a YAML file, or a folder; arguments may follow the name of a xacro file;
+        or a name of Menagerie or robosuite, as for ``find_source``
     :param stem: the fixed name of a YAML file, without its suffix, such as ``robot``
     :raises ModelError: if a file is missing, or it is not clear which one is meant
     """
     try:
+        if files is None and is_of_others(str(path)):
+            path = find_source(str(path), f'{stem}s') or path
         file, arguments = split_arguments(str(path))
         found, description, where = _find(Path(file).expanduser(), kind, stem, files)
         if arguments:
