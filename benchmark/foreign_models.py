@@ -7,13 +7,16 @@ Load the models of Menagerie and robosuite unmodified, and print a table of what
     MENAGERIE_ROOT=~/mujoco_menagerie python3 benchmark/foreign_models.py
     python3 benchmark/foreign_models.py --robosuite FOLDER   # unpacked wheels, else as installed
     python3 benchmark/foreign_models.py panda ur5            # only names with one of these words
+    python3 benchmark/foreign_models.py --folder FOLDER      # all robots in a folder of yours
     python3 benchmark/foreign_models.py --folder FOLDER      # with clones, FOLDER/OWNER/NAME
 
-With ``--folder``, the files that ``foreign_models.yaml`` lists are loaded as they are in clones of
-their repositories at the commits that it names, which you put into a folder; with ``--load``, it
-goes no further than to load them. Percentages by class and the causes of failures follow the rows:
+With ``--folder``, the MJCF, URDF and xacro files of whole robots anywhere in a folder are loaded
+as they are; if it has clones of the repositories that ``foreign_models.yaml`` lists, at the
+commits that it names, only the files that it lists. With ``--load``, it goes no further than to load them.
+Percentages by class and the causes of failures follow the rows:
 
-- inferred: whether the parts have the joints that the list says, which was written by hand.
+- inferred: whether the parts have the joints that the list says, which was written by hand; of
+  other files nothing is known, so read the column parts.
 - lost: how many sentences tell of collision shapes that were left out.
 - holds: the start pose, for 5 s within 5 mrad or 5 mm; bare: whether the bare MJCF model does, or
   no if the torque limits of a URDF do not carry the robot.
@@ -71,6 +74,11 @@ LIMIT_S = 600.0
 _MARKS = {True: 'yes', False: 'no', None: '-'}
 HAND = re.compile(r'(hand|gripper|2f85|dexee)')
 NO_MODEL = re.compile(r'(scene|keyframe|_actuators)')
+#: What names an included file, and what a whole model has, by its suffix.
+INCLUDED = re.compile(r'include\s+file(?:name)?\s*=\s*["\']([^"\']+)')
+WHOLE = {'.xml': re.compile(r'<mujoco\b.*<(?:joint|include|attach)\b', re.DOTALL),
+         '.urdf': re.compile(r'<robot\b.*<joint\b', re.DOTALL),
+         '.xacro': re.compile(r'<robot\b[^>]*\bname\s*=')}
 POST = """<mujoco model="post"><default><geom contype="0" conaffinity="0"/></default>
   <worldbody><body name="base" pos="0 0 1"><geom size="0.02"/>
   <body name="link" pos="0 0 0.05"><joint name="turn" axis="0 0 1" armature="1" range="-3 3"
@@ -443,16 +451,27 @@ def check(kind: str, file: Path) -> dict[str, Any]:
     return row
 
 
-def find_in_folder(folder: Path, words: list[str]) -> Iterator[tuple[str, str, dict[str, int]]]:
+def find_in_folder(folder: Path, words: list[str]
+                   ) -> Iterator[tuple[str, str, dict[str, int] | None]]:
     """
     Yield repository, path (behind that of a xacro file its arguments) and joints by part.
 
-    ``ROS_PACKAGE_PATH`` names the packages of other repositories that a repository needs.
+    For the repositories of the list, ``ROS_PACKAGE_PATH`` names the packages of others that they
+    need. Of other files the joints are None, and the repository is the uppermost folder.
     """
     listed = yaml.safe_load(Path(__file__).with_suffix('.yaml').read_text())
+    if not folder.is_dir():
+        raise SystemExit(f'no such folder: {folder}')
+    missing = [repository for repository in listed if not (folder / repository).is_dir()]
+    if len(missing) > len(listed) // 2:  # It is no folder with these clones.
+        for path in find_robots(folder):
+            if not words or any(word in str(path) for word in words):
+                top = path.parts[0] if len(path.parts) > 1 else ''
+                yield top, str(path.relative_to(top)), None
+        return
+    if missing:
+        raise SystemExit(f'{folder / missing[0]} is missing')
     for repository, entry in listed.items():
-        if not (folder / repository).is_dir():
-            raise SystemExit(f'{folder / repository} is missing')
         if words and not any(word in repository for word in words):
             continue
         os.environ['ROS_PACKAGE_PATH'] = os.pathsep.join(
@@ -460,6 +479,16 @@ def find_in_folder(folder: Path, words: list[str]) -> Iterator[tuple[str, str, d
             for file in sorted((folder / other).rglob('package.xml')))
         for path, parts in entry['files'].items():
             yield repository, path, parts
+
+
+def find_robots(folder: Path) -> list[Path]:
+    """Return the model files below a folder that have joints and that no other file includes."""
+    texts = {file: file.read_text(errors='replace') for suffix in ('xml', 'urdf', 'xacro')
+             for file in folder.rglob(f'*.{suffix}')
+             if file.is_file() and not NO_MODEL.search(file.name)}
+    included = {Path(name).name for text in texts.values() for name in INCLUDED.findall(text)}
+    return sorted(file.relative_to(folder) for file, text in texts.items()
+                  if WHOLE[file.suffix].search(text) and file.name not in included)
 
 
 def check_as_found(name: str, moves: bool) -> dict[str, Any]:
@@ -612,7 +641,7 @@ def class_of(name: str) -> str:
 
 def check_folder(folder: Path, words: list[str], moves: bool) -> None:
     """
-    Print a row for each listed model in a folder, percentages by class, and the causes.
+    Print a row for each model in a folder, percentages by class, and the causes of failures.
 
     :param moves: whether to simulate them, too
     """
@@ -621,15 +650,16 @@ def check_folder(folder: Path, words: list[str], moves: bool) -> None:
     print(f'| model | {" | ".join(columns)} | reason |\n|{"---|" * (len(columns) + 2)}')
     for repository, path, expected in find_in_folder(folder, words):
         row = in_process('as found' if moves else 'as loaded', str(folder / repository / path))
-        row.update(repository=repository)
+        row.update(repository=repository, listed=expected is not None)
         row['class'] = class_of(path)
-        if 'parts' in row:
+        if 'parts' in row and expected is not None:
             row['inferred'] = row['parts'] == expected
             if not row['inferred']:
                 row['reason'].append(f'inferred instead of {expected}')
         rows.append(row)
         marks = ' | '.join(_mark(row.get(column)) for column in columns)
-        print(f'| {repository}/{path} | {marks} | {"; ".join(row["reason"])[:300]} |', flush=True)
+        reason = '; '.join(row['reason'])[:300]
+        print(f'| {Path(repository, path)} | {marks} | {reason} |', flush=True)
     _sum_up(rows)
 
 
@@ -646,6 +676,8 @@ def _sum_up(rows: list[dict[str, Any]]) -> None:
     print(f'\n{len(rows)} models of {len({row["repository"] for row in rows})} repositories')
     for kind in ('MJCF', 'URDF', 'xacro'):
         own = [row for row in rows if row['class'] == kind]
+        if not own:
+            continue
         loaded = [row for row in own if row.get('loads')]
         able = [row for row in loaded if row.get('bare', kind != 'MJCF')]
         print(f'{kind}: {len(own)} files')
@@ -653,9 +685,12 @@ def _sum_up(rows: list[dict[str, Any]]) -> None:
                               ('follows', loaded), ('grips', loaded)):
             counted = [row for row in among if among is own or row.get(column) is not None
                        and (row[column] or column not in row['weak'])]
+            if column == 'inferred':
+                counted = [row for row in counted if row['listed']]
+            if not counted:
+                continue
             good = sum(bool(row.get(column)) for row in counted)
-            share = f' ({good / len(counted):.0%})' if counted else ''
-            print(f'  {column}: {good} of {len(counted)}{share}')
+            print(f'  {column}: {good} of {len(counted)} ({good / len(counted):.0%})')
     causes = Counter(_cause(row['reason'][0]) for row in rows
                      if row['reason'])
     for cause, count in causes.most_common():
@@ -739,7 +774,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('words', nargs='*', help='parts of model names (default: all)')
     parser.add_argument('--robosuite', type=Path, help='where the wheels are unpacked')
-    parser.add_argument('--folder', type=Path, help='with clones of the listed repositories')
+    parser.add_argument('--folder', type=Path, help='of robots, or of the listed clones')
     parser.add_argument('--load', action='store_true', help='only load the models of the folder')
     arguments = parser.parse_args()
     if arguments.folder is not None:
