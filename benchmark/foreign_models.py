@@ -12,8 +12,8 @@ Load the models of Menagerie and robosuite unmodified, and print a table of what
 
 With ``--folder``, the MJCF, URDF and xacro files of whole robots anywhere in a folder are loaded
 as they are; if it has clones of the repositories that ``foreign_models.yaml`` lists, at the
-commits that it names, only the files that it lists. With ``--load``, it goes no further than to load them.
-Percentages by class and the causes of failures follow the rows:
+commits that it names, only the files that it lists. With ``--load``, it goes no further than to
+load them. Percentages by class and the causes of failures follow the rows:
 
 - inferred: whether the parts have the joints that the list says, which was written by hand; of
   other files nothing is known, so read the column parts.

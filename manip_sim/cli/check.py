@@ -30,18 +30,18 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 def run(options: argparse.Namespace) -> tuple[str, int]:
     if options.file is not None:
         name, note = str(options.file), ''
-        defects, told = _defects_of_file(options.file)
+        defects, remarks = _defects_of_file(options.file)
     else:
         world = compose_from(options).composition.world
         name = f'{world.name} in arena {world.arena.arena_name}'
-        found, told = _defects_of(world)
+        found, remarks = _defects_of(world)
         defects = [*found, *(StartDefect(
             'meshes', sentence, 'see there, or accept it by meshes: none in the YAML file of the '
             'model') for sentence in lost_shapes(world))]
         prefixes = list(_prefixes(world))
         note = (f'Names in the files lack the prefix{"es" if len(prefixes) > 1 else ""} '
                 f'{", ".join(prefixes)}.' if prefixes else '')
-    notes = [f'note: {sentence}' for sentence in told]
+    notes = [f'note: {sentence}' for sentence in remarks]
     if not defects:
         return '\n'.join([f'{name}: nothing is wrong with the start', *notes]), 0
     lines = [f'{name}: {counted(len(defects), "defect")}',
@@ -89,7 +89,8 @@ def _defects_of_file(file: Path) -> tuple[list[StartDefect], list[str]]:
     roots = _robots(model)
     if not roots:
         raise ModelError(f'{file} has no body with joints, so no robot to check')
-    return find_start_defects(model, data, roots), notes
+    urdf = ('',) if is_urdf(file) else ()
+    return find_start_defects(model, data, roots, urdf), notes
 
 
 def _robots(model: mujoco.MjModel) -> list[int]:

@@ -124,7 +124,7 @@ def load_spec(file: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
         spec, dropped = read_mjcf(file)
     else:
         spec, dropped = _read_file(file, model)
-    _tell(dropped, notes)
+    _report(dropped, notes)
     missing: dict[tuple[str, str], MissingMeshError] = {}
     resolve_files(spec, file, model, None if notes is None else missing)
     if notes is not None:
@@ -143,7 +143,7 @@ def _read_file(file: Path, model: XmlModel) -> tuple[mujoco.MjSpec, list[str]]:
     return read_mjcf(file)
 
 
-def _tell(sentences: list[str], notes: list[str] | None) -> None:
+def _report(sentences: list[str], notes: list[str] | None) -> None:
     """Add sentences to notes, or log them if nobody takes notes."""
     if notes is not None:
         notes += sentences
@@ -192,7 +192,7 @@ def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None =
         if text.startswith('<robot'):
             raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
     spec, dropped = read_mjcf_text(text, file, models or {}, assets or {})
-    _tell(dropped, notes)
+    _report(dropped, notes)
     return spec
 
 

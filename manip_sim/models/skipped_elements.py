@@ -55,7 +55,7 @@ def skip_missing(spec: mujoco.MjSpec, missing: Missing, file: Path) -> list[str]
             if kind == 'texture':
                 _take_off(spec, element.name)
             spec.delete(element)
-    return [*map(LostShape, warnings_of(lost, file)), *_told(masses, file)]
+    return [*map(LostShape, warnings_of(lost, file)), *_mass_notes(masses, file)]
 
 
 def infer_inertias_once(spec: mujoco.MjSpec) -> None:
@@ -99,7 +99,7 @@ def _give_mass(body: Any, lost: list[Any]) -> tuple[str, float]:
     return str(body.name), mass
 
 
-def _told(masses: list[tuple[str, float]], file: Path) -> list[str]:
+def _mass_notes(masses: list[tuple[str, float]], file: Path) -> list[str]:
     """Return which bodies have a guessed mass, in a sentence."""
     if not masses:
         return []
