@@ -28,6 +28,8 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
+    if options.file is not None and is_urdf(options.file):  # It has no actuators by itself.
+        options.robot, options.file = str(options.file), None
     if options.file is not None:
         name, note = str(options.file), ''
         defects, remarks = _defects_of_file(options.file)
@@ -89,8 +91,7 @@ def _defects_of_file(file: Path) -> tuple[list[StartDefect], list[str]]:
     roots = _robots(model)
     if not roots:
         raise ModelError(f'{file} has no body with joints, so no robot to check')
-    urdf = ('',) if is_urdf(file) else ()
-    return find_start_defects(model, data, roots, urdf), notes
+    return find_start_defects(model, data, roots), notes
 
 
 def _robots(model: mujoco.MjModel) -> list[int]:

@@ -233,7 +233,8 @@ def _add_check(commands: Any) -> None:
         'fix them. A file is checked as it is, at its keyframe home or else at its first one.',
         'examples: manip_sim check --robot UR5e --gripper FourierRightHand\n'
         '          manip_sim check my_robot.xml')
-    parser.add_argument('file', nargs='?', type=Path, metavar='FILE', help='an MJCF file')
+    parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
+                        help='an MJCF file; one in URDF or xacro is checked as a robot')
     add_composition(parser)
 
 

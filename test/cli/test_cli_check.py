@@ -182,3 +182,4 @@ def test_a_urdf_is_told_what_to_write_in_urdf_and_each_prefix_once(here, tmp_pat
     for word in ('actuatorfrcrange', 'keyframe', 'geom', 'body'):
         assert word not in text
     assert text.count('robot0_,') + text.count('robot0_.') == 1
+    assert 'has no actuator' not in here('check', str(file))[1]
