@@ -77,6 +77,16 @@ def compile_alone(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
         compiler.boundmass, compiler.boundinertia = bounds
 
 
+def compile_copy(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
+    """
+    Compile a part as :func:`compile_alone` does, of whose references none is missing.
+
+    A spec that was compiled keeps its meshes as MuJoCo's compiler made them, many times as large
+    as the files, and so do copies of it.
+    """
+    return compile_alone(spec.copy(), name)
+
+
 def _reject_what_tactile_sensors_cannot_feel(model: mujoco.MjModel, name: str) -> None:
     """
     Reject height fields and flexes beside tactile sensors.

@@ -18,7 +18,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import (
-    compile_alone, compile_spec, load_spec, name_unnamed_elements)
+    compile_alone, compile_copy, compile_spec, load_spec, name_unnamed_elements)
 from manip_sim.models.naming import check_prefix, TakenNames
 from manip_sim.models.robosuite_attributes import REPLACEMENTS
 from manip_sim.models.spec_edits import attach, name_main_default
@@ -60,6 +60,8 @@ class MujocoXMLModel:
     _horizontal_radius: float = 0.0
     #: Whether others have the spec, so that it may be edited at any time.
     _spec_is_shared = False
+    #: Whether nothing that the spec refers to is missing, as it was compiled before.
+    _refers_to_all = False
     #: Whether :meth:`_check_declared` ran; else it does so before the part is put into a spec.
     _is_checked = True
 
@@ -102,7 +104,8 @@ class MujocoXMLModel:
         self._record_elements(self._compile_alone())
 
     def _compile_alone(self) -> mujoco.MjModel:
-        return compile_alone(self._spec, self.name)
+        whole = self._refers_to_all and not self._spec_is_shared
+        return (compile_copy if whole else compile_alone)(self._spec, self.name)
 
     @property
     def spec(self) -> mujoco.MjSpec:

@@ -367,3 +367,16 @@ def test_a_link_that_is_a_speck_of_dust_can_be_composed(tmp_path):
         'izz="1.64e-15" ixy="0" ixz="-1.1e-47" iyz="-1.3e-47"/></inertial>'
     robot = load_robot(write(tmp_path / 'arm.urdf', SMALL.format(speck, 'fixed')))
     assert compose(robot).compile().body('robot0_tool').mass[0] > 0.0
+
+
+def test_contact_pairs_with_the_ground_of_a_scene_touch_the_arena(tmp_path):
+    text = """<mujoco><worldbody><body name="base" pos="0 0 0.1"><freejoint/>
+      <geom name="sole" type="box" size="0.1 0.1 0.1" contype="0" conaffinity="0"/>
+      <body name="arm" pos="0 0 0.2"><joint name="turn" axis="0 0 1"/><geom size="0.05"/></body>
+      </body></worldbody><contact><pair geom1="ground" geom2="sole"/></contact>
+      <actuator><position joint="turn" kp="10"/></actuator></mujoco>"""
+    robot = load_robot(write(tmp_path / 'walker.xml', text))
+    assert said(robot, "1 contact pair with shapes that are not in the file: 'ground'")
+    simulation = Simulation(compose(robot))
+    simulation.advance(500)
+    assert simulation.data.body('robot0_base').xpos[2] == pytest.approx(0.1, abs=5e-3)

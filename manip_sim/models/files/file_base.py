@@ -20,7 +20,7 @@ from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.model_file import ModelFile, read_model, shape_heights
 from manip_sim.models.files.part_descriptions import BaseDescription
 from manip_sim.models.files.xacro_expansion import stem_of
-from manip_sim.models.loading import compile_alone
+from manip_sim.models.loading import compile_copy
 
 #: A base whose lowest point is at most so far from z = 0 stands on the floor [m].
 _ON_FLOOR_M = 0.02
@@ -38,6 +38,8 @@ class FileBase(RobotBaseModel, registered=False):
     """
 
     inferred: list[str]
+
+    _refers_to_all = True  # As it was read with ``read_model``.
 
     def __init__(self, model_file: ModelFile, top: FloatArray, idn: int | str = 0,
                  loose: Collection[str] = ()) -> None:
@@ -86,7 +88,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
                  ) -> FileBase:
     """Create a base from a file and its description."""
     model_file = read_model(file, description, where, servos=False)
-    model = compile_alone(model_file.spec, str(file))
+    model = compile_copy(model_file.spec, str(file))
     tree = BodyTree(model)
     if model.njnt == 0:
         return FileMount(model_file, _top(model_file, model, description), idn)

@@ -24,7 +24,7 @@ from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import GripperDescription
 from manip_sim.models.files.xacro_expansion import stem_of
-from manip_sim.models.loading import compile_alone
+from manip_sim.models.loading import compile_copy
 
 #: Fingers that reach less far give no direction [m].
 _SHORT_M = 0.02
@@ -119,6 +119,8 @@ class FileGripper(HandFromFile, registered=False):
     :raises ModelError: if the file or what the description says of it cannot be used
     """
 
+    _refers_to_all = True  # As it was read with ``read_model``.
+
     def __init__(self, file: Path, description: GripperDescription, where: str,
                  idn: int | str = 0) -> None:
         self._description: GripperDescription = description
@@ -145,9 +147,9 @@ class FileGripper(HandFromFile, registered=False):
         if declared.mount is not None:
             place_root(spec, declared.mount.position, quat_wxyz_of(declared.mount.orientation))
         elif spec.body('eef') is None:
-            self.inferred += stand_on_mount(spec, *_whole(compile_alone(spec, str(self.file))),
+            self.inferred += stand_on_mount(spec, *_whole(compile_copy(spec, str(self.file))),
                                             self._start)
-        model = compile_alone(spec, str(self.file))
+        model = compile_copy(spec, str(self.file))
         tree, hand = _whole(model)
         self.inferred += fill_control_ranges(spec, model, list(hand.actuators))
         if declared.grasp_point is not None or spec.body('eef') is None:

@@ -31,6 +31,8 @@ class FileRobot(RobotModel, registered=False):
     :ivar inferred: what was inferred or left out, in sentences
     """
 
+    _refers_to_all = True  # As it was read with ``read_model``.
+
     def __init__(self, plan: RobotPlan, idn: int | str) -> None:
         self._plan = plan
         self._own_hands: dict[str, OwnHand] = dict(plan.hands)

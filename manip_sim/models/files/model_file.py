@@ -22,10 +22,10 @@ from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.overlaps import exclude_overlaps
 from manip_sim.models.files.part_descriptions import Description
-from manip_sim.models.files.scenery import single_tree
+from manip_sim.models.files.scenery import single_tree, touch_other_files
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.files.urdf_joints import support_couplings
-from manip_sim.models.loading import compile_alone, load_spec, name_unnamed_elements
+from manip_sim.models.loading import compile_alone, compile_copy, load_spec, name_unnamed_elements
 from manip_sim.models.regular_files import Files
 from manip_sim.models.skipped_elements import infer_inertias_once
 from manip_sim.models.untrusted_models import hold_robot
@@ -167,15 +167,17 @@ def read_model(file: Path, description: Description, where: object,
         spec, notes = _load_mjcf(file, expects_meshes)
     else:
         spec = hold_robot(file, files).load_tried(notes)
-    notes += _gravity_of_file(spec)
+    notes += [*_gravity_of_file(spec), *touch_other_files(spec)]
     name_unnamed_elements(spec)
     for joint in spec.joints:  # MuJoCo would leave the rotor out of dof_invweight0 of some slides.
         joint.parent.simple = 0
     infer_inertias_once(spec)
-    model = compile_alone(spec, str(file))
+    original, spec = spec, spec.copy()
+    model = compile_alone(original, str(file))
+    del original
     if urdf:
         lighter = lighten(spec, model)
-        model = compile_alone(spec, str(file)) if lighter else model
+        model = compile_copy(spec, str(file)) if lighter else model
         notes += [*lighter, *masses_from_shapes(spec, model)]
     declared = getattr(description, 'start', None)
     wanted = declared if isinstance(declared, str) else None
@@ -195,12 +197,12 @@ def read_model(file: Path, description: Description, where: object,
         notes += add_servos(spec, BodyTree(model))
         if urdf:
             support_couplings(spec)
-        model = compile_alone(spec, str(file))
+        model = compile_copy(spec, str(file))
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
     if any(spec.joint(name) is None for name in places):
-        model = compile_alone(spec, str(file))
+        model = compile_copy(spec, str(file))
         places = {name: place for name, place in places.items() if spec.joint(name) is not None}
         named = {key: {name: place for name, place in there.items() if name in places}
                  for key, there in named.items()}

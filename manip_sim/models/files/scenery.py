@@ -107,7 +107,7 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     world, notes = spec.worldbody, []
     grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
     objects = _objects(spec, tree)
-    notes += _keep_on_ground(spec, grounds)
+    notes += _keep_on_ground(spec, {geom.name for geom in grounds})
     for what, elements in (('light', list(world.lights)), ('ground', grounds),
                            ('body', objects)):
         names = [element.name for element in elements if element.name]
@@ -127,9 +127,24 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     return notes
 
 
-def _keep_on_ground(spec: mujoco.MjSpec, grounds: list[Any]) -> list[str]:
-    """Let shapes touch grounds of the arena that touch those of the file by contact pairs only."""
-    names, kept = {geom.name for geom in grounds}, []
+def touch_other_files(spec: mujoco.MjSpec) -> list[str]:
+    """
+    Leave out contact pairs with shapes that are not in the file, such as the ground of a scene.
+
+    :returns: which shapes touch the arena instead, in a sentence
+    """
+    known = {geom.name for geom in spec.geoms}
+    pairs = [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= known]
+    missing = {name for pair in pairs for name in (pair.geomname1, pair.geomname2)} - known
+    notes = _keep_on_ground(spec, missing)
+    delete_elements(spec, pairs)
+    return notes + ([f'left out: {counted(len(pairs), "contact pair")} with shapes that are not '
+                     f'in the file: {quoted_names(sorted(missing))}'] if pairs else [])
+
+
+def _keep_on_ground(spec: mujoco.MjSpec, names: set[str]) -> list[str]:
+    """Let shapes touch grounds of the arena that touch some of the file by contact pairs only."""
+    kept = []
     for pair in spec.pairs:
         others = {pair.geomname1, pair.geomname2} - names
         if len(others) != 1:
