@@ -144,6 +144,25 @@ def test_an_error_in_an_included_file_names_it(tmp_path):
         load_robot(file)
 
 
+@pytest.mark.parametrize(('text', 'message'), [
+    ('<link name="${far}"/>', "name 'far' is not defined when evaluating expression 'far'$"),
+    ('<xacro:hand/>', 'unknown macro name: xacro:hand: include the file that defines it$'),
+    ('<xacro:macro name="m" params="a b"/><xacro:m a="1"/>',
+     r"Undefined parameters \[b\] of macro 'm': give them where it is called, or defaults$"),
+    ('<link name="$(env NO_SUCH_ARM)"/>', 
+     "environment variable 'NO_SUCH_ARM' is not set: type 'export NAME"),
+    ('<link name="${xacro.load_yaml(\'no.yaml\')}"/>', 'no such file: .*no.yaml$')])
+def test_what_is_wrong_is_told_once_with_a_remedy(text, message, tmp_path):
+    with pytest.raises(ModelError, match=f'arm.xacro cannot be expanded by xacro: {message}'):
+        load_robot(write(tmp_path / 'arm.xacro', TOP % text))
+
+
+def test_a_missing_namespace_is_told(tmp_path):
+    file = write(tmp_path / 'arm.xacro', '<robot name="r"><xacro:hand/></robot>')
+    with pytest.raises(ModelError, match='unbound prefix.*: write xmlns:xacro='):
+        load_robot(file)
+
+
 def test_a_file_that_only_defines_macros_says_so(tmp_path):
     file = write(tmp_path / 'arm.xacro', TOP % f'<xacro:macro name="arm">{ARM}</xacro:macro>')
     with pytest.raises(ModelError, match='makes no link: it only defines what another xacro file'):

@@ -24,7 +24,12 @@ SUFFIX = '.xacro'
 _WITH_ARGUMENTS = re.compile(r'(.*?\.xacro)\s+(\S.*)', re.IGNORECASE | re.DOTALL)
 _USED = re.compile(r'\$\(arg\s+(\w+)\s*\)')
 _WITH_DEFAULT = re.compile(r'<(?:xacro:)?arg\s(?=[^>]*\bdefault\s*=)[^>]*\bname\s*=\s*["\'](\w+)')
-_UNDEFINED = re.compile(r'Undefined substitution argument (\w+)')
+#: What to do, by words in what xacro says.
+_REMEDIES = {
+    'unbound prefix': 'write xmlns:xacro="http://www.ros.org/wiki/xacro" into its <robot>',
+    'environment variable': "type 'export NAME=VALUE' with that name",
+    'unknown macro name': 'include the file that defines it',
+    'Undefined parameters': 'give them where it is called, or defaults'}
 #: xacro keeps the files and arguments that it works with in its module.
 _ONE_FILE = threading.Lock()
 
@@ -177,14 +182,14 @@ def _explained(file: Path, error: Exception, given: _Arguments, finder: _Finder)
             return (f'{begin}no such file: {one_line(str(cause.filename), 300)}' + (
                 f'; if package {quoted(package)} makes it or installs it from elsewhere, build '
                 'and source the package' if package else ''))
-    message = one_line(_message(causes), 300)
-    missing = _UNDEFINED.search(message)
+    missing = next((str(cause) for cause in causes if type(cause).__name__ == 'ArgException'), '')
     if missing:
-        names = _required(file, missing[1], given)
-        values = ' '.join(f'{name}:=VALUE' for name in names)
-        return (f'{begin}{message}: give it, as in {quoted(f"{file.name} {values}", 300)}, or by '
-                'xacro_args in the YAML file')
-    return begin + message
+        values = ' '.join(f'{name}:=VALUE' for name in _required(file, missing, given))
+        return (f'{begin}Undefined substitution argument {one_line(missing, 60)}: give it, as in '
+                f'{quoted(f"{file.name} {values}", 300)}, or by xacro_args in the YAML file')
+    message = one_line(_message(causes), 300)
+    remedy = next((f': {what}' for words, what in _REMEDIES.items() if words in message), '')
+    return begin + message + remedy
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -197,11 +202,13 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 def _message(causes: list[BaseException]) -> str:
     """Return what exceptions of xacro say, each once; they repeat those that they tell of."""
     said: list[str] = []
-    for cause in causes:
+    for cause in reversed(causes):
         own = str(cause.args[0]) if hasattr(cause, 'exc') and cause.args else str(cause)
-        parts = [own if own != 'None' else '', getattr(cause, 'suffix', None) or '']
-        said += [part.strip() for part in parts if part.strip()
-                 and not part.startswith('<class ')]
+        macros = [macro.body.getAttribute('name') for macro in getattr(cause, 'macros', ())]
+        suffix = (getattr(cause, 'suffix', None) or '').strip()
+        parts = [own if own != 'None' and not own.startswith('<class ') else '',
+                 f'of macro {quoted(macros[0])}' if macros else '', suffix]
+        said += [part for part in parts if part and part not in said]
     return ' '.join(said) or type(causes[-1]).__name__
 
 
