@@ -149,7 +149,7 @@ def test_an_error_in_an_included_file_names_it(tmp_path):
     ('<xacro:hand/>', 'unknown macro name: xacro:hand: include the file that defines it$'),
     ('<xacro:macro name="m" params="a b"/><xacro:m a="1"/>',
      r"Undefined parameters \[b\] of macro 'm': give them where it is called, or defaults$"),
-    ('<link name="$(env NO_SUCH_ARM)"/>', 
+    ('<link name="$(env NO_SUCH_ARM)"/>',
      "environment variable 'NO_SUCH_ARM' is not set: type 'export NAME"),
     ('<link name="${xacro.load_yaml(\'no.yaml\')}"/>', 'no such file: .*no.yaml$')])
 def test_what_is_wrong_is_told_once_with_a_remedy(text, message, tmp_path):
