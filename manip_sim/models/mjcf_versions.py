@@ -60,11 +60,14 @@ _VALUES = {'orthographic': {'true': 'orthographic', 'false': 'perspective'}}
 _NUMBERS = re.compile(r'[\s,\d.eE+-]*')
 #: The elements that name files with shapes or images.
 _WITH_FILES = ('flexcomp', 'hfield', 'mesh', 'skin', 'texture')
+#: Plugins that MuJoCo had.
+_PLUGINS = tuple(f'mujoco.elasticity.{kind}' for kind in ('cable', 'membrane', 'shell', 'solid'))
 #: What MuJoCo says about which element, of an attached model if there is an error in that.
 _MESSAGE = re.compile(r"Error: *(?P<what>(?:(?!Error:).)*?)\s*Element '(?P<tag>[^']*)', line "
                       r'(?P<line>\d+)', re.DOTALL)
 _UNKNOWN = re.compile(r"Schema violation: unrecognized attribute: '(.*)'")
 _BAD_FORMAT = re.compile(r"bad format in attribute '(.*)'")
+_NO_PLUGIN = re.compile(r'plugin (\S+) not found')
 _UNKNOWN_ELEMENT = 'Schema violation: unrecognized element'
 _RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
 _TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
@@ -181,8 +184,11 @@ def _changed(documents: list[_Document], message: str) -> Iterator[str]:
     match = _MESSAGE.search(message)
     what, tag = (match['what'], match['tag']) if match else (message, '')
     unknown, bad = _UNKNOWN.match(what), _BAD_FORMAT.match(what)
+    plugin = _NO_PLUGIN.match(what)
     for document in documents:
-        if bad:
+        if plugin and plugin[1] in _PLUGINS:
+            yield from _drop_plugin(document, plugin[1])
+        elif bad:
             yield from _drop_commas(document, tag, bad[1])
         elif unknown and (tag, unknown[1]) in _ATTRIBUTES:
             yield from _drop_attribute(document, tag, unknown[1])
@@ -214,6 +220,17 @@ def _drop_elements(document: _Document, tag: str) -> Iterator[str]:
             if later:
                 element.tag = later
             else:
+                parent.remove(element)
+
+
+def _drop_plugin(document: _Document, name: str) -> Iterator[str]:
+    """Leave out a plugin and what uses it or an instance of it."""
+    instances = {instance.get('name') for element in document.root.iter('plugin')
+                 if element.get('plugin') == name for instance in element.iter('instance')}
+    for parent in list(document.root.iter()):
+        for element in parent.findall('plugin'):
+            if element.get('plugin') == name or element.get('instance') in instances - {None}:
+                yield _sentence(document, element, f'<plugin> of {quoted(name)}', '')
                 parent.remove(element)
 
 

@@ -82,6 +82,11 @@ OLD = {
                          inside='<geom class="robot" size="0.01"/>'), "read as 'main': class="),
     'inertial quat': (arm(inside='<inertial pos="0 0 0" mass="1" quat="1 0 0 0" '
                                  'fullinertia="1 1 1 0.1 0 0"/>'), 'ignored: quat of an'),
+    'plugin elasticity': (arm(
+        '<extension><plugin plugin="mujoco.elasticity.cable"><instance name="soft"/></plugin>'
+        '</extension>', inside='<plugin instance="soft"/><composite type="cable" curve="s" '
+        'count="9 1 1" size="1"><plugin plugin="mujoco.elasticity.cable"/></composite>'),
+        'ignored: <composite>'),
     'site commas': (arm(inside='<site name="s" size="0.01, 0.02, 0.03"/>'),
                     "ignored: the commas in size='0.01, 0.02, 0.03' of <site>"),
 }
@@ -94,7 +99,7 @@ def notes_of(robot):
 
 @pytest.mark.parametrize('name', OLD)
 def test_mujoco_rejects_what_is_listed_as_dropped(name):
-    with pytest.raises(ValueError, match=r'unrecognized|renamed|at most one of|bad format'):
+    with pytest.raises(ValueError, match='unrecognized|renamed|at most one|bad format|not found'):
         mujoco.MjSpec.from_string(OLD[name][0])
 
 
