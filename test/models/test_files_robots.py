@@ -4,7 +4,6 @@
 """Tests of robots from MJCF files that nobody wrote for this package: what is inferred of them."""
 
 from pathlib import Path
-import re
 
 import mujoco
 import numpy as np
@@ -207,11 +206,26 @@ def without_arms(file, count):
             and "declare 'arms'" in told[0] and len(robot.joints_of('other')) >= count)
 
 
-def test_several_arms_without_sides_are_no_arms_and_it_says_what_to_write(tmp_path):
+@pytest.mark.parametrize(('one', 'two', 'right', 'why'), [
+    ('0 0.4 0', '0 -0.4 0', 'two', 'left is the one that stands further left, along y'),
+    ('0.4 0 0', '-0.4 0 0', 'one', 'right is the one in front, along x'),
+    ('0 0 0', '0 0 0.5', 'two', 'right is the upper one'),
+    ('0 0 0', '0 0 0', 'one', 'right is the one that comes first in the file')])
+def test_two_arms_without_sides_are_told_apart_by_their_places(tmp_path, one, two, right, why):
     text = TWO_ARMS.replace('left/', 'one/').replace('right/', 'two/')
-    before_each_other = re.sub(r'pos="0 (-?0\.4) 0"', r'pos="\1 0 0"', text)
-    assert before_each_other != text
-    assert without_arms(write(tmp_path / 'pair.xml', before_each_other), 2)
+    text = text.replace('pos="0 0.4 0"', f'pos="{one}"').replace('pos="0 -0.4 0"', f'pos="{two}"')
+    robot = load_robot(write(tmp_path / 'pair.xml', text))
+    left = {'one': 'two', 'two': 'one'}[right]
+    assert robot.eef_name == {'right': f'robot0_{right}/tip', 'left': f'robot0_{left}/tip'}
+    assert [said for said in robot.inferred if why in said and (
+        f'arms: {{right: {{mount: {left}/tip}}, left: {{mount: {right}/tip}}}}' in said)]
+
+
+def test_three_arms_without_sides_are_no_arms_and_it_says_what_to_write(tmp_path):
+    text = TWO_ARMS.replace('left/', 'one/').replace('right/', 'two/')
+    third = arm_of('three', 0.0)
+    assert without_arms(write(tmp_path / 'trio.xml', text.replace(
+        '</worldbody>', f'{third}</worldbody>')), 3)
 
 
 @pytest.mark.parametrize('elbow', [True, False])

@@ -12,60 +12,125 @@ import re
 import mujoco
 
 from manip_sim.models.files.body_tree import BodyTree, words_of
-from manip_sim.models.files.found_hands import FINGERS, FoundHand, hand_below
+from manip_sim.models.files.found_hands import FoundHand, hand_below, lone_hands
+from manip_sim.models.files.limbs import FINGERS, Limbs, MAX_FINGERS
 from manip_sim.models.robots.subsystems import classify
 from manip_sim.quoting import quoted_names
 
 _END_WORDS = {'tool', 'flange', 'tcp', 'ee', 'eef', 'hand', 'gripper', 'attachment', 'pinch'}
 #: A chain of at most this fraction of the joints of the longest one is not an arm.
 _ARM_SHARE = 0.5
-#: Arms whose roots are nearer to each other along y are not beside each other [m].
+#: Arms that are nearer to each other along an axis are not beside each other along it [m].
 _BESIDE_M = 0.05
 #: Words for a subsystem besides those of ``classify``, in the order in which they are tried.
 _WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
     'head': {'neck', 'eye', 'eyes', 'camera', 'cam'},
     'legs': {'leg', 'legs', 'hip', 'knee', 'ankle', 'ank', 'foot', 'toe', 'thigh', 'calf', 'shin',
-             'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'hx', 'hy', 'kn', 'haa', 'hfe',
-             'kfe', 'ffe', 'faa', 'hr'},
+             'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'abad', 'coxa', 'femur',
+             'tibia', 'hx', 'hy', 'kn', 'haa', 'hfe', 'kfe', 'ffe', 'faa', 'hr'},
     'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column'}}
+#: Words in names of bodies, which decide where those of joints do not.
+_BODY_WORDS = {
+    'base': {'wheel', 'wheels', 'caster', 'castor'},
+    'legs': {'thigh', 'calf', 'shin', 'shank', 'coxa', 'femur', 'tibia'}}
 #: Words of an arm, also beside those above, as in ``shoulder_lift``.
 _OF_ARM = {'shoulder', 'elbow', 'wrist'}
+#: Of these, the words that no leg has: some name the hip of a quadruped its shoulder.
+_ARM_BEYOND_SHOULDER = {'elbow', 'wrist'}
 #: Joints of a root that moves in the plane are named after an axis: x, y, theta.
 _AXIS = re.compile(r'(?:^|_)(x|y|th|theta)$')
 
 
-def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collection[int]
-                    ) -> dict[int, str]:
+def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collection[int],
+                    notes: list[str]) -> dict[int, str]:
     """
     Return the subsystems of joints by id, without free joints.
 
-    A joint that is torso by a word of :data:`_WORDS` is arm if it moves at most one limb, as the
-    waist of an arm on a table does.
+    In this order decide: the description; the name of the joint; the name of the body that it
+    moves, for wheels and legs; what the joint is and where, see :class:`Limbs`. Joints of a limb
+    that has a leg's name, and neither an elbow nor a wrist nor fingers, are legs, and those that
+    carry nothing but legs and wheels are base. A joint that is torso by a word of :data:`_WORDS`
+    is arm if it moves at most one limb, as the waist of an arm on a table does.
 
     :param declared: subsystems by name of the joint, which take precedence
     :param fingers: ids of the joints of hands
+    :param notes: gets a sentence for each subsystem that no name decides
     """
     model = tree.model
     found: dict[int, str] = {}
+    unnamed: set[int] = set()
     for joint in range(model.njnt):
         if int(model.jnt_type[joint]) == 0:
             continue
         name = str(model.joint(joint).name)
-        found[joint] = declared.get(name) or _by_name(name)
+        found[joint] = declared.get(name) or _by_name(name) or _by_body(tree, joint) or 'arm'
+        if name not in declared and not _by_name(name) and joint not in fingers:
+            unnamed.add(joint)
+    free = {joint for joint in unnamed if found[joint] == 'arm'}
     _correct_base(tree, found, declared)
+    limbs = Limbs(tree)
+    _find_unnamed(tree, limbs, found, free, notes)
+    _complete_legs(tree, limbs, found, declared, fingers)
     _correct_torso(tree, found, declared, fingers)
     return found
 
 
-def _by_name(name: str) -> str:
+def _by_name(name: str) -> str | None:
+    """Return the subsystem that the name of a joint says, ``arm`` by a word of arms, or None."""
     subsystem = classify(name)
     if subsystem != 'arm':
         return subsystem
     words = words_of(name)
     if words & _OF_ARM:
         return 'arm'
-    return next((part for part, known in _WORDS.items() if words & known), 'arm')
+    return next((part for part, known in _WORDS.items() if words & known), None)
+
+
+def _by_body(tree: BodyTree, joint: int) -> str | None:
+    """Return the subsystem that the name of the body says that a joint moves, or None."""
+    words = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
+    return next((part for part, known in _BODY_WORDS.items() if words & known), None)
+
+
+def _find_unnamed(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set[int],
+                  notes: list[str]) -> None:
+    """
+    Find planar bases, wheels and legs by what their joints are.
+
+    :param free: the joints whose subsystem nothing else decides
+    """
+    for part, joints, why in (
+            ('base', limbs.planar_base(), 'they move the whole robot in a plane'),
+            ('base', limbs.wheels(free), 'they turn without limits about horizontal axes and '
+             'carry nothing'),
+            ('legs', limbs.legs(free), 'these limbs are alike, in pairs or too many for a hand')):
+        joints = [joint for joint in joints if joint in free and found[joint] == 'arm']
+        if joints:
+            found.update(dict.fromkeys(joints, part))
+            first = str(tree.model.joint(joints[0]).name)
+            notes.append(f'{part} is a guess: {why}; subsystems: {{{first}: other}} in a YAML '
+                         'file, and so on for each joint, changes it')
+
+
+def _complete_legs(tree: BodyTree, limbs: Limbs, found: dict[int, str],
+                   declared: Mapping[str, str], fingers: Collection[int]) -> None:
+    """Assign joints without a part of their own to the legs of their limb, or to the base."""
+    def can_change(joint: int) -> bool:
+        name = str(tree.model.joint(joint).name)
+        return found.get(joint) == 'arm' and name not in declared and joint not in fingers
+
+    for limb in limbs.on(limbs.trunk):
+        joints = [joint for joint in limbs.joints(limb) if joint in found]
+        words = set().union(*(words_of(str(tree.model.joint(j).name)) for j in joints))
+        parts = {found[joint] for joint in joints}
+        if 'legs' in parts <= {'legs', 'arm', 'base'} and not (
+                words & _ARM_BEYOND_SHOULDER or set(joints) & set(fingers)):
+            found.update({joint: 'legs' for joint in joints if can_change(joint)})
+    beyond = {found[joint] for limb in limbs.on(limbs.trunk) for joint in limbs.joints(limb)
+              if joint in found}
+    if 'legs' in beyond <= {'legs', 'base'}:
+        found.update({joint: 'base' for joint in limbs.leading if can_change(joint)})
 
 
 def _correct_base(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str]) -> None:
@@ -89,6 +154,10 @@ def _correct_torso(tree: BodyTree, found: dict[int, str], declared: Mapping[str,
         limbs = {j for j in below - set(fingers) if found.get(j) in ('arm', 'head', 'legs')}
         if len(tree.ends(limbs)) < 2:
             found[joint] = 'arm'
+
+
+#: Why a hand alone ends an arm.
+ALONE = 'the file is a hand alone'
 
 
 @dataclass(frozen=True)
@@ -118,11 +187,38 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     hands = [*hands, *_hands_of_chains(tree, subsystems, hands)]
     joints = _joints_of_arms(tree, subsystems, hands)
     tips = _longest_chains(tree, tree.ends(joints), joints)
-    if not hands and {'base', 'torso', 'head', 'legs'} & set(subsystems.values()) and all(
-            _length(tree, tip, joints) < 2 for tip in tips):
-        return {}  # Such as a laser that turns.
+    if not hands and all(_length(tree, tip, joints) < 2 for tip in tips) and (
+            len(tips) > 1 or {'base', 'torso', 'head', 'legs'} & set(subsystems.values())):
+        return {}  # Such as a laser that turns, or two antennas.
     by_side = _by_side(tree, tips, joints, notes)
     arms = {side: _end_of(tree, tip, hands) for side, tip in by_side.items()}
+    return {side: arms[side] for side in ('right', 'left') if side in arms}
+
+
+def lone_hands_as_arms(tree: BodyTree, subsystems: Mapping[int, str],
+                       hands: Collection[FoundHand], notes: list[str]) -> dict[str, FoundArm]:
+    """
+    Return the hands of a file that has nothing else, one or two, as arms without joints.
+
+    :param subsystems: by id of the joint
+    :param notes: gets a sentence if no name says that they are hands
+    """
+    found, is_named = lone_hands(tree, subsystems, hands)
+    if not found or len(found) > 2:
+        return {}
+    sides = ['right']
+    if len(found) == 2:
+        bodies = [hand.body for hand in found]
+        sides = [str(side) for side in tree.sides(bodies)]
+        if set(sides) != {'right', 'left'}:
+            by_place, why = _by_place(tree, bodies)
+            notes.append(f"the hands' names have no side: {why}")
+            sides = ['right' if by_place['right'] == body else 'left' for body in bodies]
+    if not is_named:
+        notes.append('right/gripper is a guess by the number and kind of the joints: '
+                     'arms: none in a YAML file if it is no hand')
+    arms = {side: FoundArm('body', tree.name(hand.body), hand, ALONE)
+            for side, hand in zip(sides, found)}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
 
 
@@ -175,7 +271,8 @@ def _hands_of_chains(tree: BodyTree, subsystems: Mapping[int, str], hands: Colle
         whole = max(_length(tree, tip, joints) for tip in tips)
         # No robot has three arms on a link that moves, but fingers may have more joints than a
         # wrist.
-        if shared > _ARM_SHARE * whole or (shared and len(branches) >= FINGERS):
+        if len(branches) <= MAX_FINGERS and (
+                shared > _ARM_SHARE * whole or (shared and len(branches) >= FINGERS)):
             found.append(hand_below(tree, carrier))
         else:
             groups += branches.values()
@@ -200,12 +297,13 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int], notes: li
                     for of_side in found.values())
     if set(found) == {None} and not ambiguous:  # The others are rods beside an arm.
         return {'right': found[None][0]}
-    if set(found) == {None} and len(tips) == 2:
-        sides = _by_place(tree, tips)
-        if sides:
-            notes.append("the arms' names have no side: left is the one that stands further left, "
-                         'along y')
-            return sides
+    shared = _length(tree, tree.common(tips), joints)
+    if set(found) == {None} and len(tips) == 2 and rank(tips[0])[0] > shared + 1:
+        sides, why = _by_place(tree, tips)
+        right, left = (tree.name(sides[side]) for side in ('right', 'left'))
+        notes.append(f"the arms' names have no side: {why}; arms: {{right: {{mount: {left}}}, "
+                     f'left: {{mount: {right}}}}} in a YAML file changes it')
+        return sides
     if set(found) != {'right', 'left'} or ambiguous:
         names = quoted_names([tree.name(tip) for tip in tips])
         notes.append(f'no arms: {len(tips)} chains of joints could be, they end at {names}; '
@@ -214,17 +312,26 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int], notes: li
     return {side: of_side[0] for side, of_side in found.items() if side is not None}
 
 
-def _by_place(tree: BodyTree, tips: list[int]) -> dict[str, int]:
-    """Return which of two tips belongs to the chain that begins further along y; none if equal."""
-    model = tree.model
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+def _by_place(tree: BodyTree, tips: list[int]) -> tuple[dict[str, int], str]:
+    """
+    Return which of two tips belongs to the right arm, and why.
+
+    The arms' roots, or else their tips, decide: left is further along y, or if they are not
+    beside each other, right is in front or above, or comes first in the file.
+    """
+    data = mujoco.MjData(tree.model)
+    mujoco.mj_kinematics(tree.model, data)
     shared = len(tree.path(tree.common(tips)))
-    places = [float(data.xpos[tree.path(tip)[shared], 1]) for tip in tips]
-    if abs(places[0] - places[1]) < _BESIDE_M:
-        return {}
-    left = int(places[1] > places[0])
-    return {'right': tips[1 - left], 'left': tips[left]}
+    for bodies in ([tree.path(tip)[shared] for tip in tips], tips):
+        apart = data.xpos[bodies[1]] - data.xpos[bodies[0]]
+        for axis, side, why in ((1, 'left', 'left is the one that stands further left, along y'),
+                                (0, 'right', 'right is the one in front, along x'),
+                                (2, 'right', 'right is the upper one')):
+            if abs(apart[axis]) > _BESIDE_M:
+                further, other = tips[int(apart[axis] > 0.0)], tips[int(apart[axis] <= 0.0)]
+                return ({'left': further, 'right': other} if side == 'left' else
+                        {'left': other, 'right': further}), why
+    return {'right': tips[0], 'left': tips[1]}, 'right is the one that comes first in the file'
 
 
 def _length(tree: BodyTree, body: int, joints: Collection[int]) -> int:

@@ -5,21 +5,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from manip_sim.models.files.body_tree import BodyTree, words_of
+from manip_sim.models.files.limbs import FINGERS, Limbs, MAX_FINGERS
 
 #: Words that only parts of hands have, and words that a wrist with a hand may have too.
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
 _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
+#: Words in the name of a body that carries fingers, and in those of joints that are no fingers'.
+_PALM_WORDS, _ARM_WORDS = {'gripper', 'hand', 'palm', 'claw'}, {'shoulder', 'elbow', 'wrist'}
 
-#: So many chains on one fixed body are fingers, fewer may be arms.
-FINGERS = 3
 #: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
 #: Fingers that hang on chains of at least so many joints of their own are of several hands.
 _LEAST_OF_ARM = 3
+#: A finger has at most so many times the joints of another; axes of two fingers are parallel if
+#: the cosine of their angle is greater than this.
+_UNEQUAL, _ONE_DIRECTION = 2, 0.9
 
 
 @dataclass(frozen=True)
@@ -49,10 +53,10 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     Return the hands of a robot, at most one for each side, or for each arm without a side.
 
     The body of a hand is the last one that carries all joints with a finger's name, or with a
-    gripper's if none has a finger's, and the joints that are coupled to them.
+    gripper's if none has a finger's, and the joints that are coupled to them. The bodies that
+    joints move may have the names of fingers instead.
     """
-    fingers = {j for j in range(tree.model.njnt)
-               if tree.is_scalar(j) and words_of(_name(tree, j)) & _FINGER_WORDS}
+    fingers = {j for j in range(tree.model.njnt) if tree.is_scalar(j) and _is_of_finger(tree, j)}
     named = {j for j in range(tree.model.njnt)
              if tree.is_scalar(j) and words_of(_name(tree, j)) & _HAND_WORDS}
     for actuator in range(tree.model.nu):
@@ -96,27 +100,53 @@ def hands_of_hand(tree: BodyTree, hand: FoundHand) -> list[str]:
     return [tree.name(body) for body in carriers] if several else []
 
 
-def lone_hand(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
-              ) -> FoundHand | None:
+def lone_hands(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
+               ) -> tuple[list[FoundHand], bool]:
     """
-    Return the hand if a file has nothing else, or None.
+    Return the hands of a file that has nothing else, none if it has, and whether names say so.
 
-    That is a hand with all joints of the file, or at least three chains on one fixed body.
+    Names do if all joints are of hands that they tell. Otherwise it takes fingers by their kind,
+    see :func:`_are_fingers`, on one fixed body, or on two that are out of reach of each other.
 
     :param subsystems: by id of the joint
     """
     scalar = {joint for joint in range(tree.model.njnt) if tree.is_scalar(joint)}
     if len(scalar) < tree.model.njnt or any(subsystems[joint] != 'arm' for joint in scalar):
-        return None
-    for hand in hands:
-        if scalar <= set(hand.joints):
-            return hand
-    carrier = _common_carrier(tree, scalar)
-    moved = {int(tree.model.jnt_bodyid[joint]) for joint in scalar}
-    first = [body for body in moved if not moved.intersection(tree.path(tree.parent(body)))]
-    if carrier and len(first) >= FINGERS and len(tree.ends(scalar)) == len(first):
-        return hand_below(tree, carrier)
-    return None
+        return [], False
+    if hands and scalar <= {joint for hand in hands for joint in hand.joints}:
+        return list(hands), True
+    limbs = Limbs(tree)
+    by_carrier = limbs.by_carrier(limbs.on(0))
+    if not limbs.are_of_two_hands(list(by_carrier.values())):
+        every = [limb for group in by_carrier.values() for limb in group]
+        by_carrier = {tree.common(list(by_carrier)): every}
+    if not all(body and _are_fingers(tree, limbs, group) for body, group in by_carrier.items()):
+        return [], False
+    return [hand_below(tree, body) for body in by_carrier], False
+
+
+def _are_fingers(tree: BodyTree, limbs: Limbs, fingers: Sequence[int]) -> bool:
+    """
+    Return whether limbs of one body are those of a hand, by their kind.
+
+    There are two to five, none of which branches, turns without limits or has more than twice the
+    joints of another. Two are fingers if each has one degree of freedom and they move along or
+    about one direction; longer ones may be arms. Four that stand in pairs are legs. The name of a
+    body that carries fingers, such as palm, is enough where there are several or a single joint.
+    """
+    joints = [limbs.joints(limb) for limb in fingers]
+    counts = [len({min(tree.coupled([joint])) for joint in of_limb}) for of_limb in joints]
+    if (any(len(tree.ends(of_limb)) > 1 or any(map(limbs.is_unlimited, of_limb))
+            for of_limb in joints) or len(fingers) > MAX_FINGERS):
+        return False
+    if words_of(tree.name(tree.parent(fingers[0]))) & _PALM_WORDS:
+        return len(fingers) > 1 or counts == [1]
+    if len(fingers) == 2:
+        kinds = {int(tree.model.jnt_type[of_limb[0]]) for of_limb in joints}
+        aligned = abs(float(limbs.axis(joints[0][0]) @ limbs.axis(joints[1][0])))
+        return max(counts) == 1 and len(kinds) == 1 and aligned > _ONE_DIRECTION
+    return len(fingers) >= FINGERS and max(counts) <= _UNEQUAL * min(counts) and not (
+        limbs.in_pairs(fingers))
 
 
 def _with_branches(tree: BodyTree, body: int) -> int:
@@ -140,6 +170,13 @@ def _with_branches(tree: BodyTree, body: int) -> int:
              and rigid[tree.parent(other)] == rigid[body]]
     return tree.common([body, *(tree.parent(root) for root in roots
                                 if length(tree.below(root)) <= longest)])
+
+
+def _is_of_finger(tree: BodyTree, joint: int) -> bool:
+    """Return whether a joint, or the body that it moves, has the name of a finger."""
+    words = words_of(_name(tree, joint))
+    body = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
+    return bool(words & _FINGER_WORDS or body & _FINGER_WORDS and not words & _ARM_WORDS)
 
 
 def _name(tree: BodyTree, joint: int) -> str:
@@ -169,15 +206,34 @@ def _by_arm(tree: BodyTree, joints: Collection[int]) -> list[set[int]]:
                         for body in (carrier, *(_common_carrier(tree, g) for g in groups)))
     is_several = len(groups) > 1 and min(lengths) >= _LEAST_OF_ARM and (
         shared <= _SHARED * min(lengths))
-    return groups if is_several else [set(joints)]
+    return groups if is_several or Limbs(tree).are_of_two_hands([
+        _fingers_below(tree, _common_carrier(tree, group)) for group in groups]
+    ) else [set(joints)]
+
+
+def _fingers_below(tree: BodyTree, carrier: int) -> list[int]:
+    """Return the first bodies of the fingers of a hand, all that moves on its body."""
+    return sorted(_first_bodies(tree, hand_below(tree, carrier).joints))
+
+
+def _first_bodies(tree: BodyTree, joints: Collection[int]) -> set[int]:
+    """Return the bodies of joints that no other of these joints moves."""
+    moved = {int(tree.model.jnt_bodyid[joint]) for joint in joints}
+    return {body for body in moved if not moved.intersection(tree.path(tree.parent(body)))}
 
 
 def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:
     """Return whether groups of joints are the left and right fingers of one hand."""
+    groups = list(groups)
     carriers = [_common_carrier(tree, group) for group in groups]
     shared, *lengths = (sum(map(tree.is_scalar, tree.joints(tree.path(body))))
                         for body in [tree.common(carriers), *carriers])
-    return shared > _SHARED * max(lengths)
+    if any(one != other and one in tree.path(other) for one in carriers for other in carriers):
+        return True  # What looks like a side is a letter of a finger's link.
+    # Without arms, one finger on each side makes one hand.
+    return shared > _SHARED * max(lengths) or not max(lengths) and (
+        len(set(carriers)) == 1 or any(
+            len(_fingers_below(tree, carrier)) == 1 for carrier in carriers))
 
 
 def _common_carrier(tree: BodyTree, joints: Iterable[int]) -> int:

@@ -15,8 +15,9 @@ from manip_sim.algebra import length
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.found_arms import classify_joints, find_arms, FoundArm
-from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below, lone_hand
+from manip_sim.models.files.found_arms import (
+    ALONE, classify_joints, find_arms, FoundArm, lone_hands_as_arms)
+from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.mocap_bodies import MocapBodies
 from manip_sim.models.files.model_file import ModelFile, read_model
@@ -25,8 +26,8 @@ from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
 from manip_sim.models.regular_files import Files
 
-#: Why a hand alone ends an arm, and how far above the floor its fingers stay [m].
-_ALONE, _CLEARANCE_M = 'the file is a hand alone', 0.05
+#: How far above the floor the fingers of a hand alone stay [m].
+_CLEARANCE_M = 0.05
 
 
 @dataclass
@@ -80,10 +81,10 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     _check_joints(tree, description, where)
     found = _find_hands(tree, description, where)
     subsystems = classify_joints(tree, description.subsystems,
-                                 {joint for hand in found for joint in hand.joints})
+                                 {joint for hand in found for joint in hand.joints}, notes)
     arms = _find_arms(model_file, tree, subsystems, found, description, where)
     hands = {side: arm.hand for side, arm in arms.items() if arm.hand is not None}
-    if description.foot is None and [arm.why for arm in arms.values()] == [_ALONE]:
+    if description.foot is None and {arm.why for arm in arms.values()} == {ALONE}:
         description = _raised(model_file, description)
     if len(arms) == 2:
         _find_torso(tree, subsystems, arms, description.subsystems)
@@ -134,18 +135,22 @@ def _find_torso(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, F
 
 def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, FoundArm],
                  declared: Mapping[str, str]) -> None:
-    """Take from the arms the joints that neither lead to an end nor belong to its hand."""
+    """
+    Take from the arms the joints that neither lead to an end nor belong to its hand.
+
+    One that an equality constraint couples to other joints is of their part.
+    """
     model, own = tree.model, set()
     for arm in arms.values():
         own |= set(tree.joints(tree.path(_end_body(tree, arm))))
         own |= set(() if arm.hand is None else arm.hand.joints)
-    own = tree.coupled(own)
     loops = tree.bodies_in_loops()
     for joint, part in subsystems.items():
         # A joint below which a loop is closed may drive the arm, as the crank of a parallel one.
         if (part == 'arm' and joint not in own and str(model.joint(joint).name) not in declared
                 and not tree.below(int(model.jnt_bodyid[joint])) & loops):
-            subsystems[joint] = 'other'
+            leaders = {subsystems[other] for other in tree.coupled([joint]) if other in own}
+            subsystems[joint] = 'arm' if 'arm' in leaders else min(leaders, default='other')
             carried = [subsystems.get(j) for j in tree.joints(
                 sorted(tree.below(int(model.jnt_bodyid[joint])))) if j != joint]
             if carried and set(carried) == {'base'}:  # Such as one that rolls all wheels.
@@ -196,9 +201,9 @@ def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, s
         arms = {side: _declared_arm(model_file.spec, tree, side, arm, hands, where)
                 for side, arm in declared.items()}
     else:
-        alone = lone_hand(tree, subsystems, hands)
-        arms = find_arms(tree, subsystems, hands, model_file.inferred) if alone is None else {
-            'right': FoundArm('body', tree.name(alone.body), alone, _ALONE)}
+        notes = model_file.inferred
+        arms = (lone_hands_as_arms(tree, subsystems, hands, notes)
+                or find_arms(tree, subsystems, hands, notes))
         if arms:
             model_file.inferred.append('; '.join(
                 f"{side} arm ends at {arm.kind} '{arm.name}': {arm.why}"

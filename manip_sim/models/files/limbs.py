@@ -1,0 +1,183 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Find bases, wheels and legs by the joints of a model, where names do not say.
+
+A limb is what moves on a rigid link; the trunk is the first link that carries several limbs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import mujoco
+import numpy as np
+
+from manip_sim.algebra import length
+from manip_sim.arrays import FloatArray
+from manip_sim.models.files.body_tree import BodyTree
+
+#: A hand has at most so many fingers, and one of two hands of a file so many at least; more limbs
+#: that are alike are legs.
+MAX_FINGERS, FINGERS = 5, 3
+#: The fewest limbs that may be legs by their places alone.
+_LEAST_LEGS = 4
+#: A hinge that turns farther than this has no limits in practice [rad].
+_UNLIMITED_RAD = 100.0
+#: Wheels have axes, and planes normals, that deviate by less than this from the ideal [sine].
+_ALIGNED = 0.1
+#: Limbs are mirrored if the places of their roots are so within this share of their distance.
+_MIRRORED = 0.1
+
+
+class Limbs:
+    """The limbs of a model at zero, and what its leading joints are: those that move all of it."""
+
+    def __init__(self, tree: BodyTree) -> None:
+        self._tree, self._model = tree, tree.model
+        self._data = mujoco.MjData(tree.model)
+        mujoco.mj_kinematics(tree.model, self._data)
+        self.leading: list[int] = []
+        link = 0
+        while len(limbs := self.on(link)) == 1:
+            self.leading += tree.joints(limbs)
+            link = limbs[0]
+        self.trunk = link
+
+    def on(self, link: int) -> list[int]:
+        """Return the first bodies of the limbs that a rigid link carries; 0 is the fixed one."""
+        tree, rigid = self._tree, self._model.body_weldid
+        return [body for body in range(1, self._model.nbody)
+                if tree.joints([body]) and rigid[tree.parent(body)] == link]
+
+    def joints(self, limb: int) -> list[int]:
+        """Return the joints of a limb."""
+        return self._tree.joints(sorted(self._tree.below(limb)))
+
+    def is_unlimited(self, joint: int) -> bool:
+        """Return whether a joint is a hinge that turns on and on."""
+        model = self._model
+        return int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE) and (
+            not model.jnt_limited[joint] or bool(np.ptp(model.jnt_range[joint]) > _UNLIMITED_RAD))
+
+    def planar_base(self) -> list[int]:
+        """
+        Return the joints that move the whole robot in a plane: two slides, and a hinge across.
+
+        The plane is horizontal, or one body has all three, as planar walkers have.
+        """
+        joints = [joint for joint in self.leading if self._tree.is_scalar(joint)][:3]
+        axes = self._data.xaxis[joints]
+        kinds = [int(self._model.jnt_type[joint]) for joint in joints]
+        slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
+        if len(joints) < 3 or kinds.count(slide) != 2:
+            return []
+        along = [axis for axis, kind in zip(axes, kinds) if kind == slide]
+        hinge = next(axis for axis, kind in zip(axes, kinds) if kind != slide)
+        is_plane = max(abs(float(np.dot(one, other))) for one, other in (
+            along, (along[0], hinge), (along[1], hinge))) < _ALIGNED
+        of_one_body = len(set(self._model.jnt_bodyid[joints].tolist())) == 1
+        return joints if is_plane and (of_one_body or _is_vertical(hinge)) else []
+
+    def wheels(self, among: Iterable[int]) -> list[int]:
+        """
+        Return the joints of wheels: two or more hinges without limits on the trunk.
+
+        Their axes are horizontal, and nothing moves on them but what turns on and on, too, as the
+        rollers of omnidirectional wheels do.
+
+        :param among: the joints that may be of wheels
+        """
+        candidates = set(among)
+        wheels = [limb for limb in self.on(self.trunk)
+                  if candidates.issuperset(self.joints(limb)) and self._is_wheel(limb)]
+        return [joint for limb in wheels for joint in self.joints(limb)] if len(wheels) > 1 else []
+
+    def _is_wheel(self, limb: int) -> bool:
+        """Return whether a limb is a hinge of a wheel, with rollers or without."""
+        axle, *others = self.joints(limb)
+        rollers = self.on(limb)
+        return (self.is_unlimited(axle) and abs(float(self._data.xaxis[axle, 2])) < _ALIGNED
+                and len(rollers) == len(others) != 1 and all(map(self.is_unlimited, others)))
+
+    def legs(self, among: Iterable[int]) -> list[int]:
+        """
+        Return the joints of legs: limbs of the trunk that are alike, more than a hand has fingers.
+
+        Four are enough if they stand in pairs on both sides of the middle: a hand has a thumb, or
+        a finger in the middle.
+
+        :param among: the joints that may be of legs
+        """
+        if not self._is_floating_trunk():
+            return []
+        candidates = set(among)
+        alike: dict[tuple[int, int], list[int]] = {}
+        for limb in self.on(self.trunk):
+            joints = self.joints(limb)
+            if candidates.issuperset(joints) and len(joints) > 1:
+                alike.setdefault((len(joints), len(self._tree.ends(joints))), []).append(limb)
+        return [joint for limbs in alike.values() if len(limbs) >= _LEAST_LEGS
+                and (len(limbs) > MAX_FINGERS or self.in_pairs(limbs))
+                and not self.are_of_two_hands(list(self.by_carrier(limbs).values()))
+                for limb in limbs for joint in self.joints(limb)]
+
+    def _is_floating_trunk(self) -> bool:
+        """Return whether nothing is above the trunk but joints that move the whole robot."""
+        scalar = [joint for joint in self.leading if self._tree.is_scalar(joint)]
+        kinds = [int(self._model.jnt_type[joint]) for joint in scalar]
+        bodies = {int(self._model.jnt_bodyid[joint]) for joint in scalar}
+        return not scalar or scalar == self.planar_base() or (
+            kinds.count(int(mujoco.mjtJoint.mjJNT_SLIDE)) > 1 and len(bodies) == 1)
+
+    def in_pairs(self, limbs: Sequence[int]) -> bool:
+        """Return whether limbs stand in pairs that mirror each other, with none in the middle."""
+        places = self._data.xpos[list(limbs)]
+        rotation = self._data.xmat[self._tree.parent(limbs[0])].reshape(3, 3)
+        places = (places - places.mean(axis=0)) @ rotation
+        size = float(np.abs(places).max(initial=0.0))
+        return len(limbs) % 2 == 0 and any(
+            _mirrors(places, axis, _MIRRORED * size) for axis in range(3))
+
+    def by_carrier(self, limbs: Iterable[int]) -> dict[int, list[int]]:
+        """Return limbs by the body that they hang on."""
+        found: dict[int, list[int]] = {}
+        for limb in limbs:
+            found.setdefault(self._tree.parent(limb), []).append(limb)
+        return found
+
+    def are_of_two_hands(self, groups: Sequence[Sequence[int]]) -> bool:
+        """Return whether groups of limbs are fingers of two hands: alike, and out of reach."""
+        if len(groups) != 2 or min(map(len, groups)) < FINGERS:
+            return False
+        lengths = [sorted(len(self.joints(limb)) for limb in group) for group in groups]
+        one, other = (self._data.xpos[list(group)].mean(axis=0) for group in groups)
+        return lengths[0] == lengths[1] and length(one - other) > sum(
+            max(map(self._reach, group)) for group in groups)
+
+    def _reach(self, limb: int) -> float:
+        """Return how far from the root of a limb its shapes and frames are at most [m]."""
+        model, data = self._model, self._data
+        bodies = sorted(self._tree.below(limb))
+        geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+        distances = [*np.linalg.norm(data.xpos[bodies] - data.xpos[limb], axis=1),
+                     *np.linalg.norm(data.geom_xpos[geoms] - data.xpos[limb], axis=1)]
+        return float(max(distances))
+
+    def axis(self, joint: int) -> FloatArray:
+        """Return the direction of the axis of a joint, shape (3,)."""
+        direction: FloatArray = self._data.xaxis[joint]
+        return direction
+
+
+def _is_vertical(axis: FloatArray) -> bool:
+    return float(np.hypot(axis[0], axis[1])) < _ALIGNED
+
+
+def _mirrors(places: FloatArray, axis: int, tolerance: float) -> bool:
+    """Return whether places, shape (n, 3), mirror each other along an axis, and none is on it."""
+    image = places.copy()
+    image[:, axis] *= -1.0
+    nearest = np.linalg.norm(places[:, None] - image[None], axis=2).min(axis=1)
+    return bool((nearest < tolerance).all() and (np.abs(places[:, axis]) > tolerance).all())

@@ -1,0 +1,201 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Parts that no name of a joint tells: wheels, legs, planar bases, hands, lifts, arms by place."""
+
+from __future__ import annotations
+
+import math
+
+from files_rig import write
+import pytest
+
+from manip_sim.models import compose, load_robot
+from manip_sim.simulation import Simulation
+
+SHAPE = '<geom size="0.02" mass="0.1"/>'
+
+
+def chain(name, count, place='0 0 0', limits='-1 1', inside='', kind='hinge', body='{}',
+          axis='0 1 0'):
+    """Return bodies in a row, the first at a place, each with a joint."""
+    text = inside
+    for i in range(count, 0, -1):
+        range_ = f'range="{limits}" limited="true"' if limits else 'limited="false"'
+        text = (f'<body name="{body.format(f"{name}{i}_link")}" '
+                f'pos="{place if i == 1 else "0 0 0.1"}"><joint name="{name}{i}" type="{kind}" '
+                f'axis="{axis}" {range_}/>{SHAPE}{text}</body>')
+    return text
+
+
+def model(inside, root='trunk', free='', equality=''):
+    """Return the MJCF of a root body that carries something."""
+    return (f'<mujoco><compiler angle="radian"/><worldbody><body name="{root}" pos="0 0 1">{free}'
+            f'{SHAPE}{inside}</body></worldbody><equality>{equality}</equality></mujoco>')
+
+
+def parts_of(folder, inside, root='trunk', free=''):
+    """Return the number of joints by part of what a root body carries, and what was inferred."""
+    file = write(folder / 'robot.xml', model(inside, root, free))
+    robot = load_robot(file)
+    parts = Simulation(compose(load_robot(file))).robot.parts
+    return {name: len(part.joints) for name, part in parts.items()
+            if part.atomic == (name,) and part.joints}, robot.inferred
+
+
+def around(count, radius=0.2, turn=0.0):
+    """Return places on a circle."""
+    angles = [turn + 2.0 * math.pi * i / count for i in range(count)]
+    return [f'{radius * math.cos(a):.4f} {radius * math.sin(a):.4f} 0' for a in angles]
+
+
+def test_wheels_are_the_hinges_without_limits_that_carry_nothing(tmp_path):
+    wheels = ''.join(chain(f's{i}', 1, place, limits='', axis='1 0 0')
+                     for i, place in enumerate(around(3)))
+    arm = chain('j', 5, '0 0 0.1', inside=chain('k', 1, '0 0.02 0.1', body='moving_jaw'))
+    parts, said = parts_of(tmp_path, wheels + arm)
+    assert parts == {'base': 3, 'arm': 5, 'right/gripper': 1}
+    assert [note for note in said if note.startswith('base is a guess: ') and
+            'subsystems: {s01: other} in a YAML file' in note]
+
+
+def test_bodies_tell_wheels_where_joints_have_numbers_only(tmp_path):
+    wheels = ''.join(chain(f's{i}', 1, place, body=f'omni_wheel_{i}')
+                     for i, place in enumerate(around(3)))
+    parts, said = parts_of(tmp_path, wheels + chain('j', 4, '0 0 0.1'))
+    assert parts == {'base': 3, 'arm': 4}
+    assert not any('guess' in note for note in said)
+
+
+@pytest.mark.parametrize('hinge', ['0 0 1', '0 1 0'])
+def test_a_single_hinge_or_a_vertical_one_is_no_wheel(tmp_path, hinge):
+    spinning = chain('s', 1, '0.2 0 0', limits='', axis=hinge)
+    if hinge == '0 0 1':
+        spinning += chain('t', 1, '-0.2 0 0', limits='', axis=hinge)
+    parts, _ = parts_of(tmp_path, spinning + chain('j', 4, '0 0 0.1'))
+    assert 'base' not in parts and parts['arm'] == 4
+
+
+@pytest.mark.parametrize(('count', 'limits', 'turn'), [
+    (6, '-1 1', 0.0), (8, '-1 1', 0.0), (6, '', 0.0), (4, '-1 1', math.pi / 4.0)])
+@pytest.mark.parametrize('free', ['', '<freejoint/>'])
+def test_alike_limbs_in_pairs_or_too_many_for_a_hand_are_legs(tmp_path, count, limits, turn, free):
+    limbs = ''.join(chain(f'J{i}_', 3, place, limits) for i, place in
+                    enumerate(around(count, turn=turn)))
+    parts, said = parts_of(tmp_path, limbs, free=free)
+    assert parts == {'legs': 3 * count}
+    assert any(note.startswith('legs is a guess: ') for note in said)
+
+
+def test_legs_by_their_kind_leave_the_arm_between_them(tmp_path):
+    limbs = ''.join(chain(f'J{i}_', 3, place) for i, place in
+                    enumerate(around(4, turn=math.pi / 4.0)))
+    parts, _ = parts_of(tmp_path, limbs + chain('a', 6, '0 0 0.1'))
+    assert parts == {'legs': 12, 'arm': 6}
+
+
+def test_a_limb_with_the_name_of_a_leg_is_one_whatever_its_first_joint_is_called(tmp_path):
+    limbs = ''.join(
+        chain(f'c{i}_shoulder', 1, place, inside=chain(f'tibia{i}_', 2, '0 0 -0.1'))
+        for i, place in enumerate(around(4)))
+    assert parts_of(tmp_path, limbs)[0] == {'legs': 12}
+
+
+@pytest.mark.parametrize('places', [
+    ['0 0.04 0.1', '0 0 0.1', '0 -0.04 0.1', '0.03 0.06 0.02'], around(3, 0.04)])
+def test_fingers_around_a_palm_or_beside_a_thumb_are_a_hand(tmp_path, places):
+    fingers = ''.join(chain(f'J{i}_', 4, place) for i, place in enumerate(places))
+    parts, said = parts_of(tmp_path, fingers)
+    assert parts == {'right/gripper': 4 * len(places)}
+    assert any('arms: none in a YAML file if it is no hand' in note for note in said)
+
+
+@pytest.mark.parametrize('lengths', [(1, 1, 1, 6), (2, 2, 5)])
+def test_unequal_limbs_are_no_fingers(tmp_path, lengths):
+    limbs = ''.join(chain(f'J{i}_', count, place) for i, (count, place) in
+                    enumerate(zip(lengths, around(len(lengths)))))
+    parts, _ = parts_of(tmp_path, limbs)
+    assert parts == {'arm': max(lengths), 'other': sum(lengths) - max(lengths)}
+
+
+@pytest.mark.parametrize('axis', ['0 1 0', '0 -1 0'])
+def test_two_slides_along_one_line_are_a_gripper_alone(tmp_path, axis):
+    jaws = (chain('p', 1, '0 0.03 0.05', '-0.03 0.01', kind='slide')
+            + chain('q', 1, '0 -0.03 0.05', '-0.03 0.01', kind='slide', axis=axis))
+    parts, said = parts_of(tmp_path, jaws)
+    assert parts == {'right/gripper': 2}
+    assert any('right/gripper is a guess' in note for note in said)
+
+
+def test_two_joints_in_different_directions_are_neither_a_gripper_nor_arms(tmp_path):
+    ears = chain('p', 1, '0 0.03 0.05') + chain('q', 1, '0 -0.03 0.05', axis='1 0 0')
+    assert parts_of(tmp_path, ears)[0] == {'other': 2}
+
+
+def test_a_body_called_palm_carries_fingers_whatever_they_are(tmp_path):
+    fingers = chain('p', 3, '0 0.03 0.05') + chain('q', 2, '0 -0.03 0.05')
+    assert parts_of(tmp_path, fingers, root='palm_base')[0] == {'right/gripper': 5}
+
+
+@pytest.mark.parametrize(('names', 'sides'), [
+    (('right_', 'left_'), ('right', 'left')), (('a_', 'b_'), ('left', 'right'))])
+@pytest.mark.parametrize('thumb', ['thumb', 'f'])
+def test_two_hands_out_of_reach_of_each_other_are_two_grippers(tmp_path, names, sides, thumb):
+    hands = ''
+    for name, y in zip(names, (-0.3, 0.3) if names[0] == 'right_' else (0.3, -0.3)):
+        fingers = ''.join(chain(f'{name}{finger}', 2, place) for finger, place in zip(
+            (thumb, 'g', 'h'), around(3, 0.04)))
+        hands += f'<body name="{name}palm" pos="0 {y} 0">{SHAPE}{fingers}</body>'
+    robot = load_robot(write(tmp_path / 'robot.xml', model(hands)))
+    assert robot.eef_name == {side: f'robot0_{name}palm' for name, side in zip(names, sides)}
+    assert {side: len(hand.joints) for side, hand in robot.grippers.items()} == {
+        'right': 6, 'left': 6}
+
+
+@pytest.mark.parametrize(('axes', 'part'), [
+    ((('slide', '1 0 0'), ('slide', '0 1 0'), ('hinge', '0 0 1')), 'base'),
+    ((('hinge', '0 0 1'), ('slide', '0 1 0'), ('slide', '1 0 0')), 'base'),
+    ((('slide', '1 0 0'), ('slide', '0 0 1'), ('hinge', '0 1 0')), 'arm'),
+    ((('slide', '1 0 0'), ('slide', '0 1 0'), ('slide', '0 0 1')), 'arm'),
+    ((('slide', '1 0 0'), ('slide', '1 0 0'), ('hinge', '0 0 1')), 'arm')])
+def test_two_slides_and_a_hinge_across_below_an_arm_are_a_base(tmp_path, axes, part):
+    text = chain('arm', 4, '0 0 0.1')
+    for i, (kind, axis) in reversed(list(enumerate(axes))):
+        text = chain(f'm{i}_', 1, inside=text, kind=kind, axis=axis)
+    parts, _ = parts_of(tmp_path, text)
+    assert parts == ({'base': 3, 'arm': 4} if part == 'base' else {'arm': 7})
+
+
+def test_the_root_of_a_planar_walker_is_its_base(tmp_path):
+    root = ''.join(f'<joint name="{name}" type="{kind}" axis="{axis}"/>' for name, kind, axis in (
+        ('along', 'slide', '1 0 0'), ('up', 'slide', '0 0 1'), ('lean', 'hinge', '0 1 0')))
+    legs = ''.join(chain(f'thigh_{side}', 3, place) for side, place in (
+        ('a', '0 0.1 0'), ('b', '0 -0.1 0')))
+    assert parts_of(tmp_path, legs, free=root)[0] == {'base': 3, 'legs': 6}
+
+
+def two_arms_on_a_lift(right_carries):
+    """Return a lift with two bars that follow it; arms hang on the lift, or on the right bar."""
+    arms = chain('l_j', 4, '0 0.2 0.3') + chain('r_j', 4, '0 -0.2 0.3')
+    inside, beside = (arms, '') if right_carries else ('', arms)
+    bars = (chain('left_bar', 1, '0 0.1 0', '0 0.5') + beside
+            + chain('right_bar', 1, '0 -0.1 0', '0 0.5', inside=inside))
+    return chain('tripod', 1, '0 0 0.1', '0 0.3', inside=bars, kind='slide', axis='0 0 1')
+
+
+@pytest.mark.parametrize('right_carries', [False, True])
+def test_joints_that_follow_one_are_of_its_part(tmp_path, right_carries):
+    ties = ''.join(
+        f'<joint joint1="{side}_bar1" joint2="tripod1"/>' for side in ('left', 'right'))
+    text = model(two_arms_on_a_lift(right_carries), equality=ties)
+    robot = load_robot(write(tmp_path / 'robot.xml', text))
+    assert robot.torso_joints == [f'robot0_{name}1' for name in (
+        'tripod', 'left_bar', 'right_bar')] and len(robot.arm_joints) == 8
+
+
+def test_a_head_on_six_rods_is_no_hand(tmp_path):
+    rods = ''.join(chain(f'rod{i}_', 2, place) for i, place in enumerate(around(6, 0.05)))
+    text = chain('yaw', 1, '0 0 0.1', inside=rods, axis='0 0 1')
+    ears = chain('right_antenna', 1, '0 -0.1 0.2') + chain('left_antenna', 1, '0 0.1 0.2')
+    parts, _ = parts_of(tmp_path, text + ears)
+    assert set(parts) == {'other'}
