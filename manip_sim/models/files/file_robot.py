@@ -72,6 +72,25 @@ class FileRobot(RobotModel, registered=False):
             self.inferred = [*kept, *(f'{said}, as the robot stands on a mobile base'
                                       for said in mocap.left_out())]
 
+    @property
+    def bottom_offset(self) -> FloatArray:
+        """
+        From the root body to the floor that the robot stands on [m], shape (3,), a copy.
+
+        Without a base it is below the lowest shape if the file puts that into the floor, unless
+        :meth:`set_base_xpos` gave a height.
+        """
+        offset = super().bottom_offset
+        if self._base is None and (self._floor_xpos is None or not self._floor_xpos[2]):
+            offset[2] -= self._plan.depth_in_floor
+        return offset
+
+    def _placed_copy(self, floor_xpos: ArrayLike | None) -> mujoco.MjSpec:
+        own = super()._placed_copy(floor_xpos)
+        if floor_xpos is None and self._floor_xpos is None and self._base is None:
+            own.body(self._root().name).pos[2] += self._plan.depth_in_floor
+        return own
+
     def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                   floor_xpos: ArrayLike | None = None) -> None:
         """

@@ -116,7 +116,7 @@ class Limbs:
         alike: dict[tuple[int, int], list[int]] = {}
         for limb in self.on(self.trunk):
             joints = self.joints(limb)
-            if candidates.issuperset(joints) and len(joints) > 1:
+            if candidates.issuperset(joints) and len(set(self._model.jnt_bodyid[joints])) > 1:
                 alike.setdefault((len(joints), len(self._tree.ends(joints))), []).append(limb)
         return [joint for limbs in alike.values() if len(limbs) >= _LEAST_LEGS
                 and (len(limbs) > MAX_FINGERS or self.in_pairs(limbs))

@@ -38,8 +38,11 @@ _INSIDE = 0.25
 _BETTER_M = 1e-3
 #: Positions that differ by less are the same [rad or m].
 _SAME = 1e-6
-#: A free robot that starts farther below the floor than this is raised to it [m].
+#: A robot that starts farther below the floor than this is raised to it [m].
 _BELOW_FLOOR_M = 0.05
+#: What moves of a robot whose root is fixed touches the floor if it is lower than this, and is
+#: raised to the other [m].
+_TOUCHES_FLOOR_M, _ABOVE_FLOOR_M = 1e-6, 1e-3
 
 
 def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
@@ -266,22 +269,66 @@ def _place_root(spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: FloatArray) ->
     return [f'raised by {raised:.3f} m, so that it stands on the floor'] if raised else []
 
 
+def depth_in_floor(model: mujoco.MjModel, start: Mapping[str, float]) -> float:
+    """
+    Return how far a robot whose root is fixed reaches into the floor where it starts [m].
+
+    It is 0 for one that floats, and if nothing that moves touches the floor and what does not move
+    reaches no farther than the foot of an arm does. Otherwise it ends just above the floor: wheels
+    and feet of a robot that is fixed would rub on it.
+
+    :param start: positions of scalar joints by name [rad or m]
+    """
+    if (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any():
+        return 0.0
+    data = mujoco.MjData(model)
+    for name, position in start.items():
+        data.joint(name).qpos[0] = position
+    mujoco.mj_kinematics(model, data)
+    own = ((model.geom_contype | model.geom_conaffinity) != 0) & (model.geom_bodyid != 0)
+    moves = model.body_weldid[model.geom_bodyid] != 0
+    moving, fixed = (float(shape_heights(model, data, own & which)[:, 0].min(initial=np.inf))
+                     for which in (moves, ~moves))
+    blocked = moving < _TOUCHES_FLOOR_M or fixed < -_BELOW_FLOOR_M
+    return _ABOVE_FLOOR_M - min(moving, fixed) if blocked else 0.0
+
+
 def shape_heights(model: mujoco.MjModel, data: mujoco.MjData, which: BoolArray | None = None
                   ) -> FloatArray:
     """
-    Return the lowest and highest point of the bounding box of each shape but planes [m].
+    Return the lowest and highest point of each shape but planes [m].
 
     :param data: after ``mj_kinematics``
     :param which: a mask of shapes, shape (ngeom,); None is all
     :returns: shape (n, 2)
     """
-    upward = data.geom_xmat.reshape(-1, 9)[:, 6:9]
-    middle = data.geom_xpos[:, 2] + (upward * model.geom_aabb[:, :3]).sum(axis=1)
-    half = (np.abs(upward) * model.geom_aabb[:, 3:]).sum(axis=1)
     has_size = model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)
     counts = has_size if which is None else has_size & which
-    heights: FloatArray = np.stack([middle - half, middle + half], axis=1)[counts]
-    return heights
+    return np.array([_heights(model, data, geom) for geom in np.flatnonzero(counts).tolist()]
+                    ).reshape(-1, 2)
+
+
+def _heights(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[float, float]:
+    """Return the lowest and highest point of a shape; of a height field those of its box."""
+    upward, size = data.geom_xmat[geom, 6:9], model.geom_size[geom]
+    middle, kinds = float(data.geom_xpos[geom, 2]), mujoco.mjtGeom
+    kind, mesh = int(model.geom_type[geom]), int(model.geom_dataid[geom])
+    if kind == int(kinds.mjGEOM_MESH) and mesh >= 0:
+        first = int(model.mesh_vertadr[mesh])
+        heights = model.mesh_vert[first:first + int(model.mesh_vertnum[mesh])] @ upward
+        return middle + float(heights.min()), middle + float(heights.max())
+    if kind == int(kinds.mjGEOM_SPHERE):
+        half = size[0]
+    elif kind == int(kinds.mjGEOM_CAPSULE):
+        half = size[0] + size[1] * abs(upward[2])
+    elif kind == int(kinds.mjGEOM_CYLINDER):
+        half = size[0] * np.hypot(upward[0], upward[1]) + size[1] * abs(upward[2])
+    elif kind == int(kinds.mjGEOM_ELLIPSOID):
+        half = np.linalg.norm(size * upward)
+    else:
+        middle += float(upward @ model.geom_aabb[geom, :3])
+        half = np.abs(upward) @ model.geom_aabb[geom, 3:]
+    return middle - float(half), middle + float(half)
 
 
 def _load_mjcf(file: Path, expects_meshes: bool) -> tuple[mujoco.MjSpec, list[str]]:

@@ -20,7 +20,7 @@ from manip_sim.models.files.found_arms import (
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.mocap_bodies import MocapBodies
-from manip_sim.models.files.model_file import ModelFile, read_model
+from manip_sim.models.files.model_file import depth_in_floor, ModelFile, read_model
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
@@ -44,6 +44,7 @@ class RobotPlan:
     :ivar inferred: what was inferred or left out, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     :ivar mocap: the mocap bodies that come with the robot, or None
+    :ivar depth_in_floor: how far it is raised where nothing else places it [m]
     """
 
     file: Path
@@ -59,6 +60,7 @@ class RobotPlan:
     inferred: list[str]
     keyframes: dict[str, dict[str, float]]
     mocap: MocapBodies | None
+    depth_in_floor: float
 
 
 def plan_robot(file: Path, description: RobotDescription, where: str, files: Files | None = None
@@ -86,6 +88,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     hands = {side: arm.hand for side, arm in arms.items() if arm.hand is not None}
     if description.foot is None and {arm.why for arm in arms.values()} == {ALONE}:
         description = _raised(model_file, description)
+    depth = _depth(model_file, description)
     if len(arms) == 2:
         _find_torso(tree, subsystems, arms, description.subsystems)
     _sort_others(tree, subsystems, arms, description.subsystems)
@@ -103,7 +106,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
     return RobotPlan(file, description, where, spec, start, by_name, ends, own, arms, loose,
-                     notes, model_file.keyframes, mocap)
+                     notes, model_file.keyframes, mocap, depth)
 
 
 def _raised(model_file: ModelFile, description: RobotDescription) -> RobotDescription:
@@ -117,6 +120,19 @@ def _raised(model_file: ModelFile, description: RobotDescription) -> RobotDescri
     height = round(reach + _CLEARANCE_M, 3)
     model_file.inferred.append(f'it is fixed {height:g} m above the floor, in the air')
     return description.model_copy(update={'foot': [0.0, 0.0, -height]})
+
+
+def _depth(model_file: ModelFile, description: RobotDescription) -> float:
+    """Return how far a robot is raised that the file puts into the floor, unless it has a foot."""
+    if description.foot is not None:
+        return 0.0
+    depth = depth_in_floor(model_file.tree.model, model_file.start)
+    if depth:
+        model_file.inferred.append(
+            f'raised by {depth:.3f} m, so that its lowest shape is just above the floor, unless it '
+            'stands on a base or is placed at a height; foot: [0, 0, 0] in a YAML file leaves '
+            'its root on the floor')
+    return depth
 
 
 def _end_body(tree: BodyTree, arm: FoundArm) -> int:
