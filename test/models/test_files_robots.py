@@ -64,7 +64,8 @@ def test_what_is_no_robot_is_left_out_and_said(tmp_path):
 @pytest.mark.parametrize(('name', 'subsystem'), [
     ('fl_hx', 'legs'), ('left_hip_pitch_joint', 'legs'), ('FR_calf_joint', 'legs'),
     ('LF_HAA', 'legs'), ('neck_yaw', 'head'), ('wheel_left_joint', 'base'),
-    ('joint_torso', 'torso'), ('shoulder_pan', 'arm')])
+    ('joint_torso', 'torso'), ('shoulder_pan', 'arm'), ('lfemurrx', 'legs'), ('bthigh', 'legs'),
+    ('headrx', 'head'), ('lwristry', 'arm'), ('lwheel', 'base'), ('forelimb', 'arm')])
 def test_names_of_other_models_tell_the_subsystem(tmp_path, name, subsystem):
     robot = load_robot(write(tmp_path / 'arm.xml', ARM.replace('"turn"', f'"{name}"')))
     assert robot.joints_of(subsystem)[0] == f'robot0_{name}'

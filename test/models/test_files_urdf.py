@@ -252,7 +252,8 @@ def test_a_number_of_a_joint_that_mujoco_does_not_read_is_checked(
     ('<mujoco/>', "arm.urdf is not URDF: its root is 'mujoco', not 'robot'"),
     ('<!DOCTYPE robot [<!ENTITY a "b">]><robot/>', "arm.urdf, line 1: the entity 'a' is declared"),
     (URDF.replace('<child link="upper"/>', '<child link="uper"/>'),
-     'arm.urdf cannot be read by MuJoCo')])
+     "joint 'shoulder': its child link 'uper' is not declared"),
+    (URDF.replace('<box size="0.02 0.02 0.1"/>', '<box/>'), 'arm.urdf cannot be read by MuJoCo')])
 def test_a_urdf_that_cannot_be_read_is_told_in_one_line(tmp_path, text, message):
     with pytest.raises(ModelError, match=message) as raised:
         load_robot(write(tmp_path / 'arm.urdf', text))
@@ -456,7 +457,7 @@ MOVES = 'not one of revolute, prismatic, continuous'
 
 @pytest.mark.parametrize(('leader', 'message'), [
     *((f'mount:{kind}', f"its <mimic> names joint 'mount', which is {kind}, {MOVES}")
-      for kind in ('fixed', 'floating', 'planar')),
+      for kind in ('floating', 'planar')),
     ('right_finger', "its <mimic> is a circle, so nothing can drive it: 'right_finger' follows "
                      "'right_finger'"),
     ('left_fingr', "did you mean 'left_finger'"), ('', 'available: left_finger')])
@@ -472,7 +473,7 @@ def test_a_mimic_of_no_joint_that_moves_is_rejected_in_one_line(tmp_path, leader
     assert '\n' not in str(error.value)
 
 
-@pytest.mark.parametrize('kind', ['fixed', 'floating', 'planar'])
+@pytest.mark.parametrize('kind', ['floating', 'planar'])
 def test_a_mimic_on_a_joint_that_cannot_follow_is_rejected_in_one_line(tmp_path, kind):
     file = write(tmp_path / 'hand.urdf', hand_with('<mimic joint="left_finger"/>', kind).replace(
         'KIND', 'fixed'))
@@ -480,6 +481,60 @@ def test_a_mimic_on_a_joint_that_cannot_follow_is_rejected_in_one_line(tmp_path,
         load_gripper(file)
     assert str(error.value) == (f"{file}: joint 'right_finger': its <mimic> is on a joint which "
                                 f'is {kind}, {MOVES}')
+
+
+@pytest.mark.parametrize('kind', ['fixed', 'prismatic'])
+def test_a_joint_that_is_fixed_follows_no_other(tmp_path, kind):
+    text = hand_with('<mimic joint="left_finger"/>', kind).replace('KIND', 'fixed')
+    right = text.index('name="right_finger"')
+    text = text[:right] + text[right:].replace('lower="-0.1" upper="0.1"',
+                                               'lower="0" upper="0"', 1)
+    robot = load_robot(write(tmp_path / 'hand.urdf', text))
+    assert "<mimic> is ignored on joints that are fixed: 'right_finger'" in robot.inferred
+    assert robot.compile().njnt == 1 and robot.compile().neq == 0
+
+
+@pytest.mark.parametrize('kind', ['fixed', 'prismatic'])
+def test_what_follows_a_joint_that_is_fixed_is_fixed_too(tmp_path, kind):
+    text = hand_with('<mimic joint="mount" multiplier="2" offset="0.03"/>').replace('KIND', kind)
+    mount = text.index('name="mount"')
+    text = text[:mount] + text[mount:].replace('lower="-0.1" upper="0.1"',
+                                               'lower="0.02" upper="0.02"')
+    robot = load_robot(write(tmp_path / 'hand.urdf', text))
+    assert "fixed, as the joints are that they follow: 'right_finger'" in robot.inferred
+    model = robot.compile()
+    free = load_robot(write(tmp_path / 'free.urdf', hand_with('').replace('KIND', 'prismatic')))
+    other = free.compile()
+    data = mujoco.MjData(other)
+    data.joint('robot0_right_finger').qpos[0] = 0.03 if kind == 'fixed' else 0.07
+    mujoco.mj_kinematics(other, data)
+    found = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, found)
+    np.testing.assert_allclose(found.body('robot0_right').xpos, data.body('robot0_right').xpos,
+                               atol=1e-12)
+
+
+def test_a_link_that_only_a_joint_names_is_added(tmp_path):
+    text = hand_with('').replace('KIND', 'fixed').replace(
+        '</robot>', joint('tool', 'right', 'tool_tip', 'fixed', '') + '</robot>')
+    robot = load_robot(write(tmp_path / 'hand.urdf', text))
+    assert ("joint 'tool': its child link 'tool_tip' is not declared: write <link "
+            'name="tool_tip"/>; it is added without mass and shape') in robot.inferred
+    assert 'robot0_tool_tip' in robot.bodies
+
+
+@pytest.mark.parametrize(('old', 'new', 'message'), [
+    ('parent link="palm"', 'parent link="plam"',
+     "joint 'left_finger': its parent link 'plam' is not declared: write <link name=\"plam\"/>"),
+    ('child link="left"', 'child link="lefty"',
+     "joint 'left_finger': its child link 'lefty' is not declared: write <link name=\"lefty\"/>; "
+     "no joint leads to 'left'")])
+def test_a_link_that_is_misspelt_is_told_with_its_joint(tmp_path, old, new, message):
+    text = hand_with('').replace('KIND', 'fixed')
+    assert old in text
+    with pytest.raises(ModelError) as error:
+        load_robot(write(tmp_path / 'hand.urdf', text.replace(old, new, 1)))
+    assert str(error.value) == f'{tmp_path / "hand.urdf"}: {message}'
 
 
 def test_mimics_in_a_circle_are_rejected_with_their_names(tmp_path):

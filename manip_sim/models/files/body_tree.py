@@ -14,12 +14,22 @@ import numpy as np
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
 _SIDES = {'left': 'left', 'l': 'left', 'lh': 'left', 'right': 'right', 'r': 'right', 'rh': 'right'}
+#: Parts of bodies that are written in one word with a side before or an axis behind them.
+_JOINED = re.compile(
+    r'(left|right|upper|lower|[lrfbu])?(thigh|shin|shank|calf|foot|toe|ankle|knee|femur|tibia|hip|'
+    r'leg|finger|thumb|hand|wrist|elbow|shoulder|head|neck|wheel)s?(r?[xyz]|joint|link)?')
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def words_of(name: str) -> set[str]:
-    """Return the words of a name in lower case: ``left_hand2`` has ``left`` and ``hand``."""
-    return {word.lower() for word in _WORD.findall(name)}
+    """
+    Return the words of a name in lower case: ``left_hand2`` has ``left`` and ``hand``.
+
+    Those in joined words are added: ``lfemurrx`` has ``l`` and ``femur``, too.
+    """
+    words = {word.lower() for word in _WORD.findall(name)}
+    joined = [match.groups() for match in map(_JOINED.fullmatch, words) if match]
+    return words.union(*({part for part in parts[:2] if part} for parts in joined))
 
 
 def side_of(names: Iterable[str]) -> str | None:

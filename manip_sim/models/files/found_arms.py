@@ -25,7 +25,7 @@ _BESIDE_M = 0.05
 #: Words for a subsystem besides those of ``classify``, in the order in which they are tried.
 _WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
-    'head': {'neck', 'eye', 'eyes', 'camera', 'cam'},
+    'head': {'head', 'neck', 'eye', 'eyes', 'camera', 'cam'},
     'legs': {'leg', 'legs', 'hip', 'knee', 'ankle', 'ank', 'foot', 'toe', 'thigh', 'calf', 'shin',
              'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'abad', 'coxa', 'femur',
              'tibia', 'hx', 'hy', 'kn', 'haa', 'hfe', 'kfe', 'ffe', 'faa', 'hr'},

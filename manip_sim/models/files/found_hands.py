@@ -70,7 +70,7 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
         sides = _by_side(tree, joints)
         for side, of_side in sides.items():
             # A joint with a gripper's name may be the wrist's if there are fingers.
-            if side not in by_side:
+            if side not in by_side and not (side is None and by_side):
                 by_side[side] = of_side
     hands = []
     for joints in by_side.values():
@@ -230,6 +230,8 @@ def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:
                         for body in [tree.common(carriers), *carriers])
     if any(one != other and one in tree.path(other) for one in carriers for other in carriers):
         return True  # What looks like a side is a letter of a finger's link.
+    if min(lengths) - shared >= _LEAST_OF_ARM:
+        return False
     # Without arms, one finger on each side makes one hand.
     return shared > _SHARED * max(lengths) or not max(lengths) and (
         len(set(carriers)) == 1 or any(

@@ -37,13 +37,15 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     Reject impossible limits and mimics, and complete what MuJoCo's reader reads differently.
 
     As URDF defines, a missing ``lower`` or ``upper`` is 0. A joint that has neither is not
-    limited.
+    limited. One that is fixed follows no other; one that follows it is fixed where that puts it.
+    A link that only joints name is added.
 
     :param robot: changed in place
     :returns: positions of the joints that are fixed, as their limits are equal, by name [rad or
         m], and what was done, in sentences
     :raises ModelError: naming file and joint
     """
+    notes = _declare_links(robot, file)
     joints = {joint.get('name', ''): joint for joint in robot.findall('joint')}
     fixed: dict[str, float] = {}
     unlimited = []
@@ -63,10 +65,13 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
         if lower == upper:
             fixed[name] = lower
             joint.remove(limit)
-    _check_mimics(joints, fixed, file)
+    equal = [*fixed]
+    followers = _fix_mimics(joints, fixed, file)
+    _check_mimics(joints, file)
     return fixed, [
-        *([f'fixed, as lower and upper of their <limit> are equal: {quoted_names([*fixed])}']
-          if fixed else []),
+        *notes, *followers,
+        *([f'fixed, as lower and upper of their <limit> are equal: {quoted_names(equal)}']
+          if equal else []),
         *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
           if unlimited else [])]
 
@@ -90,8 +95,78 @@ def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joi
     return values
 
 
-def _check_mimics(joints: Mapping[str, ElementTree.Element], fixed: Collection[str], file: Path
-                  ) -> None:
+def _declare_links(robot: ElementTree.Element, file: Path) -> list[str]:
+    """
+    Add the links that joints lead to and that are not declared, as links without shapes.
+
+    :raises ModelError: if a joint begins at such a link, or another link may be meant: one that
+        no joint leads to, beside the root
+    """
+    links = [str(link.get('name')) for link in robot.findall('link')]
+    ends = {str(joint.get('name')): [element.get('link') if element is not None else None
+                                     for element in (joint.find('parent'), joint.find('child'))]
+            for joint in robot.findall('joint')}
+    children = {child for _, child in ends.values()}
+    roots = [link for link in links if link not in children]
+    missing = [(joint, child) for joint, (_, child) in ends.items() if child not in links]
+    for joint, (parent, child) in ends.items():
+        if parent is not None and parent not in {*links, *children}:
+            raise ModelError(f'{file}: joint {quoted(joint)}: {_undeclared("parent", parent)}')
+        if child is not None and child not in links and len(roots) > 1:
+            raise ModelError(f'{file}: joint {quoted(joint)}: {_undeclared("child", child)}; no '
+                             f'joint leads to {quoted_names(roots[1:])}')
+    notes = []
+    for joint, child in missing:
+        if child is not None and child not in links:
+            ElementTree.SubElement(robot, 'link', name=child)
+            links.append(child)
+            notes.append(f'joint {quoted(joint)}: {_undeclared("child", child)}; it is added '
+                         'without mass and shape')
+    return notes
+
+
+def _undeclared(end: str, link: str) -> str:
+    return f'its {end} link {quoted(link)} is not declared: write <link name="{link}"/>'
+
+
+def _fix_mimics(joints: Mapping[str, ElementTree.Element], fixed: dict[str, float], file: Path
+                ) -> list[str]:
+    """
+    Let joints that are fixed follow no others, and fix those that follow them.
+
+    :param fixed: gets the positions of the latter [rad or m]
+    :returns: what was done, in sentences
+    """
+    still = {**{name: 0.0 for name, joint in joints.items() if joint.get('type') == 'fixed'},
+             **fixed}
+    ignored, followers = [], []
+    for name in still:
+        for mimic in joints[name].findall('mimic'):
+            joints[name].remove(mimic)
+            ignored.append(name)
+    waiting = [*still]
+    while waiting:
+        leader = waiting.pop()
+        for name, joint in joints.items():
+            mimic = joint.find('mimic')
+            if mimic is None or mimic.get('joint') != leader or joint.get('type') not in _MOVES:
+                continue
+            if mimic.get('multiplier') is None:
+                mimic.set('multiplier', '1')
+            multiplier, offset = _numbers(mimic, ('multiplier', 'offset'), name, file)
+            fixed[name] = still[name] = multiplier * still[leader] + offset
+            joint.remove(mimic)
+            for limit in joint.findall('limit'):
+                joint.remove(limit)
+            followers.append(name)
+            waiting.append(name)
+    return [*([f'<mimic> is ignored on joints that are fixed: {quoted_names(ignored)}']
+              if ignored else []),
+            *([f'fixed, as the joints are that they follow: {quoted_names(followers)}']
+              if followers else [])]
+
+
+def _check_mimics(joints: Mapping[str, ElementTree.Element], file: Path) -> None:
     leaders = {}
     for name, joint in joints.items():
         mimic = joint.find('mimic')
@@ -103,7 +178,7 @@ def _check_mimics(joints: Mapping[str, ElementTree.Element], fixed: Collection[s
             raise UnknownNameError(f'joint in the <mimic> of joint {quoted(name)} of {file}',
                                    leader, joints)
         for one, what in ((name, 'is on a joint'), (leader, f'names joint {quoted(leader)},')):
-            kind = 'fixed' if one in fixed else joints[one].get('type')
+            kind = joints[one].get('type')
             if kind not in _MOVES:
                 raise ModelError(f'{file}: joint {quoted(name)}: its <mimic> {what} which is '
                                  f'{kind}, not one of {", ".join(_MOVES)}')
