@@ -31,6 +31,9 @@ _BLOCKED = 0.25
 _HELD = 1e3
 #: Acceleration by the trial force of a joint without a force limit [rad/s^2 or m/s^2].
 _TRIAL_ACCELERATION = 100.0
+#: A moment of inertia so many times that of the same mass at the edge of a link is absurd; guesses
+#: of people who measure none are some ten times too large.
+_ABSURD_INERTIA = 50.0
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -46,7 +49,7 @@ def check_start(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]
 def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str | int],
                        urdf: tuple[str, ...] = ()) -> list[StartDefect]:
     """
-    Find overlaps, blocked joints, joints outside their range and drive defects at the start.
+    Find overlaps, blocked joints, joints outside their range, drive defects and absurd inertias.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
@@ -61,7 +64,7 @@ def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterab
     return [*_overlaps(model, contacts, own, urdf),
             *_blocked(model, data, contacts, joints, own, urdf),
             *_out_of_range(model, data, own, urdf),
-            *find_drive_defects(model, data, own, urdf)]
+            *find_drive_defects(model, data, own, urdf), *_inertias(model, own)]
 
 
 def _bodies_below(model: mujoco.MjModel, roots: list[int]) -> BoolArray:
@@ -185,6 +188,34 @@ def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray,
                 f'{high:.4g}',
                 f'write a value from {low:.4g} to {high:.4g} for it into '
                 f'{remedies_for(name, urdf).pose}, or {remedies_for(name, urdf).wider_range()}')
+
+
+def _inertias(model: mujoco.MjModel, own: BoolArray) -> Iterator[StartDefect]:
+    """Yield the moving links whose moment of inertia no body of their mass and size can have."""
+    for body in np.flatnonzero(own & (np.asarray(model.body_weldid) != 0)).tolist():
+        mass, radius = float(model.body_mass[body]), _radius(model, body)
+        moment, most = float(model.body_inertia[body].max()), mass * radius**2
+        if not 0.0 < most < moment / _ABSURD_INERTIA:
+            continue
+        likely = float(f'{0.4 * most:.2g}')
+        yield StartDefect(
+            'inertia', f"body '{model.body(body).name}' has a moment of inertia of {moment:.3g} "
+            f'kg m^2, but its mass of {mass:.3g} kg within {1e3 * radius:.0f} mm of its centre of '
+            f'mass has {most:.2g} kg m^2 at most',
+            f'write moments of some {likely:g} kg m^2, as <inertia ixx="{likely:g}" '
+            f'iyy="{likely:g}" izz="{likely:g}" ixy="0" ixz="0" iyz="0"/> of a URDF or '
+            f'diaginertia="{likely:g} {likely:g} {likely:g}" of MJCF, or the true mass')
+
+
+def _radius(model: mujoco.MjModel, body: int) -> float:
+    """Return how far the shapes, the origin and the children of a body are from its centre [m]."""
+    centre = model.body_ipos[body]
+    geoms = np.flatnonzero(model.geom_bodyid == body)
+    distances = [float(np.linalg.norm(model.geom_pos[geom] - centre)) + float(
+        model.geom_rbound[geom]) for geom in geoms]
+    children = np.flatnonzero(model.body_parentid == body)
+    distances += [float(np.linalg.norm(model.body_pos[child] - centre)) for child in children]
+    return max([*distances, float(np.linalg.norm(centre))])
 
 
 def _geom(model: mujoco.MjModel, geom: int, urdf: tuple[str, ...]) -> str:

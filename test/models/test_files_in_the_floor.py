@@ -48,7 +48,8 @@ def test_a_robot_is_raised_by_its_lowest_shape(tmp_path, shape, rpy, below):
     simulation, height = simulated(file)
     assert height == pytest.approx(below, abs=2e-3) and simulation.start_defects == []
     assert 0.0 < lowest(simulation.model, simulation.data) < 2e-3
-    said = [note for note in load_robot(file).inferred if note.startswith(f'raised by {height:.3f}')]
+    said = [note for note in load_robot(file).inferred
+            if note.startswith(f'raised by {height:.3f}')]
     assert len(said) == 1 and 'foot: [0, 0, 0] in a YAML file' in said[0]
     start = simulation.robot.state().position
     simulation.advance(1000)

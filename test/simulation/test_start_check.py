@@ -3,6 +3,8 @@
 
 """The start of a robot is looked at: contacts, ranges, and what its actuators can do."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -444,3 +446,32 @@ def test_weight_that_is_compensated_asks_nothing_of_a_weak_actuator(gravcomp, ca
         'forcelimited="true"/></actuator>', gravity=9.81)
     assert [defect.text for defect in defects if 'lift' in defect.text] != [] if weak else (
         defects == [])
+
+
+LIMB = ('<body name="root"><geom size="0.05"/><body name="link" pos="0 0 0.1">'
+        '<joint name="turn" axis="0 1 0"/><inertial pos="0 0 0.05" mass="{mass}" '
+        'diaginertia="{moment} {moment} {moment}"/><geom type="box" size="0.02 0.02 0.05" '
+        'pos="0 0 0.05"/></body></body>')
+
+
+def inertias(mass, moment):
+    """Return the defects of a limb of 10 cm that concern its inertia."""
+    worldbody = LIMB.format(mass=mass, moment=moment)
+    return [defect for defect in defects_of(
+        worldbody, '<actuator><motor joint="turn" ctrlrange="-9 9"/></actuator>')
+        if defect.kind == 'inertia']
+
+
+@pytest.mark.parametrize(('mass', 'moment'), [(0.08, 0.5), (1.0, 30.0), (1e-4, 1e-3)])
+def test_an_inertia_that_no_link_of_its_mass_and_size_can_have_is_told(mass, moment):
+    (defect,) = inertias(mass, moment)
+    assert f"body 'link' has a moment of inertia of {moment:.3g} kg m^2" in defect.text
+    assert f'its mass of {mass:.3g} kg within 57 mm of its centre' in defect.text
+    likely = float(re.search('diaginertia="([^ ]*) ', defect.remedy)[1])
+    assert likely == pytest.approx(0.4 * mass * 0.0574**2, rel=0.05)
+    assert inertias(mass, likely) == []
+
+
+@pytest.mark.parametrize(('mass', 'moment'), [(0.08, 1e-4), (1.0, 0.05), (1.0, 1e-9)])
+def test_an_inertia_that_is_a_rough_guess_is_not_told(mass, moment):
+    assert inertias(mass, moment) == []

@@ -69,20 +69,35 @@ def _carried_share(model: mujoco.MjModel, guessed: list[int]) -> float:
         return 1.0
     dofs = model.jnt_dofadr[limited]
     room = _SHARE * np.abs(model.jnt_actfrcrange[limited]).max(axis=1)
-    free = np.flatnonzero(model.jnt_limited == 0)
-    low, high = model.jnt_range.T.copy()
-    low[free], high[free] = -np.pi, np.pi
-    random, data, share = np.random.default_rng(0), mujoco.MjData(model), 1.0
-    scalar = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
+    share = 1.0
     others = sorted(set(range(1, model.nbody)) - set(guessed))
-    for _ in range(_POSES):
-        data.qpos[model.jnt_qposadr[scalar]] = random.uniform(low, high)[scalar]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
+    for data in _in_random_poses(model):
         given, made = (np.abs(_weight(model, data, bodies)[dofs]) for bodies in (others, guessed))
         heavy = (made > 0.0) & (given < room)
         share = float(np.min((room - given)[heavy] / made[heavy], initial=share))
     return max(share, _LEAST)
+
+
+def greatest_weight(model: mujoco.MjModel) -> FloatArray:
+    """Return the greatest effort that the weight of all bodies asks in any pose, shape (nv,)."""
+    bodies = [*range(1, model.nbody)]
+    weights = [np.abs(_weight(model, data, bodies)) for data in _in_random_poses(model)]
+    greatest: FloatArray = np.max(weights, axis=0)
+    return greatest
+
+
+def _in_random_poses(model: mujoco.MjModel) -> Iterator[mujoco.MjData]:
+    """Yield the same data again and again, in other poses."""
+    free = np.flatnonzero(model.jnt_limited == 0)
+    low, high = model.jnt_range.T.copy()
+    low[free], high[free] = -np.pi, np.pi
+    random, data = np.random.default_rng(0), mujoco.MjData(model)
+    scalar = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
+    for _ in range(_POSES):
+        data.qpos[model.jnt_qposadr[scalar]] = random.uniform(low, high)[scalar]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        yield data
 
 
 def _weight(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int]) -> FloatArray:

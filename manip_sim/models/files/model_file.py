@@ -18,6 +18,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
+from manip_sim.models.files.effort_limits import guess_efforts, report_efforts
 from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.overlaps import exclude_overlaps
@@ -29,6 +30,7 @@ from manip_sim.models.loading import compile_alone, compile_copy, load_spec, nam
 from manip_sim.models.regular_files import Files
 from manip_sim.models.skipped_elements import infer_inertias_once
 from manip_sim.models.untrusted_models import hold_robot
+from manip_sim.quoting import counted, quoted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
@@ -196,7 +198,16 @@ def read_model(file: Path, description: Description, where: object,
     notes += _place_root(spec, model, qpos)
     for old in list(spec.keys):
         spec.delete(old)
+    guesses = getattr(description, 'efforts', 'own') == 'guess'
+    if guesses and model.nu:
+        raise ModelError(f"'efforts: guess' of {where} is for files without actuators; {file} has "
+                         f'{counted(model.nu, "actuator")}')
     if servos and not model.nu and places:
+        if guesses:
+            notes += guess_efforts(spec, model)
+            model = compile_alone(spec, str(file))
+        else:
+            notes += report_efforts(model, qpos)
         notes += add_servos(spec, BodyTree(model))
         if urdf:
             support_couplings(spec)

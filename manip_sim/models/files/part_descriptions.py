@@ -126,6 +126,8 @@ class RobotDescription(Description):
     foot: Vector | None = None
     #: Whether mocap bodies of the file come with the robot.
     mocap: Annotated[bool, Field(strict=True)] = True
+    #: Effort limits of joints of a file without actuators: its own, or guesses for those too low.
+    efforts: Literal['own', 'guess'] = 'own'
     #: By joint [rad/s or m/s].
     velocity_limits: dict[Name, Annotated[Number, Field(gt=0.0)]] = {}
 

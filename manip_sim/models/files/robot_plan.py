@@ -129,8 +129,8 @@ def _depth(model_file: ModelFile, description: RobotDescription) -> float:
     depth = depth_in_floor(model_file.tree.model, model_file.start)
     if depth:
         model_file.inferred.append(
-            f'raised by {depth:.3f} m, so that its lowest shape is just above the floor, unless it '
-            'stands on a base or is placed at a height; foot: [0, 0, 0] in a YAML file leaves '
+            f'raised by {depth:.3f} m, so that its lowest shape is just above the floor, unless '
+            'it stands on a base or is placed at a height; foot: [0, 0, 0] in a YAML file leaves '
             'its root on the floor')
     return depth
 

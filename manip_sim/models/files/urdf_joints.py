@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
 from typing import Any
@@ -141,8 +141,8 @@ def _fix_mimics(joints: Mapping[str, ElementTree.Element], fixed: dict[str, floa
              **fixed}
     ignored, followers = [], []
     for name in still:
-        for mimic in joints[name].findall('mimic'):
-            joints[name].remove(mimic)
+        for tie in joints[name].findall('mimic'):
+            joints[name].remove(tie)
             ignored.append(name)
     waiting = [*still]
     while waiting:
