@@ -12,9 +12,10 @@ import pytest
 from files_rig import HAND, write
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.models import load_gripper
+from manip_sim.models import compose, load_gripper, load_robot
 from manip_sim.models.files.fingers import control_range
 from manip_sim.models.robots import Panda
+from manip_sim.simulation import Simulation
 
 
 def described(tmp_path, yaml, hand=HAND):
@@ -305,3 +306,41 @@ def test_a_hand_of_a_file_is_mounted_like_ours(tmp_path):
     model = robot.compile()
     assert model.body('gripper0_palm').parentid[0] == model.body('robot0_right_hand').id
     assert model.nu == 8
+
+
+#: A pawl lets a finger pass that closes towards a thumb, and holds it there.
+LATCHED = """<mujoco><compiler angle="radian"/><worldbody><body name="palm" pos="0 0 0.3">
+  <geom type="box" size="0.05 0.02 0.01" mass="1"/>
+  <geom type="box" size="0.005 0.02 0.05" pos="-0.05 0 0.06" mass="0.1"/>
+  <body name="finger" pos="0.05 0 0.01"><joint name="finger" axis="0 -1 0" range="0 1.4"
+    limited="true" armature="0.001" damping="0.05"/>
+    <geom type="capsule" size="0.005" fromto="0 0 0 0 0 0.08" mass="0.05"/></body>
+  <body name="pawl" pos="0 0 {height}"><joint name="pawl" axis="0 1 0" range="0 1.5"
+    limited="true" stiffness="0.02" armature="1e-5" damping="0.0005"/>
+    <geom type="capsule" size="0.003" fromto="0 0 0 0 0 -0.06" mass="0.005"/></body>
+  </body></worldbody><actuator>{actuator}</actuator></mujoco>"""
+SERVO = ('<position name="finger" joint="finger" kp="2" kv="0.1" ctrlrange="0 1.4" '
+         'forcerange="-1 1"/>')
+
+
+@pytest.mark.parametrize(('height', 'closed'), [(0.12, 0.7), (0.2, 1.4)])
+def test_a_hand_that_locks_itself_closes_only_as_far_as_it_opens_again(tmp_path, height, closed):
+    text = LATCHED.format(height=height, actuator=SERVO)
+    robot = load_robot(write(tmp_path / 'hand.xml', text))
+    assert robot.grippers['right'].closing == {'finger': pytest.approx([0.0, closed])}
+    assert (closed == 0.7) == any(note.startswith(
+        "right hand: closing of 'finger': other than the ends of its range, from which it does "
+        'not open again') for note in robot.inferred)
+    simulation = Simulation(compose(robot))
+    places = []
+    for action in (-1.0, 1.0, -1.0):
+        simulation.robot.apply(simulation.robot.parse.action('right/gripper', [action]))
+        simulation.advance(1500)
+        places.append(float(simulation.robot.state().position[0]))
+    assert places == pytest.approx([0.0, closed, 0.0], abs=0.02)
+
+
+def test_a_closing_that_a_file_declares_is_not_tried(tmp_path):
+    file = write(tmp_path / 'hand.xml', LATCHED.format(height=0.12, actuator=SERVO))
+    write(tmp_path / 'hand.yaml', 'arms: {right: {hand: {closing: {finger: [0, 1.4]}}}}\n')
+    assert load_robot(file).grippers['right'].closing == {'finger': [0.0, 1.4]}

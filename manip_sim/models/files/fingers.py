@@ -33,6 +33,14 @@ _STILL = 0.1
 _BEYOND = 0.5
 #: Time constant of the fingers in a trial [s].
 _SLOWNESS_S = 0.01
+#: A finger opens again if it comes back by at least this share of its way.
+_OPENS_AGAIN = 0.7
+#: Shares of the way to the end of the range, or of a motor's effort, that are tried where a finger
+#: does not open again.
+_SHORTER = (0.75, 0.5, 0.25)
+
+#: Opening and closing control, and whether a trial decided which is which.
+Closing = tuple[float, float, bool]
 
 
 def _apart(points: FloatArray) -> float:
@@ -184,7 +192,7 @@ class Fingers:
             data.xmat[body].reshape(3, 3).T, points.mean(axis=0) - data.xpos[body])
         return local
 
-    def closing(self, actuators: Sequence[int]) -> dict[int, tuple[float, float, bool]]:
+    def closing(self, actuators: Sequence[int]) -> dict[int, Closing]:
         """
         Return the opening and the closing control of actuators that have a range.
 
@@ -208,6 +216,56 @@ class Fingers:
             found[actuator] = (*(limits[::-1] if is_clear and change > 0.0 else limits), is_clear)
         return found
 
+    def reopening(self, closing: Mapping[int, Closing]) -> dict[int, Closing]:
+        """
+        Return closings from which the fingers open again, where those of a hand lock it.
+
+        All actuators close at once, with contacts, and open again. One that does not come back
+        closes less far, or with less effort, see :data:`_SHORTER`. What never opens again stays
+        as it is.
+
+        :param closing: as :meth:`closing` returns them
+        :returns: those that are other ones, by id
+        """
+        model = self._trial_model(contacts=True)
+        # Slow ones get more time before they count.
+        long_s = 2.0 * _TRIAL_S
+        stuck = self._stuck(model, closing, _TRIAL_S) and self._stuck(model, closing, long_s)
+        found: dict[int, Closing] = {}
+        if not stuck:
+            return found
+        for share in _SHORTER:
+            changed = {actuator: self._lessened(actuator, closing[actuator], share)
+                       for actuator in stuck}
+            still = self._stuck(model, {**closing, **found, **changed}, long_s)
+            found.update({actuator: changed[actuator] for actuator in stuck - still})
+            stuck &= still
+        return found
+
+    def _lessened(self, actuator: int, closing: Closing, share: float) -> Closing:
+        """Return a closing that goes less far, or with less effort."""
+        opened, closed, is_clear = closing
+        if position_servos(self._model, actuator):
+            return opened, opened + share * (closed - opened), is_clear
+        return opened, share * closed, is_clear
+
+    def _stuck(self, model: Any, closing: Mapping[int, Closing], duration_s: float) -> set[int]:
+        """Return the actuators that close and do not open again."""
+        data = copy.copy(self._data)
+        ids, lengths = list(closing), []
+        for other in range(model.nu):
+            data.ctrl[other] = self._holding_control(other)
+        for end in (0, 1, 0):
+            data.ctrl[ids] = [closing[actuator][end] for actuator in ids]
+            with _without_warnings():
+                mujoco.mj_step(model, data, round(duration_s / _TRIAL_STEP_S))
+            lengths.append(data.actuator_length[ids].copy())
+        way, back = np.abs(lengths[1] - lengths[0]), np.abs(lengths[2] - lengths[1])
+        if not np.isfinite(lengths).all():
+            return set()
+        moves = way > _STILL * np.abs(way).max(initial=0.0)
+        return {ids[i] for i in np.flatnonzero(moves & (back < _OPENS_AGAIN * way))}
+
     def _change(self, low: FloatArray, high: FloatArray) -> float:
         """
         Return how much farther apart fingertips are at the upper end, over the greater distance.
@@ -225,13 +283,14 @@ class Fingers:
                                for end in (low, high)))] if moves.any() else [0.0]
         return max(changes, key=abs)
 
-    def _trial_model(self) -> Any:
+    def _trial_model(self, contacts: bool = False) -> Any:
         model = copy.copy(self._model)
         model.opt.timestep = _TRIAL_STEP_S
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         off = mujoco.mjtDisableBit
-        model.opt.disableflags |= int(off.mjDSBL_CONTACT | off.mjDSBL_GRAVITY
-                                      | off.mjDSBL_AUTORESET)
+        model.opt.disableflags |= int(off.mjDSBL_GRAVITY | off.mjDSBL_AUTORESET)
+        if not contacts:
+            model.opt.disableflags |= int(off.mjDSBL_CONTACT)
         # Only where the fingers come to rest counts, so they may be slow, which makes them stable.
         moments = np.zeros((model.nu, model.nv))
         data = self._data

@@ -20,6 +20,7 @@ from manip_sim.models.files.found_places import add_body_at, find_place, free_na
 from manip_sim.models.files.part_descriptions import FrameDescription, HandDescription
 from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
 from manip_sim.quaternion import relative_quat_wxyz
+from manip_sim.quoting import quoted_names
 
 
 class HandFromFile(GripperModel, registered=False):
@@ -89,6 +90,8 @@ class HandFromFile(GripperModel, registered=False):
             if name not in names:
                 raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
         found = fingers.closing([i for name, i in zip(names, ids) if name not in declared])
+        changed = fingers.reopening(found)
+        found.update(changed)
         ends = []
         self.closing = {}
         for name, actuator in zip(names, ids):
@@ -107,6 +110,11 @@ class HandFromFile(GripperModel, registered=False):
                  for actuator, (opened, closed, is_clear) in found.items()]
         if notes:
             self.inferred.append(f'closing: {", ".join(notes)}')
+        if changed:
+            self.inferred.append(
+                f'closing of {quoted_names([names[ids.index(a)] for a in changed])}: other than '
+                "the ends of its range, from which it does not open again; 'closing' in a YAML "
+                'file changes it')
         if bodies := fingers.out_of_touch:
             self.inferred.append(
                 f'no shape of the fingers ({", ".join(bodies)}) can touch an object: give them '
