@@ -197,5 +197,34 @@ def test_a_head_on_six_rods_is_no_hand(tmp_path):
     rods = ''.join(chain(f'rod{i}_', 2, place) for i, place in enumerate(around(6, 0.05)))
     text = chain('yaw', 1, '0 0 0.1', inside=rods, axis='0 0 1')
     ears = chain('right_antenna', 1, '0 -0.1 0.2') + chain('left_antenna', 1, '0 0.1 0.2')
-    parts, _ = parts_of(tmp_path, text + ears)
-    assert set(parts) == {'other'}
+    assert parts_of(tmp_path, text + ears)[0] == {'head': 2, 'other': 13}
+
+
+def test_a_chain_beyond_one_of_six_rods_is_no_arm(tmp_path):
+    rods = ''.join(chain(f'rod{i}_', 2, place, inside=chain('more', 3) if i == 5 else '')
+                   for i, place in enumerate(around(6, 0.05)))
+    parts, _ = parts_of(tmp_path, chain('yaw', 1, '0 0 0.1', inside=rods, axis='0 0 1'))
+    assert parts == {'other': 16}
+
+
+def test_what_moves_on_a_head_or_a_wheel_is_of_it(tmp_path):
+    ears = chain('a', 1, '0 -0.1 0.1') + chain('b', 1, '0 0.1 0.1', axis='1 0 0')
+    rollers = ''.join(chain(f'r{i}_', 1, place) for i, place in enumerate(around(3, 0.05)))
+    text = (chain('neck', 2, '0 0 0.2', inside=ears) + chain('wheel', 1, '0 0.2 0', inside=rollers)
+            + chain('j', 4, '0.2 0 0', inside=chain('camera', 1, '0 0.1 0.1')))
+    assert parts_of(tmp_path, text)[0] == {'head': 5, 'base': 4, 'arm': 4}
+
+
+def test_what_moves_beside_an_arm_on_a_base_is_no_part_of_the_base(tmp_path):
+    text = chain('j', 4, '0 0 0.1') + chain('laser', 1, '0.2 0 0')
+    for i, (kind, axis) in enumerate((('hinge', '0 0 1'), ('slide', '0 1 0'), ('slide', '1 0 0'))):
+        text = chain(f'mobile{i}_', 1, inside=text, kind=kind, axis=axis)
+    assert parts_of(tmp_path, text)[0] == {'base': 3, 'arm': 4, 'other': 1}
+
+
+def test_the_rods_of_a_parallelogram_are_of_the_arm_that_they_follow(tmp_path):
+    rods = chain('p', 3, '0.05 0 0.1')
+    text = chain('yaw', 1, inside=chain('j', 3, '0 0 0.1') + rods, axis='0 0 1')
+    ties = ''.join(f'<joint joint1="p{i}" joint2="j1"/>' for i in (1, 2, 3))
+    robot = load_robot(write(tmp_path / 'robot.xml', model(text, equality=ties)))
+    assert len(robot.arm_joints) == 7 and robot.eef_name == {'right': 'robot0_j3_link'}

@@ -141,6 +141,11 @@ class BodyTree:
                 return found
             found |= more
 
+    def followers(self) -> set[int]:
+        """Return the joints whose position an equality constraint makes one of another joint."""
+        model, joint = self.model, int(mujoco.mjtEq.mjEQ_JOINT)
+        return set(model.eq_obj1id[(model.eq_type == joint) & (model.eq_obj2id >= 0)].tolist())
+
     def _tied_pairs(self) -> list[set[int]]:
         model, joint = self.model, int(mujoco.mjtEq.mjEQ_JOINT)
         tied = np.flatnonzero((model.eq_type == joint) & (model.eq_obj2id >= 0))

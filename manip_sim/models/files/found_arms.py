@@ -25,7 +25,7 @@ _BESIDE_M = 0.05
 #: Words for a subsystem besides those of ``classify``, in the order in which they are tried.
 _WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
-    'head': {'head', 'neck', 'eye', 'eyes', 'camera', 'cam'},
+    'head': {'head', 'neck', 'eye', 'eyes', 'antenna', 'camera', 'cam'},
     'legs': {'leg', 'legs', 'hip', 'knee', 'ankle', 'ank', 'foot', 'toe', 'thigh', 'calf', 'shin',
              'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'abad', 'coxa', 'femur',
              'tibia', 'hx', 'hy', 'kn', 'haa', 'hfe', 'kfe', 'ffe', 'faa', 'hr'},
@@ -186,7 +186,7 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     """
     hands = [*hands, *_hands_of_chains(tree, subsystems, hands)]
     joints = _joints_of_arms(tree, subsystems, hands)
-    tips = _longest_chains(tree, tree.ends(joints), joints)
+    tips = _longest_chains(tree, _ends_of_arms(tree, joints), joints)
     if not hands and all(_length(tree, tip, joints) < 2 for tip in tips) and (
             len(tips) > 1 or {'base', 'torso', 'head', 'legs'} & set(subsystems.values())):
         return {}  # Such as a laser that turns, or two antennas.
@@ -220,6 +220,28 @@ def lone_hands_as_arms(tree: BodyTree, subsystems: Mapping[int, str],
     arms = {side: FoundArm('body', tree.name(hand.body), hand, ALONE)
             for side, hand in zip(sides, found)}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
+
+
+def _ends_of_arms(tree: BodyTree, joints: Collection[int]) -> list[int]:
+    """
+    Return where chains of joints end that may be arms.
+
+    That are not chains of which all joints beyond the others follow another one, as those of a
+    parallelogram, nor those of which more than five hang on one link, as the rods of a platform.
+    """
+    tips, moved = tree.ends(joints), {int(tree.model.jnt_bodyid[joint]) for joint in joints}
+    followers, limbs = tree.followers(), Limbs(tree)
+    for link in {0, *moved}:
+        crowd = [limb for limb in limbs.on(link) if tree.below(limb) & moved]
+        if len(crowd) > MAX_FINGERS:
+            tips = [tip for tip in tips if not set(crowd).intersection(tree.path(tip))]
+
+    def leads(tip: int) -> bool:
+        others = [set(tree.path(other)) for other in tips if other != tip]
+        own = set(tree.path(tip)).difference(*others) & moved
+        return not own or not followers.issuperset(set(tree.joints(own)) & set(joints))
+
+    return [tip for tip in tips if leads(tip)]
 
 
 def _longest_chains(tree: BodyTree, tips: Iterable[int], joints: Collection[int]) -> list[int]:

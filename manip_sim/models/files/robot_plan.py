@@ -154,23 +154,41 @@ def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, 
     """
     Take from the arms the joints that neither lead to an end nor belong to its hand.
 
-    One that an equality constraint couples to other joints is of their part.
+    One that an equality constraint couples to other joints is of their part, and one on a head, a
+    leg or a wheel of that.
     """
     model, own = tree.model, set()
     for arm in arms.values():
         own |= set(tree.joints(tree.path(_end_body(tree, arm))))
         own |= set(() if arm.hand is None else arm.hand.joints)
-    loops = tree.bodies_in_loops()
-    for joint, part in subsystems.items():
-        # A joint below which a loop is closed may drive the arm, as the crank of a parallel one.
-        if (part == 'arm' and joint not in own and str(model.joint(joint).name) not in declared
-                and not tree.below(int(model.jnt_bodyid[joint])) & loops):
-            leaders = {subsystems[other] for other in tree.coupled([joint]) if other in own}
-            subsystems[joint] = 'arm' if 'arm' in leaders else min(leaders, default='other')
-            carried = [subsystems.get(j) for j in tree.joints(
-                sorted(tree.below(int(model.jnt_bodyid[joint])))) if j != joint]
-            if carried and set(carried) == {'base'}:  # Such as one that rolls all wheels.
-                subsystems[joint] = 'base'
+    # A joint below which a loop is closed may drive the arm, as the crank of a parallel one.
+    loops = tree.bodies_in_loops() if arms else set()
+    others = [joint for joint, part in subsystems.items()
+              if part == 'arm' and joint not in own and str(model.joint(joint).name)
+              not in declared and not tree.below(int(model.jnt_bodyid[joint])) & loops]
+    subsystems.update(dict.fromkeys(others, 'other'))
+    for joint in others:
+        body = int(model.jnt_bodyid[joint])
+        leaders = {subsystems[other] for other in tree.coupled([joint]) if other in own}
+        carried = {subsystems[j] for j in tree.joints(sorted(tree.below(body)))
+                   if j != joint and j in subsystems}
+        if leaders:
+            subsystems[joint] = 'arm' if 'arm' in leaders else min(leaders)
+        elif carried == {'base'}:  # Such as one that rolls all wheels.
+            subsystems[joint] = 'base'
+        else:
+            subsystems[joint] = _part_of_carrier(tree, subsystems, body)
+
+
+def _part_of_carrier(tree: BodyTree, subsystems: Mapping[int, str], body: int) -> str:
+    """Return the part of what a body moves on: a head, a leg, or a wheel; ``other`` if none."""
+    above = [joint for joint in tree.joints(tree.path(tree.parent(body))) if joint in subsystems]
+    part = subsystems[above[-1]] if above else 'other'
+    if part in ('head', 'legs'):
+        return part
+    carrier = int(tree.model.jnt_bodyid[above[-1]]) if above else 0
+    beside = {subsystems.get(joint, 'base') for joint in tree.joints(sorted(tree.below(carrier)))}
+    return 'base' if part == 'base' and beside <= {'base', 'other'} else 'other'
 
 
 def _check_joints(tree: BodyTree, description: RobotDescription, where: str) -> None:
