@@ -227,6 +227,8 @@ class Fingers:
         :param closing: as :meth:`closing` returns them
         :returns: those that are other ones, by id
         """
+        if not closing:
+            return {}
         model = self._trial_model(contacts=True)
         # Slow ones get more time before they count.
         long_s = 2.0 * _TRIAL_S
