@@ -16,6 +16,7 @@ from manip_sim.arrays import BoolArray
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.mechanism import actuated_joints, joints_between
 from manip_sim.models.robots.subsystems import driven_joint
+from manip_sim.quoting import quoted_names
 from manip_sim.simulation.start_defect import StartDefect
 from manip_sim.simulation.start_drives import find_drive_defects
 from manip_sim.simulation.start_remedies import remedies_for
@@ -34,6 +35,8 @@ _TRIAL_ACCELERATION = 100.0
 #: A moment of inertia so many times that of the same mass at the edge of a link is absurd; guesses
 #: of people who measure none are some ten times too large.
 _ABSURD_INERTIA = 50.0
+#: Smaller moments stand for those of rotors, too [kg m^2], and smaller links for larger ones [m].
+_SMALL_INERTIA, _SMALL_M = 0.01, 0.02
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -191,17 +194,23 @@ def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray,
 
 
 def _inertias(model: mujoco.MjModel, own: BoolArray) -> Iterator[StartDefect]:
-    """Yield the moving links whose moment of inertia no body of their mass and size can have."""
+    """Yield the moving links whose moments of inertia no body of their mass and size can have."""
+    absurd: dict[int, float] = {}
     for body in np.flatnonzero(own & (np.asarray(model.body_weldid) != 0)).tolist():
+        moment = float(model.body_inertia[body].max())
+        most = float(model.body_mass[body]) * _radius(model, body)**2
+        if model.body_geomnum[body] and moment > max(_ABSURD_INERTIA * most, _SMALL_INERTIA):
+            absurd[body] = moment / most
+    if absurd:
+        body, *others = sorted(absurd, key=lambda body: -absurd[body])
         mass, radius = float(model.body_mass[body]), _radius(model, body)
-        moment, most = float(model.body_inertia[body].max()), mass * radius**2
-        if not 0.0 < most < moment / _ABSURD_INERTIA:
-            continue
-        likely = float(f'{0.4 * most:.2g}')
+        likely = float(f'{0.4 * mass * radius**2:.2g}')
+        so_have = f'; so have {quoted_names([model.body(other).name for other in others], 8)}'
         yield StartDefect(
-            'inertia', f"body '{model.body(body).name}' has a moment of inertia of {moment:.3g} "
-            f'kg m^2, but its mass of {mass:.3g} kg within {1e3 * radius:.0f} mm of its centre of '
-            f'mass has {most:.2g} kg m^2 at most',
+            'inertia', f"body '{model.body(body).name}' has a moment of inertia of "
+            f'{model.body_inertia[body].max():.3g} kg m^2, but its mass of {mass:.3g} kg within '
+            f'{1e3 * radius:.0f} mm of its centre of mass has {mass * radius**2:.2g} kg m^2 at '
+            f'most{so_have if others else ""}',
             f'write moments of some {likely:g} kg m^2, as <inertia ixx="{likely:g}" '
             f'iyy="{likely:g}" izz="{likely:g}" ixy="0" ixz="0" iyz="0"/> of a URDF or '
             f'diaginertia="{likely:g} {likely:g} {likely:g}" of MJCF, or the true mass')
@@ -215,7 +224,7 @@ def _radius(model: mujoco.MjModel, body: int) -> float:
         model.geom_rbound[geom]) for geom in geoms]
     children = np.flatnonzero(model.body_parentid == body)
     distances += [float(np.linalg.norm(model.body_pos[child] - centre)) for child in children]
-    return max([*distances, float(np.linalg.norm(centre))])
+    return max([*distances, float(np.linalg.norm(centre)), _SMALL_M])
 
 
 def _geom(model: mujoco.MjModel, geom: int, urdf: tuple[str, ...]) -> str:

@@ -462,7 +462,7 @@ def inertias(mass, moment):
         if defect.kind == 'inertia']
 
 
-@pytest.mark.parametrize(('mass', 'moment'), [(0.08, 0.5), (1.0, 30.0), (1e-4, 1e-3)])
+@pytest.mark.parametrize(('mass', 'moment'), [(0.08, 0.5), (1.0, 30.0), (1e-4, 0.02)])
 def test_an_inertia_that_no_link_of_its_mass_and_size_can_have_is_told(mass, moment):
     (defect,) = inertias(mass, moment)
     assert f"body 'link' has a moment of inertia of {moment:.3g} kg m^2" in defect.text
@@ -472,6 +472,21 @@ def test_an_inertia_that_no_link_of_its_mass_and_size_can_have_is_told(mass, mom
     assert inertias(mass, likely) == []
 
 
-@pytest.mark.parametrize(('mass', 'moment'), [(0.08, 1e-4), (1.0, 0.05), (1.0, 1e-9)])
+@pytest.mark.parametrize(('mass', 'moment'), [(0.08, 1e-4), (1.0, 0.05), (1.0, 1e-9), (1e-4, 5e-3)])
 def test_an_inertia_that_is_a_rough_guess_is_not_told(mass, moment):
     assert inertias(mass, moment) == []
+
+
+def test_absurd_inertias_are_told_in_one_sentence_that_begins_with_the_worst():
+    link = LIMB.format(mass=0.1, moment=1.0)
+    other = LIMB.format(mass=0.1, moment=9.0).replace('"link"', '"worse"').replace(
+        '"turn"', '"turn2"').replace('<body name="root"><geom size="0.05"/>', '')
+    worldbody = link[:-len('</body>')] + other
+    (defect,) = [defect for defect in defects_of(worldbody) if defect.kind == 'inertia']
+    assert defect.text.startswith("body 'worse' has a moment of inertia of 9 kg m^2")
+    assert defect.text.endswith("; so have 'link'")
+
+
+def test_a_link_without_shapes_has_no_size_to_compare_an_inertia_with():
+    worldbody = re.sub('<geom type="box"[^>]*>', '', LIMB.format(mass=0.1, moment=1.0))
+    assert [defect for defect in defects_of(worldbody) if defect.kind == 'inertia'] == []
