@@ -208,11 +208,13 @@ def test_a_chain_beyond_one_of_six_rods_is_no_arm(tmp_path):
 
 
 def test_what_moves_on_a_head_or_a_wheel_is_of_it(tmp_path):
-    ears = chain('a', 1, '0 -0.1 0.1') + chain('b', 1, '0 0.1 0.1', axis='1 0 0')
+    ears = (chain('a', 1, '0 -0.1 0.1') + chain('b', 1, '0 0.1 0.1', axis='1 0 0')
+            + chain('laser', 1, '0 0 0.1', limits=''))
     rollers = ''.join(chain(f'r{i}_', 1, place) for i, place in enumerate(around(3, 0.05)))
     text = (chain('neck', 2, '0 0 0.2', inside=ears) + chain('wheel', 1, '0 0.2 0', inside=rollers)
             + chain('j', 4, '0.2 0 0', inside=chain('camera', 1, '0 0.1 0.1')))
-    assert parts_of(tmp_path, text)[0] == {'head': 5, 'base': 4, 'arm': 4}
+    assert parts_of(tmp_path, text)[0] == {
+        'head': 5, 'other': 1, 'base': 4, 'arm': 4}
 
 
 def test_what_moves_beside_an_arm_on_a_base_is_no_part_of_the_base(tmp_path):

@@ -472,7 +472,8 @@ def test_an_inertia_that_no_link_of_its_mass_and_size_can_have_is_told(mass, mom
     assert inertias(mass, likely) == []
 
 
-@pytest.mark.parametrize(('mass', 'moment'), [(0.08, 1e-4), (1.0, 0.05), (1.0, 1e-9), (1e-4, 5e-3)])
+@pytest.mark.parametrize(('mass', 'moment'), [
+    (0.08, 1e-4), (1.0, 0.05), (1.0, 1e-9), (1e-4, 5e-3)])
 def test_an_inertia_that_is_a_rough_guess_is_not_told(mass, moment):
     assert inertias(mass, moment) == []
 

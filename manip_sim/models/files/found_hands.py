@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from manip_sim.models.files.body_tree import BodyTree, words_of
-from manip_sim.models.files.limbs import FINGERS, Limbs, MAX_FINGERS
+from manip_sim.models.files.limbs import FINGERS, is_unlimited, Limbs, MAX_FINGERS
 
 #: Words that only parts of hands have, and words that a wrist with a hand may have too.
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
@@ -136,8 +136,9 @@ def _are_fingers(tree: BodyTree, limbs: Limbs, fingers: Sequence[int]) -> bool:
     """
     joints = [limbs.joints(limb) for limb in fingers]
     counts = [len({min(tree.coupled([joint])) for joint in of_limb}) for of_limb in joints]
-    if (any(len(tree.ends(of_limb)) > 1 or any(map(limbs.is_unlimited, of_limb))
-            for of_limb in joints) or len(fingers) > MAX_FINGERS):
+    if len(fingers) > MAX_FINGERS or any(
+            len(tree.ends(of_limb)) > 1 or any(is_unlimited(tree.model, j) for j in of_limb)
+            for of_limb in joints):
         return False
     if words_of(tree.name(tree.parent(fingers[0]))) & _PALM_WORDS:
         return len(fingers) > 1 or counts == [1]

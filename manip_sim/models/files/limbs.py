@@ -31,6 +31,12 @@ _ALIGNED = 0.1
 _MIRRORED = 0.1
 
 
+def is_unlimited(model: mujoco.MjModel, joint: int) -> bool:
+    """Return whether a joint is a hinge that turns on and on."""
+    return int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE) and (
+        not model.jnt_limited[joint] or bool(np.ptp(model.jnt_range[joint]) > _UNLIMITED_RAD))
+
+
 class Limbs:
     """The limbs of a model at zero, and what its leading joints are: those that move all of it."""
 
@@ -54,12 +60,6 @@ class Limbs:
     def joints(self, limb: int) -> list[int]:
         """Return the joints of a limb."""
         return self._tree.joints(sorted(self._tree.below(limb)))
-
-    def is_unlimited(self, joint: int) -> bool:
-        """Return whether a joint is a hinge that turns on and on."""
-        model = self._model
-        return int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE) and (
-            not model.jnt_limited[joint] or bool(np.ptp(model.jnt_range[joint]) > _UNLIMITED_RAD))
 
     def planar_base(self) -> list[int]:
         """
@@ -98,8 +98,9 @@ class Limbs:
         """Return whether a limb is a hinge of a wheel, with rollers or without."""
         axle, *others = self.joints(limb)
         rollers = self.on(limb)
-        return (self.is_unlimited(axle) and abs(float(self._data.xaxis[axle, 2])) < _ALIGNED
-                and len(rollers) == len(others) != 1 and all(map(self.is_unlimited, others)))
+        return (all(is_unlimited(self._model, joint) for joint in (axle, *others))
+                and abs(float(self._data.xaxis[axle, 2])) < _ALIGNED
+                and len(rollers) == len(others) != 1)
 
     def legs(self, among: Iterable[int]) -> list[int]:
         """

@@ -19,6 +19,7 @@ from manip_sim.models.files.found_arms import (
     ALONE, classify_joints, find_arms, FoundArm, lone_hands_as_arms)
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
+from manip_sim.models.files.limbs import is_unlimited
 from manip_sim.models.files.mocap_bodies import MocapBodies
 from manip_sim.models.files.model_file import depth_in_floor, ModelFile, read_model
 from manip_sim.models.files.own_hand import OwnHand
@@ -177,15 +178,20 @@ def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, 
         elif carried == {'base'}:  # Such as one that rolls all wheels.
             subsystems[joint] = 'base'
         else:
-            subsystems[joint] = _part_of_carrier(tree, subsystems, body)
+            subsystems[joint] = _part_of_carrier(tree, subsystems, joint)
 
 
-def _part_of_carrier(tree: BodyTree, subsystems: Mapping[int, str], body: int) -> str:
-    """Return the part of what a body moves on: a head, a leg, or a wheel; ``other`` if none."""
+def _part_of_carrier(tree: BodyTree, subsystems: Mapping[int, str], joint: int) -> str:
+    """
+    Return the part of what a joint moves on: a head, a leg, or a wheel; ``other`` if none.
+
+    What turns on and on on a head is none of it, such as a laser.
+    """
+    body = int(tree.model.jnt_bodyid[joint])
     above = [joint for joint in tree.joints(tree.path(tree.parent(body))) if joint in subsystems]
     part = subsystems[above[-1]] if above else 'other'
     if part in ('head', 'legs'):
-        return part
+        return 'other' if is_unlimited(tree.model, joint) else part
     carrier = int(tree.model.jnt_bodyid[above[-1]]) if above else 0
     beside = {subsystems.get(joint, 'base') for joint in tree.joints(sorted(tree.below(carrier)))}
     return 'base' if part == 'base' and beside <= {'base', 'other'} else 'other'
