@@ -140,14 +140,16 @@ def test_a_body_called_palm_carries_fingers_whatever_they_are(tmp_path):
 @pytest.mark.parametrize(('names', 'sides'), [
     (('right_', 'left_'), ('right', 'left')), (('a_', 'b_'), ('left', 'right'))])
 @pytest.mark.parametrize('thumb', ['thumb', 'f'])
-def test_two_hands_out_of_reach_of_each_other_are_two_grippers(tmp_path, names, sides, thumb):
+@pytest.mark.parametrize(('palm', 'apart'), [('palm', 0.06), ('rack', 0.3)])
+def test_two_hands_by_their_names_or_out_of_reach_of_each_other_are_two_grippers(
+        tmp_path, names, sides, thumb, palm, apart):
     hands = ''
-    for name, y in zip(names, (-0.3, 0.3) if names[0] == 'right_' else (0.3, -0.3)):
+    for name, y in zip(names, (-apart, apart) if names[0] == 'right_' else (apart, -apart)):
         fingers = ''.join(chain(f'{name}{finger}', 2, place) for finger, place in zip(
             (thumb, 'g', 'h'), around(3, 0.04)))
-        hands += f'<body name="{name}palm" pos="0 {y} 0">{SHAPE}{fingers}</body>'
+        hands += f'<body name="{name}{palm}" pos="0 {y} 0">{SHAPE}{fingers}</body>'
     robot = load_robot(write(tmp_path / 'robot.xml', model(hands)))
-    assert robot.eef_name == {side: f'robot0_{name}palm' for name, side in zip(names, sides)}
+    assert robot.eef_name == {side: f'robot0_{name}{palm}' for name, side in zip(names, sides)}
     assert {side: len(hand.joints) for side, hand in robot.grippers.items()} == {
         'right': 6, 'left': 6}
 

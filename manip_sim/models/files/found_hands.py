@@ -9,13 +9,14 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from manip_sim.models.files.body_tree import BodyTree, words_of
-from manip_sim.models.files.limbs import FINGERS, is_unlimited, Limbs, MAX_FINGERS
+from manip_sim.models.files.limbs import (
+    FINGERS, is_unlimited, Limbs, MAX_FINGERS, PALM_WORDS)
 
 #: Words that only parts of hands have, and words that a wrist with a hand may have too.
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
 _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
-#: Words in the name of a body that carries fingers, and in those of joints that are no fingers'.
-_PALM_WORDS, _ARM_WORDS = {'gripper', 'hand', 'palm', 'claw'}, {'shoulder', 'elbow', 'wrist'}
+#: Words of joints that are no fingers', whatever they move is called.
+_ARM_WORDS = {'shoulder', 'elbow', 'wrist'}
 
 #: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
@@ -140,7 +141,7 @@ def _are_fingers(tree: BodyTree, limbs: Limbs, fingers: Sequence[int]) -> bool:
             len(tree.ends(of_limb)) > 1 or any(is_unlimited(tree.model, j) for j in of_limb)
             for of_limb in joints):
         return False
-    if words_of(tree.name(tree.parent(fingers[0]))) & _PALM_WORDS:
+    if words_of(tree.name(tree.parent(fingers[0]))) & PALM_WORDS:
         return len(fingers) > 1 or counts == [1]
     if len(fingers) == 2:
         kinds = {int(tree.model.jnt_type[of_limb[0]]) for of_limb in joints}

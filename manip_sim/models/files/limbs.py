@@ -16,11 +16,13 @@ import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
-from manip_sim.models.files.body_tree import BodyTree
+from manip_sim.models.files.body_tree import BodyTree, words_of
 
 #: A hand has at most so many fingers, and one of two hands of a file so many at least; more limbs
 #: that are alike are legs.
 MAX_FINGERS, FINGERS = 5, 3
+#: Words in the name of a body that carries fingers.
+PALM_WORDS = {'gripper', 'hand', 'palm', 'claw'}
 #: The fewest limbs that may be legs by their places alone.
 _LEAST_LEGS = 4
 #: A hinge that turns farther than this has no limits in practice [rad].
@@ -149,13 +151,20 @@ class Limbs:
         return found
 
     def are_of_two_hands(self, groups: Sequence[Sequence[int]]) -> bool:
-        """Return whether groups of limbs are fingers of two hands: alike, and out of reach."""
+        """
+        Return whether groups of limbs are fingers of two hands.
+
+        They are alike, and out of reach of each other or on bodies with names of hands.
+        """
         if len(groups) != 2 or min(map(len, groups)) < FINGERS:
             return False
+        tree, carriers = self._tree, [self._tree.parent(group[0]) for group in groups]
+        are_named = len(set(carriers)) > 1 and all(
+            words_of(tree.name(body)) & PALM_WORDS for body in carriers)
         lengths = [sorted(len(self.joints(limb)) for limb in group) for group in groups]
         one, other = (self._data.xpos[list(group)].mean(axis=0) for group in groups)
-        return lengths[0] == lengths[1] and length(one - other) > sum(
-            max(map(self._reach, group)) for group in groups)
+        return lengths[0] == lengths[1] and (are_named or length(one - other) > sum(
+            max(map(self._reach, group)) for group in groups))
 
     def _reach(self, limb: int) -> float:
         """Return how far from the root of a limb its shapes and frames are at most [m]."""
