@@ -195,6 +195,12 @@ def test_joints_that_follow_one_are_of_its_part(tmp_path, right_carries):
         'tripod', 'left_bar', 'right_bar')] and len(robot.arm_joints) == 8
 
 
+def test_a_joint_with_a_word_of_legs_on_the_way_to_fingers_is_of_the_arm(tmp_path):
+    fingers = chain('left_finger', 1, '0 0.02 0.1') + chain('right_finger', 1, '0 -0.02 0.1')
+    text = chain('s_abduction', 1, inside=chain('j', 3, '0 0 0.1', inside=fingers))
+    assert parts_of(tmp_path, text)[0] == {'arm': 4, 'right/gripper': 2}
+
+
 def test_a_head_on_six_rods_is_no_hand(tmp_path):
     rods = ''.join(chain(f'rod{i}_', 2, place) for i, place in enumerate(around(6, 0.05)))
     text = chain('yaw', 1, '0 0 0.1', inside=rods, axis='0 0 1')

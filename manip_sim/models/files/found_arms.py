@@ -51,7 +51,8 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     moves, for wheels and legs; what the joint is and where, see :class:`Limbs`. Joints of a limb
     that has a leg's name, and neither an elbow nor a wrist nor fingers, are legs, and those that
     carry nothing but legs and wheels are base. A joint that is torso by a word of :data:`_WORDS`
-    is arm if it moves at most one limb, as the waist of an arm on a table does.
+    is arm if it moves at most one limb, as the waist of an arm on a table does, and so is one of
+    legs that moves one limb with fingers.
 
     :param declared: subsystems by name of the joint, which take precedence
     :param fingers: ids of the joints of hands
@@ -72,7 +73,7 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     limbs = Limbs(tree)
     _find_unnamed(tree, limbs, found, free, notes)
     _complete_legs(tree, limbs, found, declared, fingers)
-    _correct_torso(tree, found, declared, fingers)
+    _correct_single_limbs(tree, found, declared, fingers)
     return found
 
 
@@ -144,15 +145,16 @@ def _correct_base(tree: BodyTree, found: dict[int, str], declared: Mapping[str, 
                           if str(model.joint(joint).name) not in declared})
 
 
-def _correct_torso(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str],
-                   fingers: Collection[int]) -> None:
+def _correct_single_limbs(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str],
+                          fingers: Collection[int]) -> None:
+    """Assign torso and leg joints to the arm where they move one limb, legs only with fingers."""
     for joint, subsystem in list(found.items()):
         name = str(tree.model.joint(joint).name)
-        if subsystem != 'torso' or name in declared or classify(name) == 'torso':
+        if subsystem not in ('torso', 'legs') or name in declared or classify(name) == subsystem:
             continue
         below = set(tree.joints(tree.below(int(tree.model.jnt_bodyid[joint]))))
         limbs = {j for j in below - set(fingers) if found.get(j) in ('arm', 'head', 'legs')}
-        if len(tree.ends(limbs)) < 2:
+        if len(tree.ends(limbs)) < 2 and (subsystem == 'torso' or below.intersection(fingers)):
             found[joint] = 'arm'
 
 
