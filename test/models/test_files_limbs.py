@@ -215,6 +215,15 @@ def test_a_chain_beyond_one_of_six_rods_is_no_arm(tmp_path):
     assert parts == {'other': 16}
 
 
+def test_an_arm_among_many_things_that_move_by_themselves_is_one(tmp_path):
+    things = ''.join(f'<body name="{name}{i}" pos="1 {i} 0"><joint name="{name}{i}" type="{kind}" '
+                     f'axis="1 0 0"/>{SHAPE}</body>' for name, kind, count in (
+                         ('drawer', 'slide', 4), ('knob', 'hinge', 3)) for i in range(count))
+    text = model(chain('j', 4, '0 0 0.1')).replace('</worldbody>', f'{things}</worldbody>')
+    robot = load_robot(write(tmp_path / 'scene.xml', text))
+    assert len(robot.arm_joints) == 4 and len(robot.other_joints) == 7
+
+
 def test_what_moves_on_a_head_or_a_wheel_is_of_it(tmp_path):
     ears = (chain('a', 1, '0 -0.1 0.1') + chain('b', 1, '0 0.1 0.1', axis='1 0 0')
             + chain('laser', 1, '0 0 0.1', limits=''))

@@ -233,9 +233,8 @@ def _ends_of_arms(tree: BodyTree, joints: Collection[int]) -> list[int]:
     """
     tips, moved = tree.ends(joints), {int(tree.model.jnt_bodyid[joint]) for joint in joints}
     followers, limbs = tree.followers(), Limbs(tree)
-    for link in {0, *moved}:
-        crowd = [limb for limb in limbs.on(link) if tree.below(limb) & moved]
-        if len(crowd) > MAX_FINGERS:
+    for crowd in (group for link in {0, *moved} for group in limbs.by_root(link)):
+        if sum(bool(tree.below(limb) & moved) for limb in crowd) > MAX_FINGERS:
             tips = [tip for tip in tips if not set(crowd).intersection(tree.path(tip))]
 
     def leads(tip: int) -> bool:

@@ -59,6 +59,13 @@ class Limbs:
         return [body for body in range(1, self._model.nbody)
                 if tree.joints([body]) and rigid[tree.parent(body)] == link]
 
+    def by_root(self, link: int) -> list[list[int]]:
+        """Return the limbs on a rigid link by their roots: several are a robot and its scene."""
+        found: dict[int, list[int]] = {}
+        for limb in self.on(link):
+            found.setdefault(self._tree.path(limb)[0], []).append(limb)
+        return list(found.values())
+
     def joints(self, limb: int) -> list[int]:
         """Return the joints of a limb."""
         return self._tree.joints(sorted(self._tree.below(limb)))
@@ -92,9 +99,10 @@ class Limbs:
         :param among: the joints that may be of wheels
         """
         candidates = set(among)
-        wheels = [limb for limb in self.on(self.trunk)
-                  if candidates.issuperset(self.joints(limb)) and self._is_wheel(limb)]
-        return [joint for limb in wheels for joint in self.joints(limb)] if len(wheels) > 1 else []
+        groups = [[limb for limb in limbs if candidates.issuperset(self.joints(limb))
+                   and self._is_wheel(limb)] for limbs in self.by_root(self.trunk)]
+        return [joint for wheels in groups if len(wheels) > 1
+                for limb in wheels for joint in self.joints(limb)]
 
     def _is_wheel(self, limb: int) -> bool:
         """Return whether a limb is a hinge of a wheel, with rollers or without."""
@@ -116,11 +124,13 @@ class Limbs:
         if not self._is_floating_trunk():
             return []
         candidates = set(among)
-        alike: dict[tuple[int, int], list[int]] = {}
+        alike: dict[tuple[int, int, int], list[int]] = {}
         for limb in self.on(self.trunk):
+            root = self._tree.path(limb)[0]
             joints = self.joints(limb)
             if candidates.issuperset(joints) and len(set(self._model.jnt_bodyid[joints])) > 1:
-                alike.setdefault((len(joints), len(self._tree.ends(joints))), []).append(limb)
+                kind = root, len(joints), len(self._tree.ends(joints))
+                alike.setdefault(kind, []).append(limb)
         return [joint for limbs in alike.values() if len(limbs) >= _LEAST_LEGS
                 and (len(limbs) > MAX_FINGERS or self.in_pairs(limbs))
                 and not self.are_of_two_hands(list(self.by_carrier(limbs).values()))
