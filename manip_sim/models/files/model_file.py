@@ -30,7 +30,7 @@ from manip_sim.models.loading import compile_alone, compile_copy, load_spec, nam
 from manip_sim.models.regular_files import Files
 from manip_sim.models.skipped_elements import infer_inertias_once
 from manip_sim.models.untrusted_models import hold_robot
-from manip_sim.quoting import counted, quoted
+from manip_sim.quoting import counted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
