@@ -80,8 +80,10 @@ class ExternalWrench:
         self._centre = data.subtree_com[model.body_rootid[body]]
         self.uncollected = UncollectedForces.of(model, self.bodies)
         self._no_rows = bytes(self.forces.nbytes)
-        # Adhesion pulls before there is a contact force.
-        self.no_forces = b'' if self.uncollected.adhesions else self._no_rows
+        # Adhesion pulls before there is a contact force, and those with flexes are not among them.
+        self.no_forces = self._no_rows
+        if self.uncollected.adhesions or self.uncollected.flexes is not None:
+            self.no_forces = b''
 
     def begin_period(self) -> None:
         """Begin a control period in which each step may be recorded."""

@@ -6,7 +6,8 @@ Forces on the bodies of a tool that MuJoCo does not collect in ``cfrc_ext``.
 
 ``cfrc_ext`` has applied forces, contacts, connect and weld constraints, and spatial tendons.
 MuJoCo attributes the others to the joints: actuators on sites, slider-cranks, adhesion, and the
-fluid. Forces between two bodies of the tool cancel.
+fluid; and those of flexes to nothing, see :mod:`manip_sim.physics.flex_forces`. Forces between
+two bodies of the tool cancel.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.physics.flex_forces import FlexForces
 
 _SITE, _BODY, _CRANK = (int(getattr(mujoco.mjtTrn, f'mjTRN_{name}')) for name in (
     'SITE', 'BODY', 'SLIDERCRANK'))
@@ -43,6 +45,7 @@ class UncollectedForces:
     :ivar cranks: slider-cranks with an end on the tool: actuator, site of the crank, of the slider
     :ivar adhesions: adhesion actuators of any body: actuator, body
     :ivar tendons: whether a spatial tendon connects the tool with something else
+    :ivar flexes: None for a model without a flex
     """
 
     first: int
@@ -51,6 +54,7 @@ class UncollectedForces:
     cranks: tuple[tuple[int, int, int], ...]
     adhesions: tuple[tuple[int, int], ...]
     tendons: bool
+    flexes: FlexForces | None
 
     @classmethod
     def of(cls, model: mujoco.MjModel, bodies: slice) -> UncollectedForces:
@@ -78,17 +82,19 @@ class UncollectedForces:
                     sites.append((actuator, one, axes, 1.0) if has_one else
                                  (actuator, other, axes, -1.0))
         return cls(first, end, tuple(sites), tuple(cranks), tuple(adhesions),
-                   _is_tied_by_tendons(model, on_tool))
+                   _is_tied_by_tendons(model, on_tool), FlexForces.of(model, bodies))
 
     @property
     def pulls(self) -> bool:
         """True if forces other than contacts and the fluid may act on the tool."""
-        return self.tendons or bool(self.sites or self.cranks)
+        return (self.tendons or bool(self.sites or self.cranks)
+                or self.flexes is not None and self.flexes.has_vertices)
 
     @property
     def is_empty(self) -> bool:
         """True if the fluid is the only force that ``cfrc_ext`` lacks."""
-        return not (self.sites or self.cranks or self.adhesions)
+        return not (self.sites or self.cranks or self.adhesions
+                    or self.flexes is not None)
 
     def wrench(self, model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
         """
@@ -108,6 +114,8 @@ class UncollectedForces:
         for actuator, body in self.adhesions:
             if data.actuator_force[actuator] and data.ncon:
                 self._add_adhesion(wrench, model, data, float(data.actuator_force[actuator]), body)
+        if self.flexes is not None:
+            self.flexes.add(wrench, model, data)
         if has_fluid(model.opt):
             self._add_fluid(wrench, model, data)
         return wrench

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Forces on a tool that are no contacts: cables, thrusters, suction, wind, against Newton."""
+"""Forces on a tool that are no contacts: cables, flexes, thrusters, wind, against Newton."""
 
 import mujoco
 import numpy as np
@@ -42,7 +42,7 @@ LIFT = """
       </body>
     </body>
   </worldbody>
-  <tendon>{tendon}</tendon><equality>{equality}</equality>
+  <tendon>{tendon}</tendon><deformable>{flex}</deformable><equality>{equality}</equality>
   <actuator>
     <position name="lift" joint="lift" kp="8000" kv="400" inheritrange="1"
               forcerange="-500 500"/>
@@ -51,11 +51,15 @@ LIFT = """
     {actuator}
   </actuator>
 </mujoco>"""
+NOTHING = dict.fromkeys(('world', 'tool', 'tendon', 'flex', 'equality', 'actuator'), '')
 CABLE = '<site site="anchor"/><site site="hook"/>'
 CUP = ('<body name="cup" pos="0 0 -0.05">'
        '<geom name="cup" type="cylinder" size="0.02 0.01" mass="0" margin="0.002"/></body>')
 SUCTION = '<adhesion name="pull" body="cup" ctrlrange="0 1" gain="50"/>'
 POST = '<site name="post" pos="0.02 0 0.94"/>'
+LUG = '<body name="lug" pos="0.02 0 0"/>'
+EDGE = ('<flex name="cord" dim="1" body="base lug" vertex="0.3 0 1.5  0 0 0" element="0 1">'
+        '<contact contype="0" conaffinity="0"/>{}</flex>')
 #: MJCF, control of the actuator ``pull``, least force on the tool [N].
 CASES = {
     'spring cable': ({'tendon': f'<spatial stiffness="20" springlength="0.1">{CABLE}</spatial>'},
@@ -83,8 +87,14 @@ CASES = {
                     'ctrlrange="-20 20"/>'}, 10.0, 5.0),
     'suction': ({'tool': CUP, 'actuator': SUCTION}, 1.0, 4.8),
     'connect': ({'world': POST, 'equality': '<connect site1="hook" site2="post"/>'}, None, 1.0),
+    'flex': ({'tool': LUG, 'flex': EDGE.format('<edge stiffness="200"/>')}, None, 3.0),
+    'flex of a fixed length': ({'tool': LUG, 'flex': EDGE.format(''),
+                                'equality': '<flex flex="cord"/>'}, None, 10.0),
     'wind': ({}, None, 0.5),
 }
+#: Where the lift goes to, if not to zero [m]; there it is fixed.
+GOALS = {'connect': 0.02, 'flex': -0.02, 'flex of a fixed length': -0.02}
+FIXED = ('connect', 'flex of a fixed length')
 #: The wind blows at the carriage too.
 OF_TOOL = [case for case in CASES if case != 'wind']
 
@@ -94,7 +104,7 @@ def simulation_of(tmp_path, case, **options):
     parts, control, _ = CASES[case]
     path = tmp_path / 'lift.xml'
     path.write_text(LIFT.format_map(
-        dict.fromkeys(('world', 'tool', 'tendon', 'equality', 'actuator'), '') | parts))
+        NOTHING | parts))
     load = {'name': 'load', 'shape': 'box', 'size': [0.06, 0.06, 0.02], 'mass': 0.5,
             'position': [0.0, 0.0, 0.8788]}
     simulation = Simulation(compose(str(path), objects=[load] * (case == 'suction'), **options))
@@ -120,13 +130,13 @@ def axial(simulation):
 @pytest.mark.parametrize('case', OF_TOOL)
 def test_what_pulls_at_a_tool_is_what_bends_the_servo_at_rest(tmp_path, case):
     simulation = simulation_of(tmp_path, case)
-    if case == 'connect':
-        simulation.robot.apply(*simulation.robot.parse.joint_command(['robot0_lift'], [0.02]))
+    goal = GOALS.get(case, 0.0)
+    if goal:
+        simulation.robot.apply(*simulation.robot.parse.joint_command(['robot0_lift'], [goal]))
     for _ in range(400):
         simulation.advance(5)
     assert np.abs(simulation.data.joint('robot0_lift').qvel[0]) < 1e-3
     force, effort = axial(simulation)
-    goal = 0.02 if case == 'connect' else 0.0
     felt = STIFFNESS * (simulation.data.joint('robot0_lift').qpos[0] - goal)
     assert force == pytest.approx(felt, abs=0.01 + 0.002 * abs(felt))
     assert abs(force) >= CASES[case][2]
@@ -153,7 +163,7 @@ def test_effort_and_external_force_are_what_moves_the_lift(tmp_path, case):
             DAMPING * lift.qvel[0])
         errors.append(abs(effort + force - needed))
         speeds.append(abs(lift.qvel[0]))
-    assert max(speeds) > (0.001 if case == 'connect' else 0.05)
+    assert max(speeds) > (0.001 if case in FIXED else 0.05)
     # A damper of a cable acts with the velocity at the end of a step, MuJoCo tells that before.
     assert max(errors) < (2.0 if case in ('damped cable', 'winch that is a servo') else 0.02)
 
@@ -178,7 +188,7 @@ def test_a_tendon_is_the_effort_of_a_joint_without_another_drive(tmp_path):
              'actuator': '<motor name="pull" tendon="cord" ctrlrange="-9 0"/>'}
     path = tmp_path / 'hand.xml'
     text = LIFT.format_map(
-        dict.fromkeys(('world', 'tool', 'tendon', 'equality', 'actuator'), '') | parts)
+        NOTHING | parts)
     for driven in (True, False):
         servo = ('<position name="left_finger" joint="left_finger" kp="200" kv="10" '
                  'inheritrange="1"/>')
@@ -272,3 +282,82 @@ def test_many_worlds_feel_what_one_does_to_the_last_bit(tmp_path):
         for force, torque in zip(ends.force, ends.torque):
             assert (force.tobytes(), torque.tobytes()) == (
                 end.force.tobytes(), end.torque.tobytes())
+
+
+FLEX_CONTACTS = {
+    'a strip of the tool on a shelf': (
+        {'world': '<geom name="shelf" type="box" size="0.1 0.1 0.01" pos="0 0 0.85"/>',
+         'tool': '<flexcomp name="strip" type="grid" count="4 1 1" spacing="0.02 0.02 0.02"'
+                 ' dim="1" pos="0 0 -0.06" mass="1" radius="0.004"><pin id="0"/>'
+                 '<edge equality="true"/><contact selfcollide="none"/></flexcomp>'}, ''),
+    'the tool on a cloth': (
+        {'tool': '<geom type="box" size="0.04 0.04 0.01" mass="0"/>'},
+        '<body name="frame" pos="0 0 0.92"><flexcomp name="cloth" type="grid" count="5 5 1"'
+        ' dim="2" spacing="0.05 0.05 0.05" mass="0.2" radius="0.004"><edge equality="true"/>'
+        '<pin id="0 4 20 24"/><contact selfcollide="none"/></flexcomp></body>')}
+
+
+@pytest.mark.parametrize('case', FLEX_CONTACTS)
+def test_contacts_with_flexes_push_at_a_tool(tmp_path, case):
+    parts, arena = FLEX_CONTACTS[case]
+    (tmp_path / 'lift.xml').write_text(LIFT.format_map(NOTHING | parts))
+    (tmp_path / 'arena.xml').write_text(f'<mujoco><worldbody>{arena}</worldbody></mujoco>')
+    simulation = Simulation(compose(str(tmp_path / 'lift.xml'), arena=str(tmp_path / 'arena.xml'),
+                                    timestep_s=0.001))
+    simulation.robot.apply(*simulation.robot.parse.joint_command(['robot0_lift'], [-0.08]))
+    for _ in range(600):
+        simulation.advance(5)
+    lift = simulation.data.joint('robot0_lift')
+    assert simulation.data.ncon and abs(lift.qvel[0]) < 1e-3
+    felt = STIFFNESS * (lift.qpos[0] + 0.08)
+    force, _ = axial(simulation)
+    assert felt > 4.0
+    assert force == pytest.approx(felt, abs=0.01 + 0.002 * felt)
+
+
+def test_forces_within_a_flex_of_the_tool_are_no_external_force(tmp_path):
+    strip = FLEX_CONTACTS['a strip of the tool on a shelf'][0]['tool']
+    (tmp_path / 'lift.xml').write_text(LIFT.format_map(NOTHING | {'tool': strip}))
+    simulation = Simulation(compose(str(tmp_path / 'lift.xml'), timestep_s=0.001))
+    for _ in range(100):
+        simulation.advance(5)
+    wrench = simulation.robot.state().end_effectors['right'].external_wrench
+    np.testing.assert_allclose([*wrench.force, *wrench.torque], 0.0, atol=1e-9)
+
+
+TRIANGLE = """
+<mujoco>
+  <worldbody>
+    <body name="tool" pos="0 0 1"><freejoint/>
+      <geom size="0.01" mass="1" contype="0" conaffinity="0"/></body>
+    <body pos="0.1 0 1"><freejoint/><geom size="0.01" contype="0" conaffinity="0"/>
+      <body name="second"/></body>
+    <body name="third" pos="0 0.1 1"><freejoint/>
+      <geom size="0.01" contype="0" conaffinity="0"/></body>
+    <body pos="0.03 0.04 1.018"><freejoint/><geom size="0.015" mass="0.2"/></body>
+  </worldbody>
+  <deformable>
+    <flex name="patch" dim="2" body="tool second third" radius="0.005"
+          vertex="0.01 0 0  0 0 0  0 0 0" element="0 1 2"><contact selfcollide="none"/></flex>
+    <flex name="cord" dim="1" body="third tool" vertex="0 0 0  0 0.01 0" element="0 1">
+      <edge stiffness="50" damping="2"/><contact contype="0" conaffinity="0"/></flex>
+  </deformable>
+  <equality><flex flex="patch"/></equality>
+</mujoco>"""
+
+
+def test_what_a_flex_does_is_what_mujoco_projects_on_a_free_tool():
+    model = mujoco.MjModel.from_xml_string(TRIANGLE)
+    data, generator = mujoco.MjData(model), np.random.default_rng(3)
+    for _ in range(5):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:2] += 0.005 * generator.normal(size=2)
+        data.qvel[:] = 0.1 * generator.normal(size=model.nv)
+        mujoco.mj_forward(model, data)
+        assert data.ncon and (data.contact.elem >= 0).any()
+        wrench = UncollectedForces.of(model, slice(1, 2)).wrench(model, data)
+        place, rotation = data.body('tool').xpos, data.body('tool').xmat.reshape(3, 3)
+        at_tool = [*wrench[:3], *(rotation.T @ (wrench[3:] - np.cross(place, wrench[:3])))]
+        wanted = (data.qfrc_constraint + data.qfrc_spring + data.qfrc_damper)[:6]
+        assert np.abs(data.qfrc_spring[:3]).max() > 0.01
+        np.testing.assert_allclose(at_tool, wanted, atol=1e-9)
