@@ -7,12 +7,12 @@ Measure the rest of arms that press on their pedestal, their body or a table; pr
     python3 benchmark/resting.py [ROBOT ...] [--modes MODE ...] [--timesteps-ms MS ...]
 
 Each motion is random, by up to 1.6 rad, and ends where the arm is blocked; a reset precedes every
-third. After 2.7 s
-the arm must rest: for 0.3 s none of its joints may be faster than 0.003 rad/s (slide joints: m/s)
-in any physics step. Motions that end without a contact do not count. In mode `position` joints get
-one goal, in `velocity` a velocity for 0.8 s, then zero. In `effort` a PD controller outside of the
-simulation leads the joints to goals with 2.4 Hz, critically damped, at 95 % of the effort limit at
-most, 500 times a second by default.
+third. A motion takes 5 s, or 3 s more than the joint that is farthest from its goal takes at
+its velocity limit. For the last 0.3 s the arm must rest: none of its joints may be faster than
+0.003 rad/s (slide joints: m/s) in any physics step. Motions that end without a contact do not
+count. In mode `position` joints get one goal, in `velocity` a velocity for 0.8 s, then zero. In
+`effort` a PD controller outside of the simulation leads the joints to goals with 2.4 Hz,
+critically damped, at 95 % of the effort limit at most, 500 times a second by default.
 
 - moving: how many motions do not end at rest, of how many with contact.
 - speed: the greatest of a joint in the worst motion, and of its mean over the 0.3 s: a joint that
@@ -24,6 +24,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+import math
 from typing import Any
 
 import mujoco
@@ -34,8 +35,9 @@ from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation
 
 PERIOD_S = 0.01
-#: Duration of a motion, and of its end, in which it must rest [s].
-MOTION_S, END_S = 3.0, 0.3
+#: Duration of a motion at least, what is added to its way at full speed, and of its end, in which
+#: it must rest [s].
+MOTION_S, SETTLING_S, END_S = 5.0, 3.0, 0.3
 #: Speed of a joint at rest [rad/s or m/s].
 REST = 0.003
 #: Goals are at most so far from the start [rad or m].
@@ -111,17 +113,27 @@ class Bench:
         fields: dict[str, Any] = {field: list(values)}
         self.robot.apply(*self.robot.parse.joint_command(self.joints, **fields))
 
-    def controller(self, random: np.random.Generator) -> Iterator[None]:
-        """Yield for each period, after the commands of a random motion."""
-        goal = np.clip(self.start + random.uniform(-REACH, REACH, len(self.joints)),
+    def goal(self, random: np.random.Generator) -> Any:
+        """Draw a position of the joints."""
+        return np.clip(self.start + random.uniform(-REACH, REACH, len(self.joints)),
                        self.ranges[0] + 0.01, self.ranges[1] - 0.01)
+
+    def duration_s(self, goal: Any) -> float:
+        """Return the duration of a motion to a goal, in whole control periods [s]."""
+        way_s = float((np.abs(goal - self.positions) / self.velocity_limits).max())
+        needed = way_s + SETTLING_S if self.mode == 'position' else 0.0
+        return self.period_s * math.ceil(max(MOTION_S, needed) / self.period_s - 1e-9)
+
+    def controller(self, random: np.random.Generator, goal: Any, duration_s: float
+                   ) -> Iterator[None]:
+        """Yield for each period, after the commands of a random motion."""
         velocity = np.clip(1.5 * random.uniform(-1.0, 1.0, len(self.joints))
                            + self.start - self.positions,
                            -self.velocity_limits, self.velocity_limits)
         begin = self.positions
         if self.mode == 'position':
             self.command('position', goal)
-        for period in range(round(MOTION_S / self.period_s)):
+        for period in range(round(duration_s / self.period_s)):
             now_s = period * self.period_s
             if self.mode == 'velocity' and now_s < 1.0:
                 self.command('velocity', velocity * (now_s < 0.8))
@@ -150,8 +162,10 @@ class Bench:
         if motion % 3 == 0:
             self.simulation.reset()
         end: list[Any] = []
-        end_s = self.simulation.time_s + MOTION_S - END_S
-        for _ in self.controller(random):
+        goal = self.goal(random)
+        duration_s = self.duration_s(goal)
+        end_s = self.simulation.time_s + duration_s - END_S
+        for _ in self.controller(random, goal, duration_s):
             if self.simulation.time_s < end_s:
                 self.simulation.advance(self.steps)
                 continue

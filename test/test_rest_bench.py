@@ -42,13 +42,16 @@ def test_the_page_says_that_arms_rest_in_time():
     assert all(int(soon) >= 0.98 * int(targets) for _, _, targets, soon in rows)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(('robot', 'mode', 'timestep_s', 'arena', 'motions'), [
-    ('IIWA', 'velocity', 0.005, 'table', [0, 1, 2]), ('IIWA', 'position', 0.005, 'table', [0]),
-    ('Sawyer', 'position', 0.005, 'empty', [0, 12, 13, 14]),
-    ('UR5e', 'velocity', 0.001, 'empty', [0, 1, 2])])
+@pytest.mark.parametrize(('robot', 'mode', 'timestep_s', 'arena', 'motions', 'seed'), [
+    ('IIWA', 'velocity', 0.005, 'table', [0, 1, 2], 1),
+    ('IIWA', 'position', 0.005, 'table', [0], 1),
+    ('Sawyer', 'position', 0.005, 'empty', [0, 12, 13, 14], 1),
+    ('UR5e', 'velocity', 0.001, 'empty', [0, 1, 2], 1),
+    ('GR1', 'velocity', 0.005, 'table', [12], 3),
+    ('FR3', 'velocity', 0.002, 'table', [21, 22], 3),
+    ('Tiago', 'velocity', 0.005, 'table', [45], 7)])
 def test_arms_that_press_on_something_come_to_rest(
-        benchmark_module, robot, mode, timestep_s, arena, motions):
-    outcomes = benchmark_module('resting').measure(robot, mode, timestep_s, motions, arena)
+        benchmark_module, robot, mode, timestep_s, arena, motions, seed):
+    outcomes = benchmark_module('resting').measure(robot, mode, timestep_s, motions, arena, seed)
     assert outcomes
     assert [outcome for outcome in outcomes if not outcome.rests] == []

@@ -61,7 +61,6 @@ class Servos:
         up against the joint's damping [rad/s or m/s], shape (n,)
     :ivar acceleration_limit: after a jump of the goal [rad/s^2 or m/s^2], shape (n,)
     :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
-    :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
 
@@ -104,7 +103,6 @@ class Servos:
         self.acceleration_limit = acceleration_limits(
             model, data, joint_ids, torque, (self._drag - self._damping) * self.cruising_velocity,
             self.velocity_limit, self.position_clamp())
-        self.lead = self._lead(np.arange(len(ids)))
         self._gives_effort = np.zeros(len(ids), dtype=bool)
         self._sources = 0
         physics.on_change(self._find_places)
@@ -166,11 +164,6 @@ class Servos:
         model.jnt_actfrclimited[joint_ids[limited]] = 1
         return limits
 
-    def _lead(self, indices: IntArray) -> FloatArray:
-        torque = np.abs(self.ranges['effort'][indices]).max(axis=1)
-        return np.asarray(np.maximum(torque, self._damping[indices] * self.velocity_limit[indices])
-                          / self._stiffness[indices])
-
     @property
     def velocity_limit(self) -> FloatArray:
         """How fast each joint may move [rad/s or m/s], shape (n,)."""
@@ -227,7 +220,6 @@ class Servos:
             return False
         self._stiffness[indices], self._damping[indices] = stiffness, damping
         self._drag[indices] = damping + self.passive_damping[indices]
-        self.lead[indices] = self._lead(indices)
         self._set_gains(indices)
         return True
 
@@ -299,7 +291,8 @@ class Servos:
         for field, values in (
                 ('qpos', self.qpos), ('dof', self.dofs), ('activation', self._activation),
                 ('control', self._ids), ('gear', self._gear), ('stiffness', self._stiffness),
-                ('drag', self._drag), ('lead', self.lead), ('top', self.velocity_limit),
+                ('drag', self._drag), ('low', self.ranges['effort'][:, 0]),
+                ('high', self.ranges['effort'][:, 1]),
                 ('friction', self._physics.model.dof_frictionloss[self.dofs]),
                 ('compensated', self._compensated), ('gives', self._gives_effort)):
             records[field] = values

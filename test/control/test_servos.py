@@ -682,3 +682,22 @@ def test_a_motor_becomes_a_critically_damped_servo_that_lags_by_thirteen_millise
     # In the differential equation I q'' = kp (goal - q) - kv q' at the joint.
     assert kv == pytest.approx(2.0 * np.sqrt(kp * model.dof_M0[0] / gear**2))
     assert kv / kp == pytest.approx(0.013)
+
+
+@pytest.mark.parametrize('torque', [4.0, 6.0, 8.0])
+def test_a_joint_that_a_spring_stops_does_not_swing_there(one_joint_arm, run, torque):
+    body = LINK.replace('axis="0 1 0" range="-2 2" damping="0.5"',
+                        'axis="0 0 1" range="-2 2" damping="0.02" stiffness="60"')
+    servo = '<position name="a" joint="joint1" kp="200" kv="10" forcerange="-{0} {0}"/>'
+    simulation = Simulation(World([one_joint_arm(servo.format(torque), body)]))
+    simulation.robot.set_control_mode('arm', 'velocity')
+    command(simulation, 'velocity', 'robot0_joint1', 1.5)
+    run(simulation, 1.0)
+    command(simulation, 'velocity', 'robot0_joint1', 0.0)
+    run(simulation, 1.0)
+    speeds = []
+    for _ in range(200):
+        simulation.advance(1)
+        speeds.append(abs(simulation.data.qvel[0]))
+    # Without a servo that damps it, the joint would swing for half a minute.
+    assert max(speeds) < 1e-3

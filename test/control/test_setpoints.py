@@ -494,19 +494,44 @@ def test_braking_velocity_leaves_the_way_of_a_constant_deceleration(interval_s, 
     assert braking_velocity(0.0, 1.0, interval_s) == 0.0
 
 
-def hold_back(setpoints, measured, lead):
-    """Let servos of joints that cannot keep up hold their setpoints back, shape (n,)."""
+def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0):
+    """Let servos of joints that cannot keep up hold back their setpoints, by efforts at most."""
     count = len(measured)
     none, places = np.zeros(count), np.arange(count)
     frames = np.zeros((0, 3)), np.zeros((0, 3, 3))
     kinematics = Kinematics(measured, np.zeros((count, 6)), np.zeros((1, 3)), *frames, *frames)
-    world = WorldArrays(kinematics, *(none.copy() for _ in range(8)))
+    world = WorldArrays(kinematics, none + velocity, none, none, none + carried,
+                        *(none.copy() for _ in range(4)))
     servos = np.zeros(count, SERVO)
     for field in ('qpos', 'dof', 'activation', 'control'):
         servos[field] = places
-    servos['gear'] = servos['stiffness'] = servos['top'] = 1.0
-    servos['lead'] = lead
+    servos['gear'] = servos['stiffness'] = 1.0
+    servos['low'], servos['high'], servos['compensated'] = -effort, effort, True
     drive(world, readable(servos), np.full((count, count), -1), setpoints.joints, none, 0.002)
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_a_setpoint_may_lead_by_the_effort_that_the_weight_leaves(sign):
+    for carried, lead in ((0.0, 1.0), (0.4, 0.6), (-0.4, 1.4), (1.2, 0.05)):
+        setpoints = generator(low=-9.0, high=9.0)
+        setpoints.place(ONE, np.array([sign * 3.0]), np.zeros(1))
+        hold_back(setpoints, np.array([sign * 0.5]), np.ones(1), carried=sign * carried)
+        assert setpoints.position[0] == pytest.approx(sign * (0.5 + lead))
+
+
+@pytest.mark.parametrize('seeks', [True, False])
+def test_a_setpoint_that_is_held_back_goes_on_with_its_joint_but_not_back(seeks):
+    for speed, expected in ((0.2, 0.2), (9.0, 0.6), (-0.2, 0.0)):
+        setpoints = generator(low=-9.0, high=9.0)
+        setpoints.place(ONE, np.array([3.0]), np.array([0.6]))
+        if not seeks:
+            setpoints.set_velocity(ONE, np.array([0.6]))
+        setpoints.advance(0.002)
+        before = setpoints.velocity[0]
+        hold_back(setpoints, np.array([0.5]), np.ones(1), speed)
+        expected = min(expected, before)
+        assert setpoints.velocity[0] == pytest.approx(expected)
+        assert setpoints.position[0] == pytest.approx(1.5 + 0.002 * expected)
 
 
 def test_a_setpoint_that_was_dragged_away_at_rest_goes_back_when_it_is_woken():

@@ -63,12 +63,11 @@ SMOOTHING_S = 0.02
 
 #: A servo: addresses of the joint in ``qpos`` and ``qvel`` and of the actuator in ``act`` and
 #: ``ctrl``; joint to actuator, stiffness [N m/rad or N/m], damping of servo and joint [N m s/rad
-#: or N s/m], dry friction [N m or N], how far a setpoint may be ahead of its joint [rad or m],
-#: velocity limit [rad/s or m/s]; whether the weight is compensated, and whether it is a source of
-#: effort.
+#: or N s/m], dry friction [N m or N], lowest and highest effort, with what compensates the weight
+#: [N m or N]; whether the weight is compensated, and whether it is a source of effort.
 SERVO = np.dtype([
     *((name, np.int64) for name in ('qpos', 'dof', 'activation', 'control')),
-    *((name, np.float64) for name in ('gear', 'stiffness', 'drag', 'friction', 'lead', 'top')),
+    *((name, np.float64) for name in ('gear', 'stiffness', 'drag', 'friction', 'low', 'high')),
     *((name, np.bool_) for name in ('compensated', 'gives'))], align=True)
 
 

@@ -23,6 +23,8 @@ from manip_sim.physics.physics import WorldArrays
 #: Dry friction sets in up to this velocity, so that joints at rest are not pushed to and fro;
 #: MuJoCo's noslip solver, which all worlds have, lets it act in full at any [rad/s or m/s].
 _SLIDING = 0.05
+#: Share of the highest effort that a servo may exert where the weight takes more.
+_LEAST_SHARE = 0.05
 
 
 @compiled
@@ -82,16 +84,31 @@ def drive(world: WorldArrays, servos: Any, places: IntArray, joints: Any, effort
 
 
 @inner
+def _room(world: WorldArrays, servo: Any) -> tuple[float, float]:
+    """
+    Return how far a setpoint may be behind its joint, as a negative number, and ahead of it.
+
+    There the servo exerts all of the effort that the weight leaves. Farther away, it would not
+    damp the joint either, whose velocity changes nothing as long as the effort is at its limit.
+    """
+    carried = world.carried[servo.dof] if servo.compensated else 0.0
+    return (min(servo.low - carried, _LEAST_SHARE * servo.low) / servo.stiffness,
+            max(servo.high - carried, _LEAST_SHARE * servo.high) / servo.stiffness)
+
+
+@inner
 def _hold_back(world: WorldArrays, servos: Any, joints: Any, duration: float) -> None:
     """Keep setpoints from running ahead of joints that cannot keep up."""
     for i in range(len(joints)):
         x, servo = joints[i], servos[i]
-        place = world.kinematics.positions[servo.qpos]
-        velocity = world.velocities[servo.dof]
-        if abs(velocity) > servo.top:
-            # It goes far in an interval, and must not stop at once.
-            place += duration * (velocity - clip(velocity, -servo.top, servo.top))
-        if not servo.gives and abs(x.position - place) > servo.lead:
-            x.position = clip(x.position, place - servo.lead, place + servo.lead)
-            x.raw = x.first = x.second = x.rate = x.velocity = x.acceleration = 0.0
-            x.held = 1.0
+        low, high = _room(world, servo)
+        # It goes on with its joint, but never against its own motion.
+        velocity = clip(world.velocities[servo.dof], min(x.velocity, 0.0), max(x.velocity, 0.0))
+        place = world.kinematics.positions[servo.qpos] + duration * velocity
+        if servo.gives or low <= x.position - place <= high:
+            continue
+        x.position = clip(x.position, place + low, place + high)
+        x.rate = 0.0 if x.seeks != 0.0 else velocity
+        x.raw = x.first = x.second = velocity - x.rate
+        x.velocity, x.acceleration = velocity, 0.0
+        x.held = 1.0
