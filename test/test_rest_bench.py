@@ -49,6 +49,8 @@ def test_the_page_says_that_arms_rest_in_time():
     ('UR5e', 'velocity', 0.001, 'empty', [0, 1, 2], 1),
     ('GR1', 'velocity', 0.005, 'table', [12], 3),
     ('FR3', 'velocity', 0.002, 'table', [21, 22], 3),
+    ('GR1', 'position', 0.005, 'table', [3, 4, 5], 1),
+    ('Panda', 'position', 0.002, 'table', [3, 4, 5], 21),
     ('Tiago', 'velocity', 0.005, 'table', [45], 7)])
 def test_arms_that_press_on_something_come_to_rest(
         benchmark_module, robot, mode, timestep_s, arena, motions, seed):

@@ -32,8 +32,9 @@ from manip_sim.validation import start_by_joint, whole_nanoseconds
 #: Ratio of frictional to normal constraint impedance: friction gives less than the contact.
 _IMPRATIO = 10.0
 #: Iterations after the solver that take the rest of that out, so that grasped objects do not creep
-#: (mujoco.readthedocs.io, modeling, "Preventing slip"), and when they may end sooner.
-_NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 10, 1e-7
+#: (mujoco.readthedocs.io, modeling, "Preventing slip"), and when they may end sooner. Grasps need
+#: up to five, arms that press with several links at hundreds of newtons up to forty.
+_NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 50, 1e-7
 #: Tolerance of collisions of convex shapes [m]. With MuJoCo's, the points where a cylinder touches
 #: jump by millimetres from step to step, and what presses on it never rests.
 _CCD_TOLERANCE = 1e-12

@@ -224,7 +224,7 @@ def test_a_part_keeps_its_own_options_against_slip(one_joint_arm, panda):
     own = '<option noslip_iterations="{}" noslip_tolerance="{}"/>'
     weak, strong = (one_joint_arm(sections=own.format(*values), idn=number)
                     for number, values in ((1, (2, 1e-3)), (2, (30, 1e-5))))
-    for robots, wanted in (([panda], (10, 1e-7)), ([panda, weak], (2, 1e-3)),
+    for robots, wanted in (([panda], (50, 1e-7)), ([panda, weak], (2, 1e-3)),
                            ([weak, strong], (30, 1e-5))):
         option = World(robots).compile().opt
         assert (option.noslip_iterations, option.noslip_tolerance) == wanted
