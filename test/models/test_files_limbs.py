@@ -247,3 +247,12 @@ def test_the_rods_of_a_parallelogram_are_of_the_arm_that_they_follow(tmp_path):
     ties = ''.join(f'<joint joint1="p{i}" joint2="j1"/>' for i in (1, 2, 3))
     robot = load_robot(write(tmp_path / 'robot.xml', model(text, equality=ties)))
     assert len(robot.arm_joints) == 7 and robot.eef_name == {'right': 'robot0_j3_link'}
+
+
+def test_the_carriage_of_a_lift_is_no_finger(tmp_path):
+    fingers = chain('left', 1, '0 0.02 -0.1', body='left_finger', kind='slide', limits='0 0.02')
+    fingers += chain('right', 1, '0 -0.02 -0.1', body='right_finger', kind='slide',
+                     limits='0 0.02', axis='0 -1 0')
+    lift = chain('lift', 1, inside=fingers, body='carriage', kind='slide', axis='0 0 1')
+    parts, _ = parts_of(tmp_path, lift)
+    assert parts == {'arm': 1, 'right/gripper': 2}

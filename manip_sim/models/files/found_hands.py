@@ -12,8 +12,10 @@ from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.limbs import (
     FINGERS, is_unlimited, Limbs, MAX_FINGERS, PALM_WORDS)
 
-#: Words that only parts of hands have, and words that a wrist with a hand may have too.
+#: Words that only parts of hands have, of joints and of bodies: the carriage of a lift or a gantry
+#: is no finger. A wrist with a hand may have words of hands too.
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
+_FINGER_BODY_WORDS = _FINGER_WORDS - {'carriage'}
 _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
 #: Words of joints that are no fingers', whatever they move is called.
 _ARM_WORDS = {'shoulder', 'elbow', 'wrist'}
@@ -178,7 +180,7 @@ def _is_of_finger(tree: BodyTree, joint: int) -> bool:
     """Return whether a joint, or the body that it moves, has the name of a finger."""
     words = words_of(_name(tree, joint))
     body = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
-    return bool(words & _FINGER_WORDS or body & _FINGER_WORDS and not words & _ARM_WORDS)
+    return bool(words & _FINGER_WORDS or body & _FINGER_BODY_WORDS and not words & _ARM_WORDS)
 
 
 def _name(tree: BodyTree, joint: int) -> str:
