@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 if importlib.util.find_spec('rclpy'):
+    from forks import Fork
     from harness import Client, DOMAIN, Served
 
 
@@ -60,13 +61,19 @@ def serve() -> Iterator[Callable[..., Any]]:
 
 
 @pytest.fixture
-def process() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Return a function that starts ``python3 -m MODULE ARGUMENTS`` and ends it after the test."""
-    running: list[subprocess.Popen[str]] = []
+def process() -> Iterator[Callable[..., Fork | subprocess.Popen[str]]]:
+    """
+    Return a function that starts ``python3 -m MODULE ARGUMENTS`` and ends it after the test.
 
-    def start(*arguments: str, module: str = 'manip_sim') -> subprocess.Popen[str]:
-        started = subprocess.Popen([sys.executable, '-m', module, *arguments], text=True,
-                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    Where its start is tested, with ``fresh=True``, nothing is imported before.
+    """
+    running: list[Fork | subprocess.Popen[str]] = []
+
+    def start(*arguments: str, module: str = 'manip_sim',
+              fresh: bool = False) -> Fork | subprocess.Popen[str]:
+        started = Fork(module, arguments) if not fresh else subprocess.Popen(
+            [sys.executable, '-m', module, *arguments], text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         running.append(started)
         return started
 
@@ -78,9 +85,9 @@ def process() -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
 
 @pytest.fixture
-def sim_process(process: Any) -> Callable[..., subprocess.Popen[str]]:
+def sim_process(process: Any) -> Callable[..., Fork | subprocess.Popen[str]]:
     """Return a function that starts the node as a process, with parameters NAME:=VALUE."""
-    def start(*parameters: str) -> subprocess.Popen[str]:
+    def start(*parameters: str, fresh: bool = False) -> Fork | subprocess.Popen[str]:
         arguments = [word for parameter in parameters for word in ('-p', parameter)]
-        return process('--ros-args', *arguments)
+        return process('--ros-args', *arguments, fresh=fresh)
     return start

@@ -13,7 +13,7 @@ from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import (
     DescribeParameters, GetParameters, ListParameters, SetParameters)
 from rclpy.parameter import Parameter, parameter_value_to_python
-from starts import starts
+from forks import ends
 import yaml
 
 from manip_sim.interface.ros2_control import STALLS
@@ -61,7 +61,7 @@ REJECTED = [
 def rejected():
     """Return how the starts with wrong parameters end, by parameter."""
     parameters = [parameter for parameter, *_ in REJECTED]
-    return dict(zip(parameters, starts([['--ros-args', '-p', p] for p in parameters])))
+    return dict(zip(parameters, ends([['--ros-args', '-p', p] for p in parameters])))
 
 
 @pytest.mark.full
@@ -78,7 +78,7 @@ def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, r
 @pytest.mark.full
 def test_a_process_of_its_own_ends_as_those_that_are_started_together(sim_process, rejected):
     parameter = REJECTED[0][0]
-    node = sim_process(parameter)
+    node = sim_process(parameter, fresh=True)
     output, errors = node.communicate(timeout=300.0)
     assert (node.returncode, output, errors) == rejected[parameter]
 

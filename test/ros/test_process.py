@@ -34,7 +34,7 @@ def catches(process, number):
 def test_a_signal_ends_the_process_cleanly_at_any_moment(number, delay_s, sim_process, client):
     # `make soak` takes 200 moments, more than one signal, and sim_view too.
     begin = time.monotonic()
-    node = sim_process()
+    node = sim_process(fresh=True)
     if delay_s is None:
         client.state()
     else:

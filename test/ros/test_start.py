@@ -9,10 +9,10 @@ import signal
 import subprocess
 import sys
 
+from forks import ends
 import pytest
 import rclpy
 from rclpy.executors import InvalidHandle
-from starts import starts
 
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.overrides import for_other_nodes
@@ -53,7 +53,7 @@ REJECTED = {
 @pytest.fixture(scope='module')
 def rejected():
     """Return how the starts that cannot succeed end, by their arguments."""
-    return dict(zip(REJECTED, starts([['--ros-args', *words.split()] for words in REJECTED])))
+    return dict(zip(REJECTED, ends([['--ros-args', *words.split()] for words in REJECTED])))
 
 
 @pytest.mark.full
@@ -88,7 +88,7 @@ def test_a_node_that_cannot_be_built_is_destroyed_whatever_has_failed(serve, mon
 def test_a_parameters_file_that_ros_cannot_read_is_explained(content, line, tmp_path):
     file = tmp_path / 'parameters.yaml'
     file.write_text(content)
-    ((code, output, errors),) = starts([['--ros-args', '--params-file', str(file)]])
+    ((code, output, errors),) = ends([['--ros-args', '--params-file', str(file)]])
     assert (code, output, errors.count('\n')) == (1, '', 1)
     assert errors.startswith(f"sim_node: bad ROS arguments: '{file}'{line}"), errors
 
