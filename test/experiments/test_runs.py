@@ -54,6 +54,15 @@ def whole(tmp_path_factory):
     return out
 
 
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Run episodes here, in tests of rows and folders: each process would import all again."""
+    def run_here(experiment, seeds, count):
+        worker = Worker(experiment)
+        return (worker.run(seed) for seed in seeds)
+    monkeypatch.setattr('manip_sim.cli.run.run_in_processes', run_here)
+
+
 @pytest.mark.full
 def test_a_run_has_the_rows_of_episodes_that_are_run_by_hand(whole):
     worker = Worker(Experiment(Setting('reach'), f'{POLICIES}:Towards'))
@@ -91,6 +100,7 @@ def test_the_interval_is_that_of_wilsons_score(successes, count):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_shards_in_one_folder_and_in_several_make_the_same_rows(whole, tmp_path, capsys):
     for number in (1, 2):
         assert run(tmp_path / 'shared', '--shard', f'{number}/2', worlds='1') == 0
@@ -110,6 +120,7 @@ def test_shards_in_one_folder_and_in_several_make_the_same_rows(whole, tmp_path,
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_runs_of_other_policies_are_not_merged_and_leave_no_folder(whole, tmp_path, capsys):
     assert run(tmp_path / 'other', policy='WithoutSeed', worlds='1', seeds='0:1') == 0
     out = tmp_path / 'merged'
@@ -270,6 +281,7 @@ def test_the_file_of_a_policy_replaces_no_module(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_a_policy_that_writes_into_its_observation_changes_no_row(whole, tmp_path):
     assert run(tmp_path / 'writes', policy='Writes', seeds='0:3', worlds='1') == 0
     assert rows(tmp_path / 'writes') == rows(whole)[:3]
@@ -421,6 +433,7 @@ def test_the_content_of_a_policy_is_the_same_in_other_folders(tmp_path, monkeypa
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_seeds_are_added_to_a_run_and_runs_of_other_seeds_are_merged(whole, tmp_path, capsys):
     out = tmp_path / 'grows'
     assert run(out, seeds='0:3', worlds='1') == 0
@@ -436,6 +449,7 @@ def test_seeds_are_added_to_a_run_and_runs_of_other_seeds_are_merged(whole, tmp_
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_shards_keep_their_seeds_when_seeds_are_added(whole, tmp_path):
     out = tmp_path / 'shards'
     for seeds in ('0:3', '0:6'):
@@ -445,6 +459,7 @@ def test_shards_keep_their_seeds_when_seeds_are_added(whole, tmp_path):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_rows_with_an_error_can_be_run_again(whole, tmp_path, monkeypatch):
     out, mark = tmp_path / 'errors', tmp_path / 'mark'
     mark.touch()
@@ -458,6 +473,7 @@ def test_rows_with_an_error_can_be_run_again(whole, tmp_path, monkeypatch):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 @pytest.mark.parametrize('policy', ['WithoutSeed', 'towards'])
 def test_a_policy_may_be_a_function_or_need_no_seed(whole, tmp_path, policy):
     assert run(tmp_path / 'other', policy=policy, seeds='0:2', worlds='1') == 0
@@ -465,6 +481,7 @@ def test_a_policy_may_be_a_function_or_need_no_seed(whole, tmp_path, policy):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_a_run_again_leaves_no_rows_or_records_of_the_run_before_and_other_files(tmp_path):
     out = tmp_path / 'out'
     assert run(out, '--record', seeds='0:2', worlds='1') == 0
@@ -475,6 +492,7 @@ def test_a_run_again_leaves_no_rows_or_records_of_the_run_before_and_other_files
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_a_run_can_record_its_episodes(tmp_path):
     pytest.importorskip('mcap', reason='mcap is not installed')
     assert run(tmp_path / 'recorded', '--record', seeds='3:5', worlds='1') == 0
@@ -505,6 +523,7 @@ def test_recorded_images_are_those_of_the_states_beside_them(renderer, policy, t
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_latency_is_a_part_of_the_run(whole, tmp_path):
     assert run(tmp_path / 'late', '--latency', '0.2', worlds='1', seeds='0:2') == 0
     assert [row['digest'] for row in rows(tmp_path / 'late')] != [
@@ -552,6 +571,7 @@ def test_what_cannot_be_used_is_said_in_one_line(tmp_path, capsys, more, text):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_noise_of_a_run_is_that_of_an_environment_with_the_profile(whole, tmp_path):
     out = tmp_path / 'noisy'
     assert run(out, '--noise', 'ur', '--noise', 'noise.joint_position:=0.01', '--latency', '0.1',
@@ -587,6 +607,7 @@ def test_a_folder_of_something_else_is_rejected(whole, tmp_path, capsys):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_a_shard_that_runs_already_is_rejected(tmp_path, capsys):
     import fcntl
     assert run(tmp_path / 'twice', seeds='0:1', worlds='1') == 0
@@ -615,6 +636,7 @@ def test_a_flat_observation_has_the_order_of_gymnasium():
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_rows_of_randomized_runs_are_those_of_shards_and_of_episodes_by_hand(tmp_path, capsys):
     file = tmp_path / 'drawn.yaml'
     file.write_text('bodies: {"robot0_link*": {mass: {scale: {uniform: [0.8, 1.2]}}}}\n'
@@ -639,6 +661,7 @@ def test_rows_of_randomized_runs_are_those_of_shards_and_of_episodes_by_hand(tmp
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
 def test_a_sweep_over_latencies_is_one_command_that_repeats_to_the_last_bit(
         whole, tmp_path, capsys):
     for name in ('one', 'two'):

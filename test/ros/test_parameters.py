@@ -7,13 +7,13 @@ from pathlib import Path
 import re
 import signal
 
+from forks import ends
 from harness import Served
 import pytest
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import (
     DescribeParameters, GetParameters, ListParameters, SetParameters)
 from rclpy.parameter import Parameter, parameter_value_to_python
-from forks import ends
 import yaml
 
 from manip_sim.interface.ros2_control import STALLS
