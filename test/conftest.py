@@ -64,28 +64,29 @@ MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 #: of them, a long file that comes last keeps one worker busy and the others waiting for it. Those
 #: of processes that wait for each other take turns with those that compute.
 LONGEST = (
-    'test_bench.py', 'ros/test_pick_cube.py', 'ros/test_viewer.py', 'ros/test_documentation.py',
-    'control/test_control_figures.py', 'ros/test_process.py', 'ros/test_hand_over.py',
-    'ros/test_spawned_files.py', 'experiments/test_runs.py', 'ros/test_neighbours.py',
-    'models/test_catalogue_grasps.py', 'ros/test_soak.py', 'ros/test_task_node.py',
-    'ros/test_journal.py', 'ros/test_spawned_robots.py', 'env/test_env.py',
-    'ros/test_parameters.py', 'ros/test_start.py', 'ros/test_node_records.py',
-    'moveit/test_control_package.py', 'ros/test_camera_topics.py', 'worlds/test_worlds.py',
-    'tasks/test_tasks.py', 'ros/test_lockstep.py', 'ros/test_spawned_by_strangers.py',
-    'models/test_add_your_own.py', 'ros/test_diagnostics.py', 'ros/test_pressing.py',
-    'test_contact_bench.py', 'control/test_cartesian_rest.py',
+    'experiments/test_runs.py', 'testing/test_sim_node.py', 'ros/test_documentation.py',
+    'ros/test_viewer.py', 'ros/test_process.py', 'ros/test_diagnostics.py', 'test_bench.py',
+    'ros/test_neighbours.py', 'ros/test_soak.py', 'ros/test_camera_topics.py',
+    'ros/test_hostile_viewer.py', 'ros/test_pick_cube.py', 'ros/test_node_records.py',
+    'ros/test_journal.py', 'ros/test_ros_commands.py', 'tasks/test_tasks.py',
+    'ros/test_viewer_layout.py', 'ros/test_start.py', 'models/test_add_your_own.py',
+    'ros/test_hand_over.py', 'testing/test_plugin.py', 'models/test_catalogue_grasps.py',
+    'ros/test_parameters.py', 'test_contact_bench.py', 'models/test_requested_robots.py',
+    'control/test_control_figures.py', 'ros/test_lockstep.py', 'physics/test_urdf_couplings.py',
+    'experiments/test_ros_policy.py', 'ros/test_viewer_discovery.py', 'ros/test_spawned_files.py',
+    'ros/test_task_node.py', 'ros/test_spawned_robots.py', 'env/test_env.py',
+    'moveit/test_control_package.py', 'worlds/test_worlds.py', 'ros/test_spawned_by_strangers.py',
+    'ros/test_pressing.py', 'control/test_cartesian_rest.py',
     'control/test_streamed_trajectories.py', 'ros/test_topic_hardware.py',
-    'control/test_stream_bounds.py', 'testing/test_plugin.py', 'control/test_cartesian.py',
-    'moveit/test_moveit_package.py', 'control/test_servos.py',
-    'test_install.py', 'test_gallery.py', 'control/test_setpoints.py', 'cli/test_cli_render.py',
-    'physics/test_resuming.py', 'control/test_streams.py',
-    'simulation/test_robot_spawning.py', 'ros/test_hostile_viewer.py', 'ros/test_goal_server.py',
+    'control/test_stream_bounds.py', 'control/test_cartesian.py', 'moveit/test_moveit_package.py',
+    'control/test_servos.py', 'test_install.py', 'test_gallery.py', 'control/test_setpoints.py',
+    'cli/test_cli_render.py', 'physics/test_resuming.py', 'control/test_streams.py',
+    'simulation/test_robot_spawning.py', 'ros/test_goal_server.py',
     'simulation/test_randomization.py', 'ros/test_commands.py', 'ros/test_services.py',
     'models/test_catalogue_matrix.py', 'ros/test_several_robots.py', 'ros/test_watch_only.py',
     'ros/test_bad_input.py', 'sensing/test_noise.py', 'rendering/test_catalogue_cameras.py',
     'test_typing.py', 'test_requirements.py', 'ros/test_sensors.py', 'ros/test_log.py',
-    'simulation/test_other_processors.py', 'tasks/test_latency.py',
-    'experiments/test_ros_policy.py')
+    'simulation/test_other_processors.py', 'tasks/test_latency.py')
 
 
 @pytest.hookimpl(wrapper=True)
