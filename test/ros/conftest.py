@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator
 import importlib.util
 import signal
 import subprocess
-import sys
 from typing import Any
 
 import pytest
 
 if importlib.util.find_spec('rclpy'):
-    from forks import Fork
+    from forks import Fork, start
     from harness import Client, DOMAIN, Served
 
 
@@ -69,15 +68,12 @@ def process() -> Iterator[Callable[..., Fork | subprocess.Popen[str]]]:
     """
     running: list[Fork | subprocess.Popen[str]] = []
 
-    def start(*arguments: str, module: str = 'manip_sim',
-              fresh: bool = False) -> Fork | subprocess.Popen[str]:
-        started = Fork(module, arguments) if not fresh else subprocess.Popen(
-            [sys.executable, '-m', module, *arguments], text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        running.append(started)
-        return started
+    def start_one(*arguments: str, module: str = 'manip_sim',
+                  fresh: bool = False) -> Fork | subprocess.Popen[str]:
+        running.append(start(module, arguments, fresh))
+        return running[-1]
 
-    yield start
+    yield start_one
     for started in running:
         if started.poll() is None:
             started.send_signal(signal.SIGKILL)

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 #: Period at which a process is waited for [s].
 _LOOK_S = 0.005
-#: Set by the recorder of test/mutation, which notes lines by the test that has started a process.
+#: Set by the recorder of test/mutation, for which a process belongs to the test that starts it.
 _RECORDED = 'MUTATION_CHILDREN'
 
 
@@ -58,7 +58,7 @@ class Fork:
 
     def __init__(self, module: str, arguments: Sequence[str]) -> None:
         self.returncode: int | None = None
-        template = _template() if _RECORDED not in os.environ else _template.__wrapped__()
+        template = _template()
         print(json.dumps([module, [*arguments], os.getcwd(), dict(os.environ)]),
               file=template.stdin, flush=True)
         self.pid, folder = json.loads(template.stdout.readline())
@@ -100,11 +100,20 @@ class Fork:
         self.send_signal(signal.SIGKILL)
 
 
+def start(module: str, arguments: Sequence[str],
+          fresh: bool = False) -> Fork | subprocess.Popen[str]:
+    """Start a program as a fork, or as a process that has imported nothing before."""
+    if not fresh and _RECORDED not in os.environ:
+        return Fork(module, arguments)
+    return subprocess.Popen([sys.executable, '-m', module, *arguments], text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
 def ends(arguments: Sequence[Sequence[str]]) -> list[End]:
     """Return how nodes that are started with some arguments end, one after the other."""
     found = []
     for words in arguments:
-        node = Fork('manip_sim', words)
+        node = start('manip_sim', words)
         try:
             output, errors = node.communicate(timeout=300.0)
         finally:
