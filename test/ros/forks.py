@@ -11,6 +11,7 @@ lines of JSON, each a program to start, and writes the identifier of its process
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable, Sequence
 import contextlib
 import functools
@@ -125,8 +126,10 @@ def ends(arguments: Sequence[Sequence[str]]) -> list[End]:
 @functools.cache
 def _template() -> Any:
     """Return the process that forks; it ends with this one."""
-    return subprocess.Popen([sys.executable, __file__], text=True, stdin=subprocess.PIPE,
-                            stdout=subprocess.PIPE)
+    template = subprocess.Popen([sys.executable, __file__], text=True, stdin=subprocess.PIPE,
+                                stdout=subprocess.PIPE)
+    atexit.register(template.communicate)
+    return template
 
 
 #: Files of the standard streams in the folder of a program, in the order of their descriptors.
