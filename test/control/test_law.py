@@ -4,6 +4,8 @@
 """The compiled laws of control: the bits of plain Python, kept where the user may write."""
 
 import os
+from pathlib import Path
+import shutil
 import subprocess
 import sys
 
@@ -180,3 +182,15 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
         own = inertia[np.ix_(joints['dof'], joints['dof'])]
         gained = jacobian @ np.linalg.solve(own, efforts[1] - efforts[0])
         np.testing.assert_allclose(gained, 24.0 * along, atol=1e-3 * 24.0 * np.abs(along).max())
+
+
+def test_laws_of_another_installation_are_kept_apart_as_numba_does(tmp_path):
+    import manip_sim
+    other = tmp_path / 'other' / 'manip_sim'
+    shutil.copytree(Path(manip_sim.__file__).parent, other,
+                    ignore=shutil.ignore_patterns('__pycache__'))
+    folders = {run(f'import sys; sys.path.insert(0, {str(path)!r})\n'
+                   'from manip_sim.control.law.kept import laws_folder; print(laws_folder())',
+                   XDG_CACHE_HOME=str(tmp_path)).stdout
+               for path in (Path(manip_sim.__file__).parents[1], other.parent)}
+    assert len(folders) == 2

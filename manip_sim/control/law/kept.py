@@ -26,7 +26,9 @@ _ALL = 'all'
 def _version() -> str:
     """Return a name for all that the compiled code depends on."""
     content = hashlib.sha256()
-    for word in (package_version(), _version_of_numba(), platform.python_version(), _processor()):
+    # numba finds what it has kept by the path of the source.
+    for word in (package_version(), _version_of_numba(), platform.python_version(), _processor(),
+                 str(Path(__file__).parent)):
         content.update(f'{word}\n'.encode())
     # numba looks only at the file of the function that is called, not at those it calls.
     for path in sorted(Path(__file__).parent.glob('*.py')):
