@@ -44,7 +44,7 @@ nitpicky = True
 # Types of other packages, and of the standard library, are not linked: builds need no network.
 nitpick_ignore_regex = [
     ('py:.*', r'(gymnasium|mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
-    ('py:.*', r'(Any|ArrayLike|(Bool|Float)Array|Callable|Iterable|Mapping|Path|PathLike)'),
+    ('py:.*', r'(Any|ArrayLike|(Bool|Float|Int)Array|Callable|Iterable|Mapping|Path|PathLike)'),
     ('py:.*', 'Sequence'),
     ('py:.*', 'Union'),
     ('py:.*', r'(abc\..*|C|P|T|GripperT|.*\.[CPT]|.*\.GripperT|(.*\.)?Sent)'),
@@ -58,7 +58,7 @@ nitpick_ignore_regex = [
                         r'|KinematicChain|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike'
                         r'|CameraLike|Pictures|FrictionLaw|Friction|TorqueSpeed|Shard|Base'
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
-                        r'|ControlState|ElementMap|Operations|Part|Streams|Surroundings)'),
+                        r'|ControlState|ElementMap|Operations|Part|Hand|Targets|Surroundings)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.
