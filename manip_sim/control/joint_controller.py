@@ -23,7 +23,7 @@ from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.modes import Arrival, MODES
-from manip_sim.control.law.arm_records import no_targets, Targets
+from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
 from manip_sim.control.trajectory_following import TrajectoryFollowing
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.parts import Part
@@ -375,7 +375,7 @@ class JointController(ControlledJoints):
         others = [c for c in self.commands.running if type(c) is not JointSetpoint]
         for command in others:
             if isinstance(command, CartesianCommand):
-                self.cartesian.follow(command, data, now_s, duration_s, self._effort)
+                self.cartesian.follow(command, now_s, duration_s, self._effort)
             elif isinstance(command, BaseTwist):
                 self._base.follow(command, now_s + duration_s, duration_s)
         setpoints.advance(duration_s)
@@ -387,9 +387,12 @@ class JointController(ControlledJoints):
         self._written, self._efforts_due = True, False
         self._servos.drive(setpoints.joints, self._effort, duration_s)
 
-    def begin_run(self, intervals: IntArray, clock: Clock) -> tuple[Joints, Targets] | None:
+    def begin_run(self, intervals: IntArray, clock: Clock
+                  ) -> tuple[Joints, Targets, int] | None:
         """
-        Return joints and targets for the compiled law, None if they do what it cannot.
+        Return joints and targets for the compiled law, and for how many intervals they are known.
+
+        It is None in an interval in which a trajectory begins or ends, and for more than two arms.
 
         :param intervals: physics steps of each, shape (k,)
         :param clock: of the simulation
@@ -404,19 +407,26 @@ class JointController(ControlledJoints):
             elif isinstance(command, BaseTwist):
                 base = (command.joints, command.columns,
                         self._base.wanted(clock.ends_s(intervals, step_s)))
-        led: tuple[IntArray, FloatArray] | None = _NOT_LED
-        if trajectories or self.commands.waiting:
-            led = self._trajectories.path(trajectories, clock.ends_s(intervals, step_s))
-        targets = self.cartesian.begin_run(arms, clock.control_s, int(intervals[0]) * step_s)
-        if targets is None or led is None:
+        if len(arms) > MOST_ARMS:
             return None
+        targets, count = no_targets(), len(intervals)
+        if arms:
+            targets, count = self.cartesian.begin_run(
+                arms, clock.begins_s(intervals), np.asarray(intervals * step_s, dtype=float))
+        indices, path = _NOT_LED
+        if trajectories or self.commands.waiting:
+            led = self._trajectories.path(trajectories, clock.ends_s(intervals[:count], step_s))
+            if led is None:
+                return None
+            indices, path = led
+            count = len(path)
         from manip_sim.control.law.period import Joints  # It imports numba.
-        servos, setpoints, (indices, path) = self._servos, self._setpoints, led
+        servos, setpoints = self._servos, self._setpoints
         return Joints(
             setpoints.joints, servos.records, servos.places, self._effort, setpoints.counts,
             self.cartesian.posture,
             np.array([setpoints.moving, self._efforts_due, self._written]), indices, path,
-            *base), targets
+            *base), targets, count
 
     def end_run(self, joints: Joints, targets: Targets, moved_s: float) -> None:
         """

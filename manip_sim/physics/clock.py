@@ -40,6 +40,15 @@ class Clock:
         """Simulation time since the last reset [s]."""
         return self.control_steps * self.step_ns * 1e-9
 
+    def begins_s(self, intervals: IntArray) -> FloatArray:
+        """
+        Return what :attr:`control_s` will be when intervals begin, shape (k,).
+
+        :param intervals: steps of each, shape (k,)
+        """
+        steps = self.control_steps + np.cumsum(intervals) - intervals
+        return np.asarray(steps * self.step_ns * 1e-9)
+
     def ends_s(self, intervals: IntArray, step_s: float) -> FloatArray:
         """
         Return what :attr:`control_s` will be at the ends of intervals, shape (k,).
@@ -47,8 +56,7 @@ class Clock:
         :param intervals: steps of each, shape (k,)
         :param step_s: length of a step, as the physics has it [s]
         """
-        begins = (self.control_steps + np.cumsum(intervals) - intervals) * self.step_ns * 1e-9
-        return np.asarray(begins + intervals * step_s)
+        return np.asarray(self.begins_s(intervals) + intervals * step_s)
 
     def since_reset_s(self, time_ns: int) -> float:
         """Return the time from the last reset to a simulation time [s]."""

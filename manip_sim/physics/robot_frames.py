@@ -33,6 +33,11 @@ class Frame:
     body: int
     site: int | None = None
 
+    @property
+    def number(self) -> tuple[int, bool]:
+        """The id of the site or the body, and whether it is a site."""
+        return (self.body, False) if self.site is None else (self.site, True)
+
     def look_at_model(self, model: mujoco.MjModel) -> None:
         """Take over the ids in another model, in which the frame is the same."""
         if self.site is None:

@@ -435,9 +435,8 @@ class SimulatedRobot:
         found, data = self.joints.begin_run(intervals, self._clock), self._physics.data
         if found is None:
             return None
-        joints, targets = found
-        if len(joints.path):
-            intervals = intervals[:len(joints.path)]
+        joints, targets, count = found
+        intervals = intervals[:count]
         moving = [gripper for gripper in self.grippers.values() if gripper.moving]
         hands = [gripper.begin_run(data) for gripper in moving]
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]

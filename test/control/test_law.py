@@ -158,10 +158,10 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
     draw = np.random.default_rng(0)
     data.qvel[:] = 0.3 * draw.normal(size=model.nv)
     mujoco.mj_forward(model, data)
-    operational = robot.joints.cartesian._operational
+    arms = robot.joints.cartesian._arms
     for name, chain in robot.joints.cartesian._chains.items():
         indices = robot.joints.indices_of(name)
-        arm, motion = operational.arm(chain.tip, indices), Motion.of(len(indices))
+        arm, motion = arms.arm(chain.tip, indices), Motion.of(len(indices))
         joints = arm.joints.copy()
         joints['weakest'], joints['strongest'] = -np.inf, np.inf
         arm = arm._replace(joints=joints)

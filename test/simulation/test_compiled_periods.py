@@ -149,25 +149,44 @@ def test_bases_drive_as_by_ticks_to_the_last_bit(name, monkeypatch, runs):
     assert found == states_of(name, 'position', 120, drive)
 
 
-def turn(simulation):
-    robot = simulation.robot
-    robot.apply(robot.parse_cartesian.twist('right', [0.1, 0.0, 0.0], np.zeros(3)))
+def stream(robot, period, draw):
+    """Let end effectors follow twists, then poses, then twists that stop, beyond what they can."""
+    arms, phase = list(robot.end_effectors), 0.15 * period
+    if period < 40 or 90 <= period < 120:
+        return [robot.parse_cartesian.twist(
+            arm, 0.2 * np.sin(phase + np.arange(3)), 0.5 * np.cos(phase + np.arange(3)),
+            'robot0_base' if period % 2 else '') for arm in arms] if period % 3 else []
+    if period < 90 and period % 2:
+        found = []
+        for arm in arms:
+            pose = robot.state().end_effectors[arm].pose
+            found.append(robot.parse_cartesian.pose(
+                arm, pose.position + 0.02 * np.sin(phase + np.arange(3)), pose.quat_xyzw))
+        return found
+    return []
 
 
-def press(simulation):
-    (tool,) = simulation._periods._steps.tools
-    simulation.data.xfrc_applied[tool.bodies.start, 2] = -1.0
+@pytest.mark.parametrize('mode', ['effort', 'position'])
+@pytest.mark.parametrize('name', ['Panda', *(
+    pytest.param(name, marks=pytest.mark.full) for name in ('Baxter', 'Kinova3', 'UR5e'))])
+def test_streams_of_end_effectors_are_those_of_ticks_to_the_last_bit(
+        name, mode, monkeypatch, runs):
+    found = states_of(name, mode, 150, stream)
+    assert runs.count(1) >= 149 and runs.count(0) < 2
+    by_python(monkeypatch)
+    assert found == states_of(name, mode, 150, stream)
+    assert len({digest for digest, *_ in found[0]}) == 150
 
 
-@pytest.mark.parametrize('act', [turn, press])
-def test_what_else_acts_is_not_left_out(act, runs):
+def test_what_pushes_a_tool_is_not_left_out(runs):
     simulation = Simulation(compose('Panda', arena='table', cube=True))
     robot = simulation.robot
     robot.set_control_mode('arm', 'effort')
     robot.apply(robot.parse_cartesian.action('right', np.zeros(6)), period_s=PERIOD_S)
     simulation.advance(STEPS)
     assert runs == [1]
-    act(simulation)
+    (tool,) = simulation._periods._steps.tools
+    simulation.data.xfrc_applied[tool.bodies.start, 2] = -1.0
     simulation.advance(STEPS)
     assert len(runs) > 1 and not any(runs[1:])
 

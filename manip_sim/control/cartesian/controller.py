@@ -11,21 +11,19 @@ import mujoco
 import numpy as np
 
 from manip_sim.algebra import product, transposed_product
-from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.control.cartesian.arms import Arms
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
-from manip_sim.control.cartesian.operational_space_controller import (
-    EffortSolution, OperationalSpaceController)
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport
-from manip_sim.control.cartesian.targets import pose_error, Target, target_of
+from manip_sim.control.cartesian.targets import Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.law.arm_records import (
-    ArmMotion, EXERTS, IDLE, LEADS, MISSED, MISSED_TURN, no_targets, Targets, targets_of,
-    Velocities)
+    BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, RESTS, STREAMS, Targets, targets_of, TWISTS)
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
@@ -39,14 +37,10 @@ from manip_sim.quaternion import wxyz_to_xyzw
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012
-#: Slower setpoints have come to rest [rad/s].
-_AT_REST = 1e-4
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
 #: None of the joints.
 _NOBODY = np.zeros(0, dtype=bool)
-#: The compiled law leads the end effectors of so many arms.
-_MOST_ARMS = 2
 
 
 class CartesianController:
@@ -85,12 +79,12 @@ class CartesianController:
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in chains}
         self._derived = Derived()
-        self._operational = OperationalSpaceController(physics, servos, self.posture)
+        self._arms = Arms(physics, servos)
         physics.on_change(self._look_at_model)
 
     def look_at_joints(self) -> None:
         """Take over the damping of the joints, which was changed in the model."""
-        self._operational.look_at_joints()
+        self._arms.look_at_joints()
 
     def _look_at_model(self) -> None:
         for chain in self._chains.values():
@@ -233,78 +227,132 @@ class CartesianController:
         return np.concatenate([data.xpos[bodies].ravel(), data.xmat[bodies].ravel(),
                                data.qpos[taken]])
 
-    def begin_run(self, commands: Sequence[CartesianCommand], now_s: float, duration_s: float
-                  ) -> Targets | None:
+    def begin_run(self, commands: Sequence[CartesianCommand], begins_s: FloatArray,
+                  durations_s: FloatArray) -> tuple[Targets, int]:
         """
-        Return the targets of commands for the compiled law, None if one of them moves.
+        Return the targets of commands for the compiled law.
 
-        :param now_s: simulation time [s]
-        :param duration_s: length of the next interval [s]
+        :param commands: of two arms at most
+        :param begins_s: when intervals begin, simulation time [s], shape (k,)
+        :param durations_s: their lengths [s], shape (k,)
+        :returns: the targets, and for how many intervals they are known
         """
-        if not commands:
-            return no_targets()
-        if len(commands) > _MOST_ARMS or not all(
-                [self._rests(command, now_s) for command in commands]):
-            return None
-        targets = self._targets_for_law(commands)
+        targets, count = self._targets_for_law(commands), len(begins_s)
         targets.tasks['acts'] = IDLE
-        interval_s = self._solution_s(duration_s)
         for number, command in enumerate(commands):
-            self._fill(targets, number, command, interval_s)
-        return targets
+            target, now_s = self._targets[command.arm], float(begins_s[0])
+            self._end_twist(command, target, now_s)
+            exerts = self._servos.any_gives_effort_of(command.indices)
+            interval_s = self._solution_s(float(durations_s[0]))
+            follows = self._follows(target, exerts, now_s)
+            self._fill(targets, number, command, exerts, follows, interval_s)
+            if follows in (STREAMS, TWISTS):
+                known = self._look_ahead(targets, number, target, begins_s, durations_s)
+                count = min(count, known)
+        return targets, count
 
     def _solution_s(self, duration_s: float) -> float:
         """Return for how long a solution of the kinematics is used [s]."""
         parts = max(1, math.ceil(self.period_s / _LONGEST_INTERVAL_S - 1e-9))
         return max(self.period_s / parts, duration_s)
 
-    def _rests(self, command: CartesianCommand, now_s: float) -> bool:
-        """Return whether the target of a command rests from now on, until the next command."""
-        target = self._targets[command.arm]
+    @staticmethod
+    def _follows(target: Target, exerts: bool, now_s: float) -> int:
+        """Return how a target moves from now on."""
         if target.twists is not None:
-            return False
-        if self._servos.any_gives_effort_of(command.indices):
-            return target.ends_stream(now_s)
-        if target.settled_in is not None:
-            return True
-        if target.until_s == -math.inf:
-            return False
-        if now_s >= target.solve_s - 1e-9:
-            return target.ends_stream(now_s)
-        return target.stream is None or target.stream.at_rest
+            return TWISTS
+        if target.until_s == -math.inf and not exerts:
+            return BRAKES
+        if exerts or target.settled_in is None and now_s >= target.solve_s - 1e-9:
+            return RESTS if target.ends_stream(now_s) else STREAMS
+        return STREAMS if target.stream is not None and not target.stream.at_rest else RESTS
 
     def _targets_for_law(self, commands: Sequence[CartesianCommand]) -> Targets:
         """Return room for the targets of arms, which is used again."""
-        arms = [self._operational.arm(self._chains[command.arm].tip, command.indices)
+        arms = [self._arms.arm(self._chains[command.arm].tip, command.indices)
                 for command in commands]
         room: Targets | None = self._derived.of.get('targets')
         if room is None:
             room = self._derived.of['targets'] = targets_of(len(self._names))
         return room._replace(arms=(arms[0], arms[-1]))
 
-    def _fill(self, targets: Targets, number: int, command: CartesianCommand, interval_s: float
-              ) -> None:
+    def _fill(self, targets: Targets, number: int, command: CartesianCommand, exerts: bool,
+              follows: int, interval_s: float) -> None:
         """Write the target of a command for the compiled law."""
         target, settings = self._targets[command.arm], self.settings[command.arm]
-        tip, anchor = self._chains[command.arm].tip, target.anchor
-        exerts = self._servos.any_gives_effort_of(command.indices)
+        tip, anchor, axes = self._chains[command.arm].tip, target.anchor, target.axes
         targets.tasks[number] = (
-            EXERTS if exerts else LEADS,
-            tip.body if tip.site is None else tip.site, tip.site is not None,
-            anchor.body if anchor.site is None else anchor.site, anchor.site is not None,
+            EXERTS if exerts else LEADS, follows, *tip.number, *anchor.number, *axes.number,
             target.rests, target.settled_in is not None, target.start is not None,
-            target.solve_s == -math.inf, 0,
-            settings.stiffness, settings.damping, settings.linear_velocity,
-            settings.angular_velocity, target.solve_s, interval_s)
+            target.solve_s == -math.inf, 0, settings.stiffness, settings.damping,
+            settings.linear_velocity, settings.angular_velocity,
+            target.stream.smooth if follows == STREAMS and target.stream else 0.0,
+            target.solve_s, interval_s)
         targets.positions[number], targets.rotations[number] = target.position, target.rotation
         if target.start is not None:
             targets.starts[number] = target.start
+
+    def _look_ahead(self, targets: Targets, number: int, target: Target, begins_s: FloatArray,
+                    durations_s: FloatArray) -> int:
+        """
+        Write how a target moves in solutions of the kinematics or in intervals.
+
+        :returns: in how many intervals that is known
+        """
+        task = targets.tasks[number]
+        until_s = target.until_s - 1e-9
+        if target.twists is None and target.stream is not None:
+            until_s = target.stream.until_s + 1e-9
+        if task['acts'] == EXERTS:
+            known = int(np.count_nonzero(begins_s[:MOST_SOLUTIONS] <= until_s))
+            damping = float(task['damping'])
+            for k in range(known):
+                self._refer_efforts(targets, (number, k), target, float(begins_s[k]),
+                                    float(durations_s[k]), damping)
+            return max(known, 1)
+        solve_s, interval_s, row = float(task['solve_s']), float(task['interval_s']), 0
+        for k, now_s in enumerate(begins_s.tolist()):
+            if target.twists is not None and now_s > until_s:
+                return k
+            if now_s < solve_s - 1e-9:
+                continue
+            if row == MOST_SOLUTIONS or now_s > until_s:
+                return k
+            self._refer_solution(targets, (number, row), target, now_s, interval_s)
+            solve_s, row = now_s + interval_s, row + 1
+        return len(begins_s)
+
+    @staticmethod
+    def _refer_efforts(targets: Targets, place: tuple[int, int], target: Target, now_s: float,
+                       duration_s: float, damping: float) -> None:
+        """Write how a target moves in an interval."""
+        if target.twists is not None:
+            targets.speeds[place] = (target.twists.acceleration(now_s) / damping,
+                                     target.twists.at(now_s + duration_s / 2.0))
+        elif target.stream is not None:
+            targets.ways[place], targets.turns[place] = target.stream.pose(now_s)
+            targets.speeds[place] = (target.stream.acceleration(now_s) / damping,
+                                     target.stream.twist(now_s))
+
+    @staticmethod
+    def _refer_solution(targets: Targets, place: tuple[int, int], target: Target, now_s: float,
+                        interval_s: float) -> None:
+        """Write how a target moves while a solution of the kinematics is used."""
+        if target.twists is not None:
+            targets.speeds[(*place, 1)] = target.twists.at(now_s + interval_s)
+        elif target.stream is not None:
+            targets.ways[place], targets.turns[place] = target.stream.pose(now_s + interval_s)
+            targets.speeds[place] = (target.stream.twist(now_s),
+                                     target.stream.twist(now_s + interval_s))
 
     def end_run(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:
         """Take over what the compiled law has changed, and report what has become of targets."""
         for number, command in enumerate(commands):
             task, target = targets.tasks[number], self._targets[command.arm]
             target.rests, target.solve_s = bool(task['rests']), float(task['solve_s'])
+            if task['follows'] == TWISTS:
+                target.position = targets.positions[number].copy()
+                target.rotation = targets.rotations[number].copy()
             if task['begun'] and target.start is None:
                 target.start = targets.starts[number].copy()
             for k in range(int(task['solutions'])):
@@ -313,8 +361,8 @@ class CartesianController:
                 scratch = self._physics.scratch.data
                 target.settled_in = self._place(command, target, scratch)
 
-    def follow(self, command: CartesianCommand, data: mujoco.MjData, now_s: float,
-               duration_s: float, efforts: FloatArray) -> None:
+    def follow(self, command: CartesianCommand, now_s: float, duration_s: float,
+               efforts: FloatArray) -> None:
         """
         Set velocities of setpoints, or efforts, for the next interval.
 
@@ -322,35 +370,13 @@ class CartesianController:
         :param duration_s: length of the interval [s]
         :param efforts: of all joints, changed in place [N m], shape (n,)
         """
-        target = self._targets[command.arm]
-        self._end_twist(command, target, now_s)
-        exerts = self._servos.any_gives_effort_of(command.indices)
-        if not exerts and (target.settled_in is not None or now_s < target.solve_s - 1e-9):
-            return
-        targets = self.begin_run([command], now_s, duration_s)
-        if targets is not None:
-            self._follow_resting(command, targets, now_s, efforts)
-        elif exerts:
-            solution = self._operational.solve(
-                self._chains[command.arm].tip, target, command.indices,
-                self.settings[command.arm], now_s, duration_s)
-            efforts[command.indices] = solution.efforts
-            if target.solve_s == -math.inf:
-                # What limits the end effector is reported once in a period.
-                target.solve_s = now_s
-                self._report(command, target, solution, now_s)
-        else:
-            interval_s = self._solution_s(duration_s)
-            target.solve_s = now_s + interval_s
-            self._solve(command, target, data, now_s, interval_s)
-
-    def _follow_resting(self, command: CartesianCommand, targets: Targets, now_s: float,
-                        efforts: FloatArray) -> None:
         from manip_sim.control.law.leading import lead, press_on, put_ahead  # It imports numba.
         world, model = self._physics.arrays, self._physics.model
-        if targets.tasks[0]['acts'] == EXERTS:
-            press_on(world, efforts, self.posture, targets, 0, now_s)
-        else:
+        targets, _ = self.begin_run([command], np.array([now_s]), np.array([duration_s]))
+        task = targets.tasks[0]
+        if task['acts'] == EXERTS:
+            press_on(world, efforts, self.posture, targets, 0, 0, now_s, duration_s)
+        elif not task['settled'] and now_s >= task['solve_s'] - 1e-9:
             scratch, joints = self._physics.scratch, self._setpoints.joints
             put_ahead(world, scratch.kinematics, joints, targets, 0)
             mujoco.mj_kinematics(model, scratch.data)
@@ -366,58 +392,6 @@ class CartesianController:
             target.until_s = -math.inf
             command.handle.end(Status.ABORTED, 'no fresh twist came in time')
 
-    # ------------------------------------------------------------------ by inverse kinematics
-
-    def _solve(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
-               interval_s: float) -> None:
-        """Set velocities of setpoints for a target that moves, or let them come to rest."""
-        from manip_sim.control.law import approach as law  # It imports numba.
-        indices, settings = command.indices, self.settings[command.arm]
-        arm, result = self._arm(indices, interval_s), Velocities.of(len(indices))
-        scratch = self._physics.scratch.data
-        scratch.qpos[:] = data.qpos
-        # Velocities are sought for the end of the interval, so the arm is put where it is then.
-        scratch.qpos[self._servos.qpos[indices]] = arm.position
-        mujoco.mj_kinematics(self._physics.model, scratch)
-        mujoco.mj_comPos(self._physics.model, scratch)
-        tip = self._chains[command.arm].tip
-        jacobian = tip.jacobian(self._physics.model, scratch, self._servos.dofs[indices])
-        velocity, limit = result.velocity, None
-        if target.until_s == -math.inf:
-            change = interval_s * arm.acceleration_limit
-            velocity = np.clip(0.0, arm.velocity - change, arm.velocity + change)
-        elif target.twists is not None:
-            twist = target.in_world(target.twists.at(now_s + interval_s), scratch)
-            _, _, singular, slowed, _ = law.follow_twist(
-                jacobian, twist, arm, interval_s, False, result)
-            self._see(command, 'the twist', result.held, singular, slowed)
-            target.stay_at(tip.pose(scratch), scratch)
-        else:
-            limit = result.acceleration_limit
-            _, before, _ = target.reference(scratch, now_s)
-            goal, twist, _ = target.reference(scratch, now_s + interval_s)
-            error = pose_error(goal, tip.view(scratch)) - (twist - before) * interval_s / 2.0
-            _, progress, singular, slowed, target.rests = law.approach(
-                jacobian, error, arm, interval_s, settings.linear_velocity,
-                settings.angular_velocity, before, twist, True, target.smooth, target.rests,
-                result)
-            behind = slowed and not _is_close(error)
-            self._see(command, 'the stream of poses' if behind else 'the motion to the target',
-                      result.held, singular, behind)
-            self.reports[command.arm].see_target(error, _is_close(error), progress, now_s)
-        self._setpoints.ramp_to(indices, velocity, interval_s, limit)
-        if (target.until_s == -math.inf
-                and max(np.abs(velocity).max(), np.abs(arm.velocity).max()) < _AT_REST):
-            self._setpoints.ramp_to(indices, np.zeros(len(indices)), interval_s)
-            target.settled_in = self._place(command, target, data)
-
-    def _arm(self, indices: IntArray, interval_s: float) -> ArmMotion:
-        servos, velocity = self._servos, self._setpoints.velocity[indices]
-        return ArmMotion(
-            self._setpoints.position[indices] + interval_s * velocity, velocity,
-            self._low[indices], self._high[indices], servos.cruising_velocity[indices],
-            servos.acceleration_limit[indices], self.posture[indices], servos.turn[indices])
-
     # ------------------------------------------------------------------ reports
 
     def _see(self, command: CartesianCommand, what: str, held: BoolArray, singular: bool,
@@ -426,28 +400,24 @@ class CartesianController:
         self.reports[command.arm].see_motion(what, names, singular, slowed)
 
     def _look(self, command: CartesianCommand, targets: Targets, number: int, k: int) -> None:
-        """Check whether a target that rests is reached, and report what keeps an arm from it."""
-        report = self.reports[command.arm]
-        now_s, progress, aside, reached, close, singular, held = targets.facts[number, k].item()
-        self._see(command, 'the motion to the target',
-                  targets.held[number, k, command.indices] if held else _NOBODY, bool(singular))
+        """Check whether a target is reached, and report what keeps an arm from it."""
+        report, follows = self.reports[command.arm], int(targets.tasks[number]['follows'])
+        now_s, progress, aside, reached, close, singular, held, slowed = (
+            targets.facts[number, k].item())
+        if follows == BRAKES:
+            return
+        behind = bool(slowed) and (follows == TWISTS or follows == STREAMS and not close)
+        what = ('the twist' if follows == TWISTS else 'the stream of poses'
+                if behind and targets.tasks[number]['acts'] == LEADS
+                else 'the motion to the target')
+        if follows == STREAMS and targets.tasks[number]['acts'] == EXERTS:
+            behind = False
+        self._see(command, what, targets.held[number, k, command.indices] if held else _NOBODY,
+                  bool(singular), behind)
+        if follows == TWISTS:
+            return
         if reached and command.handle.is_active:
             command.handle.end(Status.DONE, error=targets.missed[number, k].copy())
         report.see_target(targets.errors[number, k], bool(close), progress, now_s)
-        report.see_way(aside)
-
-    def _report(self, command: CartesianCommand, target: Target, solution: EffortSolution,
-                now_s: float) -> None:
-        """Report what limits an end effector that efforts move with its target."""
-        twisted = target.twists is not None
-        self._see(command, 'the twist' if twisted else 'the motion to the target',
-                  solution.held, solution.singular, twisted and solution.slowed)
-        if not twisted:
-            self.reports[command.arm].see_target(
-                solution.error, _is_close(solution.error),
-                solution.progress(self.settings[command.arm]), now_s)
-
-
-def _is_close(error: FloatArray) -> bool:
-    """Return whether an end effector comes near enough to a target."""
-    return bool((np.abs(error[:3]) <= MISSED).all() and (np.abs(error[3:]) <= MISSED_TURN).all())
+        if follows == RESTS:
+            report.see_way(aside)

@@ -128,6 +128,11 @@ class PoseStream:
             if size > _STEADY), default=1.0)
 
     @property
+    def until_s(self) -> float:
+        """Simulation time when the stream ends, unless a pose comes [s]."""
+        return float(self._joints['until'][0])
+
+    @property
     def at_rest(self) -> bool:
         """True while nothing moves until the next pose."""
         return not self.moving and self._waiting is None

@@ -142,38 +142,53 @@ class Velocities(NamedTuple):
 
 #: What an arm does: nothing for the end effector, its joints are led there, it exerts efforts.
 IDLE, LEADS, EXERTS = range(3)
-#: A target that rests, of an end effector: what the arm does, ids of the end effector and of the
-#: frame that the goal stays fixed in, and whether they are sites; whether the end effector is as
-#: near as it can come, whether its setpoints have come to rest, whether its way has begun, whether
-#: efforts are to be noted, and how many solutions are; settings of the spring; when the kinematics
-#: are solved next, and for how long [s].
+#: How a target moves: not at all, with a stream of poses, with a twist; or the arm just brakes.
+RESTS, STREAMS, TWISTS, BRAKES = range(4)
+#: A target of an end effector: what the arm does, how it moves, ids of the end effector, of the
+#: frame that the goal stays fixed in and of the axes of a twist, and whether they are sites;
+#: whether the end effector is as near as it can come, whether its setpoints have come to rest,
+#: whether its way has begun, whether efforts are to be noted, and how many solutions are; settings
+#: of the spring; share of a stream's acceleration that is its own; when the kinematics are solved
+#: next, and for how long [s].
 TASK = np.dtype([
     *((name, np.int64) for name in (
-        'acts', 'tip', 'tip_is_site', 'anchor', 'anchor_is_site', 'rests', 'settled', 'begun',
-        'notes', 'solutions')),
+        'acts', 'follows', 'tip', 'tip_is_site', 'anchor', 'anchor_is_site', 'axes',
+        'axes_is_site', 'rests', 'settled', 'begun', 'notes', 'solutions')),
     *((name, np.float64) for name in (
-        'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'solve_s', 'interval_s'))],
-    align=True)
+        'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'smooth', 'solve_s',
+        'interval_s'))], align=True)
 #: What has become of a solution: when it was found [s], which share of the wanted motion is made,
 #: how far the end effector is off its way [m]; whether it has reached the target, whether it comes
-#: near enough to it, whether a motion is wanted in a direction in which it can hardly move, and
-#: whether ranges of joints keep it from doing more.
+#: near enough to it, whether a motion is wanted in a direction in which it can hardly move,
+#: whether ranges of joints keep it from doing more, and whether velocity limits slow it down.
 FACTS = np.dtype([
     *((name, np.float64) for name in ('now_s', 'progress', 'aside')),
-    *((name, np.int64) for name in ('reached', 'close', 'singular', 'held'))], align=True)
-#: So many solutions of a task can be noted.
+    *((name, np.int64) for name in ('reached', 'close', 'singular', 'held', 'slowed'))],
+    align=True)
+#: So many solutions of a task can be noted, and so many ahead a target that moves is known.
 MOST_SOLUTIONS = 16
 #: A target is missed if the end effector is farther from it than this [m], [rad].
 MISSED, MISSED_TURN = 2e-3, 2e-2
 
 
+#: The law leads the end effectors of so many arms.
+MOST_ARMS = 2
+
+
 class Targets(NamedTuple):
     """
-    Targets of the arms of a robot that rest, and what has become of them; of two arms at most.
+    Targets of the arms of a robot, and what has become of them; of two arms at most.
+
+    One that moves is known for the next solutions, or where arms exert for the next intervals.
 
     :ivar tasks: records of :data:`TASK`, shape (2,)
     :ivar positions: of the goals in their frames [m], shape (2, 3)
     :ivar rotations: of the goals in their frames, shape (2, 3, 3)
+    :ivar ways: positions of streams of poses in their frames [m], shape (2, k, 3)
+    :ivar turns: their rotations, shape (2, k, 3, 3)
+    :ivar speeds: velocities in these frames, or of twists in their axes, when a solution begins
+        and when it ends; where arms exert, acceleration / damping and velocity [m/s, rad/s],
+        shape (2, k, 2, 6)
     :ivar arms: the joints of each
     :ivar starts: where the ways of the end effectors began, in the frames of the goals [m], shape
         (2, 3)
@@ -187,6 +202,9 @@ class Targets(NamedTuple):
     tasks: NDArray[np.void]
     positions: FloatArray
     rotations: FloatArray
+    ways: FloatArray
+    turns: FloatArray
+    speeds: FloatArray
     arms: tuple[Arm, Arm]
     starts: FloatArray
     facts: NDArray[np.void]
@@ -203,10 +221,11 @@ def targets_of(joints: int, solutions: int = MOST_SOLUTIONS) -> Targets:
     :param solutions: how many of each target can be noted
     """
     nobody = Arm(readable(np.zeros(0, CHAIN)), np.zeros((0, 0), np.int64), 0)
+    rows = 2, solutions
     return Targets(readable(np.zeros(2, TASK)), np.zeros((2, 3)), np.zeros((2, 3, 3)),
-                   (nobody, nobody), np.zeros((2, 3)), readable(np.zeros((2, solutions), FACTS)),
-                   np.zeros((2, solutions, 6)), np.zeros((2, solutions, 6)),
-                   np.zeros((2, solutions, joints), np.bool_))
+                   np.zeros((*rows, 3)), np.zeros((*rows, 3, 3)), np.zeros((*rows, 2, 6)),
+                   (nobody, nobody), np.zeros((2, 3)), readable(np.zeros(rows, FACTS)),
+                   np.zeros((*rows, 6)), np.zeros((*rows, 6)), np.zeros((*rows, joints), np.bool_))
 
 
 @cache

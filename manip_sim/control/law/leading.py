@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""An end effector and its target that rests: led there by setpoints of joints, or by efforts."""
+"""An end effector and its target: led there by setpoints of joints, or by efforts."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.law.approach import approach
+from manip_sim.control.law.approach import approach, follow_twist
 from manip_sim.control.law.arm_records import (
-    ArmMotion, Goal, MISSED, MISSED_TURN, Motion, Spring, Targets, Velocities)
+    ArmMotion, BRAKES, Goal, MISSED, MISSED_TURN, Motion, RESTS, Spring, STREAMS, Targets, TWISTS,
+    Velocities)
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.operational_space import exert, find_error, find_jacobian
 from manip_sim.control.law.setpoint_changes import ramp_to
-from manip_sim.control.law.small_matrices import dot
+from manip_sim.control.law.small_matrices import (
+    clip, dot, multiply_matrices, norm3, rotation_matrix, rotation_vector)
 from manip_sim.physics.physics import Kinematics, WorldArrays
 
 #: A pose is reached if the setpoints are within this of it [m], [rad].
@@ -29,6 +31,8 @@ _AT_REST = 1e-4
 #: By efforts it is reached within this [m], [rad], by an end effector slower than this [m/s,
 #: rad/s].
 _PRESSED, _PRESSED_TURN, _SLOW_TWIST = 1e-3, 1e-2, 2e-3
+#: How far a goal that a twist moves may be ahead of the end effector [m], [rad].
+_LEAD, _TURN_LEAD = 0.05, 0.3
 
 
 @inner
@@ -40,11 +44,69 @@ def pose_of(kinematics: Kinematics, number: int, is_site: int) -> tuple[FloatArr
 
 
 @inner
-def goal_of(kinematics: Kinematics, targets: Targets, number: int) -> Goal:
-    """Return where a target is."""
+def goal_of(kinematics: Kinematics, targets: Targets, number: int, k: int) -> Goal:
+    """
+    Return where a target is.
+
+    :param k: number of the solution or interval, for a stream of poses
+    """
     task = targets.tasks[number]
     origin, axes = pose_of(kinematics, task.anchor, task.anchor_is_site)
-    return Goal(targets.positions[number], targets.rotations[number], origin, axes, np.zeros(6))
+    along = np.zeros(6)
+    if task.follows == STREAMS:
+        return Goal(targets.ways[number, k], targets.turns[number, k], origin, axes, along)
+    return Goal(targets.positions[number], targets.rotations[number], origin, axes, along)
+
+
+@inner
+def _in_world(axes: FloatArray, twist: FloatArray, result: FloatArray) -> None:
+    """Write a velocity in the world, shape (6,)."""
+    for i in range(3):
+        result[i] = axes[i, 0] * twist[0] + axes[i, 1] * twist[1] + axes[i, 2] * twist[2]
+        result[3 + i] = axes[i, 0] * twist[3] + axes[i, 1] * twist[4] + axes[i, 2] * twist[5]
+
+
+@inner
+def _stay_at(kinematics: Kinematics, targets: Targets, number: int, place: FloatArray,
+             turned: FloatArray) -> None:
+    """Set a goal to a pose in the world."""
+    task = targets.tasks[number]
+    origin, axes = pose_of(kinematics, task.anchor, task.anchor_is_site)
+    for i in range(3):
+        targets.positions[number, i] = 0.0
+        for j in range(3):
+            targets.positions[number, i] += axes[j, i] * (place[j] - origin[j])
+            targets.rotations[number, i, j] = (
+                axes[0, i] * turned[0, j] + axes[1, i] * turned[1, j] + axes[2, i] * turned[2, j])
+
+
+@inner
+def _move_goal(world: WorldArrays, targets: Targets, number: int, along: FloatArray,
+               duration: float) -> None:
+    """
+    Move a goal with a twist, not far ahead of the end effector.
+
+    :param along: in the world [m/s, rad/s], shape (6,)
+    """
+    task = targets.tasks[number]
+    here, turned = pose_of(world.kinematics, task.tip, task.tip_is_site)
+    error, turn, moved = np.zeros(6), np.empty((3, 3)), np.empty((3, 3))
+    find_error(here, turned, goal_of(world.kinematics, targets, number, 0), error)
+    for i in range(3):
+        error[i] += duration * along[i]
+    share = min(1.0, _LEAD / max(norm3(error, 0), 1e-12))
+    place = np.empty(3)
+    for i in range(3):
+        place[i] = here[i] + share * error[i]
+    # The turn to the goal, and then that of the twist.
+    rotation_matrix(error, 3, 1.0, turn)
+    rotation_matrix(along, 3, duration, moved)
+    ahead = np.empty((3, 3))
+    multiply_matrices(moved, turn, ahead)
+    rotation_vector(ahead, error)
+    rotation_matrix(error, 3, min(1.0, _TURN_LEAD / max(norm3(error, 3), 1e-12)), turn)
+    multiply_matrices(turn, turned, moved)
+    _stay_at(world.kinematics, targets, number, place, moved)
 
 
 @compiled
@@ -91,22 +153,6 @@ def _aside(targets: Targets, number: int, goal: Goal, error: FloatArray) -> floa
 
 
 @inner
-def _note(targets: Targets, number: int, goal: Goal, now: float, progress: float, reached: bool,
-          singular: bool, held: BoolArray) -> None:
-    """Note what has become of a solution, whose error is noted already."""
-    task, arm, k = targets.tasks[number], targets.arms[number], targets.tasks[number].solutions
-    facts, error = targets.facts[number, k], targets.errors[number, k]
-    facts.now_s, facts.progress, facts.aside = now, progress, _aside(targets, number, goal, error)
-    facts.reached, facts.singular, facts.held = int(reached), int(singular), 0
-    facts.close = int(_within(error, MISSED, MISSED_TURN))
-    for i in range(len(arm.joints)):
-        targets.held[number, k, arm.joints[i].joint] = held[i]
-        if held[i]:
-            facts.held = 1
-    task.solutions = k + 1
-
-
-@inner
 def _find_motion(scratch: Kinematics, setpoints: Any, postures: FloatArray, targets: Targets,
                  number: int) -> ArmMotion:
     """Return setpoints and limits of the joints of an arm."""
@@ -125,6 +171,25 @@ def _find_motion(scratch: Kinematics, setpoints: Any, postures: FloatArray, targ
     return motion
 
 
+@inner
+def _note(targets: Targets, number: int, goal: Goal, now: float, progress: float, reached: bool,
+          singular: bool, slowed: bool, held: BoolArray) -> None:
+    """Note what has become of a solution, whose error is noted already."""
+    task, arm, k = targets.tasks[number], targets.arms[number], targets.tasks[number].solutions
+    facts, error = targets.facts[number, k], targets.errors[number, k]
+    facts.now_s, facts.progress, facts.aside = now, progress, 0.0
+    if task.follows == RESTS:
+        facts.aside = _aside(targets, number, goal, error)
+    facts.reached, facts.singular, facts.slowed, facts.held = (
+        int(reached), int(singular), int(slowed), 0)
+    facts.close = int(_within(error, MISSED, MISSED_TURN))
+    for i in range(len(arm.joints)):
+        targets.held[number, k, arm.joints[i].joint] = held[i]
+        if held[i]:
+            facts.held = 1
+    task.solutions = k + 1
+
+
 @compiled
 def lead(world: WorldArrays, scratch: Kinematics, setpoints: Any, postures: FloatArray,
          targets: Targets, number: int, now: float) -> None:
@@ -137,68 +202,123 @@ def lead(world: WorldArrays, scratch: Kinematics, setpoints: Any, postures: Floa
     :param number: of the target
     :param now: simulation time [s]
     """
-    task, arm = targets.tasks[number], targets.arms[number]
-    count, k, still = len(arm.joints), task.solutions, np.zeros(6)
+    task, arm, k = targets.tasks[number], targets.arms[number], targets.tasks[number].solutions
+    count = len(arm.joints)
     jacobian, indices = np.empty((6, count)), np.empty(count, np.int64)
     result = Velocities(np.empty(count), np.empty(count), np.zeros(count, np.bool_))
     place, turned = pose_of(scratch, task.tip, task.tip_is_site)
-    goal, error = goal_of(scratch, targets, number), targets.errors[number, k]
+    goal, error = goal_of(scratch, targets, number, k), targets.errors[number, k]
     find_jacobian(scratch, arm, place, jacobian)
     find_error(place, turned, goal, error)
     motion = _find_motion(scratch, setpoints, postures, targets, number)
-    pace, progress, singular, _, rests = approach(
-        jacobian, error, motion, task.interval_s, task.linear_velocity, task.angular_velocity,
-        still, still, False, 0.0, task.rests != 0, result)
+    pace, progress, singular, slowed = _find_velocities(
+        scratch, targets, number, jacobian, error, motion, result)
     fastest = 0.0
     for i in range(count):
         indices[i] = arm.joints[i].joint
         fastest = max(fastest, abs(result.velocity[i]), abs(motion.velocity[i]))
-    ramp_to(setpoints, indices, result.velocity, task.interval_s, result.acceleration_limit)
-    if fastest < _AT_REST:
+    plain = task.follows == TWISTS or task.follows == BRAKES
+    ramp_to(setpoints, indices, result.velocity, task.interval_s,
+            np.empty(0) if plain else result.acceleration_limit)
+    if fastest < _AT_REST and (task.follows == RESTS or task.follows == BRAKES):
         ramp_to(setpoints, indices, np.zeros(count), task.interval_s, np.empty(0))
         task.settled = 1
-    reached = pace < _SLOW_PACE and _within(error, _REACHED, _REACHED_TURN)
+    reached = task.follows == RESTS and pace < _SLOW_PACE and _within(
+        error, _REACHED, _REACHED_TURN)
     if reached:
         place, turned = pose_of(world.kinematics, task.tip, task.tip_is_site)
-        find_error(place, turned, goal_of(world.kinematics, targets, number),
+        find_error(place, turned, goal_of(world.kinematics, targets, number, k),
                    targets.missed[number, k])
-    _note(targets, number, goal, now, progress, reached, singular, result.held)
-    task.rests, task.solve_s = int(rests), now + task.interval_s
+    _note(targets, number, goal, now, progress, reached, singular, slowed, result.held)
+    task.solve_s = now + task.interval_s
+
+
+@inner
+def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobian: FloatArray,
+                     error: FloatArray, motion: ArmMotion, result: Velocities
+                     ) -> tuple[float, float, bool, bool]:
+    """
+    Write the velocities of joints at the end of an interval.
+
+    :returns: as the first four of :func:`approach`
+    """
+    task, before, along = targets.tasks[number], np.zeros(6), np.zeros(6)
+    interval, speeds = task.interval_s, targets.speeds[number, task.solutions]
+    if task.follows == BRAKES:
+        for i in range(len(motion.velocity)):
+            change = interval * motion.acceleration_limit[i]
+            result.velocity[i] = clip(
+                0.0, motion.velocity[i] - change, motion.velocity[i] + change)
+        return 0.0, 1.0, False, False
+    if task.follows == TWISTS:
+        _, axes = pose_of(scratch, task.axes, task.axes_is_site)
+        _in_world(axes, speeds[1], along)
+        pace, progress, singular, slowed, _ = follow_twist(
+            jacobian, along, motion, interval, False, result)
+        place, turned = pose_of(scratch, task.tip, task.tip_is_site)
+        _stay_at(scratch, targets, number, place, turned)
+        return pace, progress, singular, slowed
+    goes = task.follows == STREAMS
+    if goes:
+        _, axes = pose_of(scratch, task.anchor, task.anchor_is_site)
+        _in_world(axes, speeds[0], before)
+        _in_world(axes, speeds[1], along)
+        for i in range(6):
+            error[i] -= (along[i] - before[i]) * interval / 2.0
+    pace, progress, singular, slowed, rests = approach(
+        jacobian, error, motion, interval, task.linear_velocity, task.angular_velocity, before,
+        along, goes, task.smooth, task.rests != 0, result)
+    task.rests = int(rests)
+    return pace, progress, singular, slowed and goes
 
 
 @compiled
 def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targets: Targets,
-             number: int, now: float) -> None:
+             number: int, k: int, now: float, duration: float) -> None:
     """
     Write the efforts that bring an end effector nearer to its target; note them if that is due.
 
     :param efforts: of the joints of the robot [N m], shape (n,), written
     :param postures: of the joints of the robot [rad], shape (n,)
     :param number: of the target
+    :param k: number of the interval
     :param now: simulation time [s]
+    :param duration: of the interval [s]
     """
     task, arm = targets.tasks[number], targets.arms[number]
-    count = len(arm.joints)
+    count, along, lost = len(arm.joints), np.zeros(6), np.zeros(6)
     motion = Motion(np.empty(count), np.empty(6), np.empty(6), np.zeros(count, np.bool_))
     place, turned = pose_of(world.kinematics, task.tip, task.tip_is_site)
     spring = Spring(task.stiffness, task.damping, task.linear_velocity, task.angular_velocity)
-    goal = goal_of(world.kinematics, targets, number)
-    rests, singular, _ = exert(world, arm, place, turned, goal, postures, spring, task.rests != 0,
-                               motion)
+    if task.follows == TWISTS:
+        _, axes = pose_of(world.kinematics, task.axes, task.axes_is_site)
+        _in_world(axes, targets.speeds[number, k, 1], along)
+        _move_goal(world, targets, number, along, duration)
+        _in_world(axes, targets.speeds[number, k, 0], lost)
+    elif task.follows == STREAMS:
+        _, axes = pose_of(world.kinematics, task.anchor, task.anchor_is_site)
+        _in_world(axes, targets.speeds[number, k, 1], along)
+        _in_world(axes, targets.speeds[number, k, 0], lost)
+    goal = goal_of(world.kinematics, targets, number, k)
+    for i in range(6):
+        goal.along[i] = along[i] + lost[i]
+    rests, singular, slowed = exert(world, arm, place, turned, goal, postures, spring,
+                                    task.rests != 0, motion)
     for i in range(count):
         efforts[arm.joints[i].joint] = motion.efforts[i]
     task.rests = int(rests)
     if task.notes == 0:
         return
     # What limits the end effector, and whether it rests, is noted once in a period.
-    k, goes = task.solutions, np.empty(6)
+    row, goes = task.solutions, np.empty(6)
     for i in range(6):
-        targets.errors[number, k, i] = targets.missed[number, k, i] = motion.error[i]
+        targets.errors[number, row, i] = targets.missed[number, row, i] = motion.error[i]
         goes[i] = task.stiffness / task.damping * motion.error[i]
-    reached = _within(motion.error, _PRESSED, _PRESSED_TURN) and _within(
+    reached = task.follows == RESTS and _within(
+        motion.error, _PRESSED, _PRESSED_TURN) and _within(
         motion.twist, _SLOW_TWIST, _SLOW_TWIST)
     _note(targets, number, goal, now, dot(motion.twist, goes) / max(dot(goes, goes), 1e-12),
-          reached, singular and not reached, motion.held)
+          reached, singular and not reached, slowed, motion.held)
     if reached:
-        targets.facts[number, k].held = 0
+        targets.facts[number, row].held = 0
     task.notes, task.solve_s = 0, now

@@ -68,7 +68,7 @@ def load_laws() -> None:
           Motion.of(_COUNT))
     targets = targets_of(_COUNT)._replace(arms=(arm, arm))
     put_ahead(world, world.kinematics, joints, targets, 0)
-    press_on(world, none.copy(), none, targets, 0, 0.0)
+    press_on(world, none.copy(), none, targets, 0, 0, 0.0, 1.0)
     lead(world, world.kinematics, joints, none, targets, 0, 0.0)
     hands = no_hand(), no_hand()
     move_fingers(world, hands[0], 0.1)

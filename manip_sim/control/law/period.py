@@ -88,13 +88,13 @@ def _waits(targets: Targets, now: float) -> bool:
 
 @inner
 def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, joints: Joints,
-               targets: Targets, now: float) -> bool:
+               targets: Targets, k: int, now: float, duration: float) -> bool:
     """Let arms bring their end effectors nearer to targets; return whether any of them does."""
     acts = False
     for number in range(2):
         task = targets.tasks[number]
         if task.acts == EXERTS:
-            press_on(world, joints.efforts, joints.postures, targets, number, now)
+            press_on(world, joints.efforts, joints.postures, targets, number, k, now, duration)
             acts = True
         elif task.acts == LEADS and task.settled == 0:
             if now >= task.solve_s - 1e-9:
@@ -133,7 +133,7 @@ def _move_joints(world: WorldArrays, joints: Joints, k: int, acts: bool, now: fl
 def _act(addresses: Addresses, k: int, now: float, duration: float, world: WorldArrays,
          scratch: Kinematics, joints: Joints, targets: Targets, hands: tuple[Hand, Hand]) -> bool:
     """Write the controls of a robot for an interval; return whether joints do not just rest."""
-    leads = _lead_arms(addresses, world, scratch, joints, targets, now)
+    leads = _lead_arms(addresses, world, scratch, joints, targets, k, now, duration)
     if len(joints.base):
         drive_base(world, joints.servos, joints.setpoints, joints.base, joints.owned,
                    joints.twists[k], duration)

@@ -195,6 +195,26 @@ def _most_pulled(held: BoolArray, gradient: FloatArray, low: FloatArray, high: F
     return result
 
 
+@inner
+def rotation_matrix(vector: FloatArray, first: int, scale: float, matrix: FloatArray) -> None:
+    """
+    Write the rotation matrix of a rotation vector.
+
+    :param vector: whose three components from ``first`` on are it over ``scale`` [rad]
+    :param matrix: shape (3, 3)
+    """
+    angle = scale * norm3(vector, first)
+    share = scale * math.sin(angle / 2.0) / angle if angle > 0.0 else 0.0
+    w, x = math.cos(angle / 2.0), share * vector[first]
+    y, z = share * vector[first + 1], share * vector[first + 2]
+    matrix[0, 0], matrix[0, 1], matrix[0, 2] = (
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y))
+    matrix[1, 0], matrix[1, 1], matrix[1, 2] = (
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x))
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = (
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+
+
 @compiled
 def rotation_vector(rotation: FloatArray, error: FloatArray) -> None:
     """
