@@ -206,7 +206,7 @@ def test_another_robot_takes_the_place_of_one_that_still_counts_as_present(clien
     former = other.states()['arm/joint_states']
     other.text = lambda what: f'other_{what}'
     other.send_world()
-    finding.until(lambda found: found.models == 2)
+    finding.until(lambda found: found.models == 2 and found.robots())
     assert found.robots()[0].parts[0].joints == ()
     for _ in range(3):
         other.publishers['arm/joint_states'].publish(former)
