@@ -152,11 +152,8 @@ class SetpointGenerator:
         :param position: [rad or m], shape of ``indices``
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        self._place(indices, position, velocity, np.zeros(len(indices)))
-
-    def _place(self, indices: IntArray, *motion: FloatArray) -> None:
         from manip_sim.control.law.setpoint_changes import place  # It imports numba.
-        place(self.joints, np.array(indices), *map(_numbers, motion))
+        place(self.joints, np.array(indices), _numbers(position), _numbers(velocity))
         self.moving = True
 
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
@@ -247,19 +244,17 @@ class SetpointGenerator:
         joints['goal'][indices] = joints['target'][indices] = goal
         joints['seeks'][indices] = joints['brakes'][indices] = 1.0
 
-    def follow(self, indices: IntArray, position: FloatArray, velocity: FloatArray,
-               acceleration: FloatArray) -> None:
+    def follow(self, indices: IntArray, motion: FloatArray) -> None:
         """
         Set the present setpoints from another source, such as a trajectory.
 
         When it ends, they come to rest from there. Beyond the range, they rest at its end.
 
-        :param position: [rad or m], shape of ``indices``; ``velocity`` and ``acceleration`` too
+        :param motion: position [rad or m], velocity and acceleration, shape (3, n)
         """
-        joints = self.joints
-        inside = (position >= joints['low'][indices]) & (position <= joints['high'][indices])
-        self._place(indices, position, np.where(inside, velocity, 0.0),
-                    np.where(inside, acceleration, 0.0))
+        from manip_sim.control.law.setpoint_changes import follow  # It imports numba.
+        follow(self.joints, np.array(indices), np.ascontiguousarray(motion.T))
+        self.moving = True
 
     def shift(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """

@@ -114,6 +114,6 @@ class TrajectoryFollowing:
         :returns: the last position of the joints, if they are there, shape (n,)
         """
         since_s = end_s - (command.start_s or 0.0)
-        position, velocity, acceleration = command.motion(end_s)
-        self._setpoints.follow(command.indices, position, velocity, acceleration)
-        return position if since_s >= command.trajectory.end_s - 1e-9 else None
+        motion = command.motion(end_s)
+        self._setpoints.follow(command.indices, motion)
+        return motion[0] if since_s >= command.trajectory.end_s - 1e-9 else None

@@ -19,6 +19,8 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 
 _OF_EDGES = int(mujoco.mjtEq.mjEQ_FLEX)
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+#: Whether contacts act on the vertices of a flex as in versions of MuJoCo before 4.0.
+_BY_DISTANCE = int(mujoco.__version__.partition('.')[0]) < 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +139,14 @@ class FlexForces:
 
 def _weights(corners: FloatArray, point: FloatArray) -> FloatArray:
     """
-    Return the weights of the corners of a simplex in its point that is nearest to another one.
+    Return the shares of a contact's force that act on the corners of an element.
 
-    MuJoCo 4.0 distributes the force of a contact to the vertices of an element by these.
+    From MuJoCo 4.0 on they are the weights of the corners in the point of the element that is
+    nearest to that of the contact; before, they were the inverse distances from it.
     """
+    if _BY_DISTANCE:
+        near = 1.0 / np.maximum(np.linalg.norm(corners - point, axis=1), 1e-15)
+        return np.asarray(near / near.sum())
     weights, inside = np.zeros(len(corners)), np.arange(len(corners))
     while True:
         edges = (corners[inside[1:]] - corners[inside[0]]).T

@@ -425,7 +425,7 @@ def test_setpoint_too_fast_for_the_rest_of_its_range_slows_down_evenly_in_it(beg
 def test_setpoint_that_brakes_at_the_end_of_its_range_rests_after_one_interval(sign, first_s):
     setpoints = generator(low=-1.0, high=1.0)
     setpoints.interval_s = first_s
-    setpoints.follow(ONE, np.array([sign]), np.array([2.0 * sign]), np.zeros(1))
+    setpoints.follow(ONE, np.array([[sign], [2.0 * sign], [0.0]]))
     setpoints.brake(ONE)
     assert setpoints.acceleration[0] == pytest.approx(-2.0 * sign / first_s)
     setpoints.advance(first_s)
@@ -459,7 +459,7 @@ def test_setpoint_does_not_run_ahead_of_a_joint_that_is_held():
 
 def test_followed_setpoint_comes_to_rest_where_the_motion_ends():
     setpoints = generator()
-    setpoints.follow(ONE, np.array([0.4]), np.array([0.8]), np.array([3.0]))
+    setpoints.follow(ONE, np.array([[0.4], [0.8], [3.0]]))
     assert (setpoints.position[0], setpoints.velocity[0], setpoints.acceleration[0]) == (
         0.4, 0.8, 3.0)
     course = Course(setpoints).advance(*[0.004] * 100)

@@ -406,12 +406,11 @@ class CartesianController:
             targets.facts[number, k].item())
         if follows == BRAKES:
             return
-        behind = bool(slowed) and (follows == TWISTS or follows == STREAMS and not close)
-        what = ('the twist' if follows == TWISTS else 'the stream of poses'
-                if behind and targets.tasks[number]['acts'] == LEADS
+        leads = targets.tasks[number]['acts'] == LEADS
+        behind = bool(slowed) and (
+            follows == TWISTS or follows == STREAMS and leads and not close)
+        what = ('the twist' if follows == TWISTS else 'the stream of poses' if behind
                 else 'the motion to the target')
-        if follows == STREAMS and targets.tasks[number]['acts'] == EXERTS:
-            behind = False
         self._see(command, what, targets.held[number, k, command.indices] if held else _NOBODY,
                   bool(singular), behind)
         if follows == TWISTS:

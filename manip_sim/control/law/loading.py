@@ -21,7 +21,7 @@ from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.operational_space import exert
 from manip_sim.control.law.period import act, Joints, run, Time
 from manip_sim.control.law.servo_rates import drive, find_rates
-from manip_sim.control.law.setpoint_changes import place, ramp_to, set_velocity
+from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stepping import may_step, notes_of, step
 from manip_sim.control.law.stream_goals import take_alone
@@ -55,7 +55,8 @@ def load_laws() -> None:
     take_alone(joints, 0.0)
     set_velocity(joints, places, none)
     ramp_to(joints, places, none, 0.1, one)
-    place(joints, places, none, none, none)
+    place(joints, places, none, none)
+    follow(joints, places, np.zeros((_COUNT, 3)))
     drive_base(world, readable(np.zeros(3, SERVO)), joints, places[:3].copy(), places[:3].copy(),
                np.zeros(3), 1.0)
     jacobian, result = np.eye(_COUNT), Velocities.of(_COUNT)

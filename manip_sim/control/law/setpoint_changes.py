@@ -69,8 +69,7 @@ def ramp_to(joints: Any, indices: IntArray, velocity: FloatArray, duration: floa
 
 
 @compiled
-def place(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatArray,
-          acceleration: FloatArray) -> None:
+def place(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
     """
     Set setpoints, which come to rest from there; beyond an end of the range they stop at it.
 
@@ -78,24 +77,12 @@ def place(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatA
     :param indices: of those that are set, shape (k,)
     :param position: [rad or m], shape (k,)
     :param velocity: [rad/s or m/s], shape (k,)
-    :param acceleration: [rad/s^2 or m/s^2], shape (k,)
     """
     for k in range(len(indices)):
-        _place(joints[indices[k]], position[k], velocity[k], acceleration[k])
+        _place(joints[indices[k]], position[k], velocity[k], 0.0)
 
 
-@inner
-def _place(x: Any, position: float, velocity: float, acceleration: float) -> None:
-    """Set a setpoint, which comes to rest from there."""
-    x.position = clip(position, x.low, x.high)
-    x.velocity = clip(velocity, 0.0 if position < x.low else -math.inf,
-                      0.0 if position > x.high else math.inf)
-    x.acceleration = acceleration
-    come_to(x, 0.0)
-    _forget_stream(x)
-
-
-@inner
+@compiled
 def follow(joints: Any, indices: IntArray, motion: FloatArray) -> None:
     """
     Set setpoints from another source; beyond the range they rest at its end.
@@ -110,3 +97,14 @@ def follow(joints: Any, indices: IntArray, motion: FloatArray) -> None:
             _place(x, position, motion[k, 1], motion[k, 2])
         else:
             _place(x, position, 0.0, 0.0)
+
+
+@inner
+def _place(x: Any, position: float, velocity: float, acceleration: float) -> None:
+    """Set a setpoint, which comes to rest from there."""
+    x.position = clip(position, x.low, x.high)
+    x.velocity = clip(velocity, 0.0 if position < x.low else -math.inf,
+                      0.0 if position > x.high else math.inf)
+    x.acceleration = acceleration
+    come_to(x, 0.0)
+    _forget_stream(x)
