@@ -61,9 +61,9 @@ MAY_IMPORT = {
 INTERNALS = 'rclpy_internals'
 WITH_RCLPY = ('ros', 'env/ros', 'examples', 'testing', 'viewer/ros', 'records/node_recorder.py',
               'experiments/ros_policy.py', 'cli/ros_commands.py', f'{INTERNALS}.py')
-TOP_LEVEL = {'algebra', 'arrays', 'cdr_patching', 'clamping', 'entry_points', 'errors',
-             'frame_names', 'quaternion', 'quoting', 'resources', 'ros_environment', 'startup',
-             'validation'}
+TOP_LEVEL = {'algebra', 'arrays', 'cdr_patching', 'clamping', 'derived', 'entry_points',
+             'errors', 'frame_names', 'quaternion', 'quoting', 'resources', 'ros_environment',
+             'startup', 'validation'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

@@ -17,7 +17,7 @@ from manip_sim.control.commands import (
 from manip_sim.control.gripper_actuators import GripperActuators
 from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.control.gripper_joints import GripperJoints
-from manip_sim.control.law.finger_records import Grip, Hand, MOVES, TURNED
+from manip_sim.control.law.finger_records import Grip, Gripper, MOVES, TURNED
 from manip_sim.control.ledger import Ledger
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
@@ -189,26 +189,26 @@ class GripperController:
         :param duration_s: of these steps [s]
         """
         from manip_sim.control.law.gripping import move_fingers  # It imports numba.
-        hand = self.begin_run(data)
-        move_fingers(self._physics.arrays, hand, duration_s)
-        self.end_run(hand)
+        gripper = self.begin_run(data)
+        move_fingers(self._physics.arrays, gripper, duration_s)
+        self.end_run(gripper)
 
-    def begin_run(self, data: mujoco.MjData) -> Hand:
+    def begin_run(self, data: mujoco.MjData) -> Gripper:
         """Call ``format_action`` if it is due, and return the gripper for the compiled law."""
         self._call_if_due(data)
         flags = np.array([self._moving, self._turned, self._action is not None,
                           self._actuators.is_pair])
-        return Hand(self._actuators.fingers(self._tolerance), Grip(
+        return Gripper(self._actuators.fingers(self._tolerance), Grip(
             self._goal, self._to_end, self._pressing, self._pace, np.empty(len(self._goal)),
             flags))
 
-    def end_run(self, hand: Hand) -> None:
+    def end_run(self, gripper: Gripper) -> None:
         """Take over what the compiled law has changed; end commands once all fingers stand."""
         moved, self._moving, self._turned = (
-            self._moving, bool(hand.grip.flags[MOVES]), bool(hand.grip.flags[TURNED]))
+            self._moving, bool(gripper.grip.flags[MOVES]), bool(gripper.grip.flags[TURNED]))
         if moved and not self._moving:
             for command in list(self.commands.running):
-                self.commands.finish(command, self._goal - hand.grip.stopped)
+                self.commands.finish(command, self._goal - gripper.grip.stopped)
 
     def until_call(self, data: mujoco.MjData) -> int | None:
         """Return after how many physics steps ``format_action`` is due again, or None."""

@@ -30,7 +30,7 @@ from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
 if TYPE_CHECKING:
-    from manip_sim.control.law.period import Joints
+    from manip_sim.control.law.period import RobotJoints
 
 C = TypeVar('C', bound=Command)
 #: No joint that a trajectory leads.
@@ -388,7 +388,7 @@ class JointController(ControlledJoints):
         self._servos.drive(setpoints.joints, self._effort, duration_s)
 
     def begin_run(self, intervals: IntArray, clock: Clock
-                  ) -> tuple[Joints, Targets, int] | None:
+                  ) -> tuple[RobotJoints, Targets, int] | None:
         """
         Return joints and targets for the compiled law, and for how many intervals they are known.
 
@@ -420,15 +420,15 @@ class JointController(ControlledJoints):
                 return None
             indices, path = led
             count = len(path)
-        from manip_sim.control.law.period import Joints  # It imports numba.
+        from manip_sim.control.law.period import RobotJoints  # It imports numba.
         servos, setpoints = self._servos, self._setpoints
-        return Joints(
+        return RobotJoints(
             setpoints.joints, servos.records, servos.places, self._effort, setpoints.counts,
             self.cartesian.posture,
             np.array([setpoints.moving, self._efforts_due, self._written]), indices, path,
             *base), targets, count
 
-    def end_run(self, joints: Joints, targets: Targets, moved_s: float) -> None:
+    def end_run(self, joints: RobotJoints, targets: Targets, moved_s: float) -> None:
         """
         Take over what the compiled law has changed.
 

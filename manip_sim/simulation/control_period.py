@@ -206,7 +206,7 @@ class ControlPeriods:
         steps, moved_s = direct(run_intervals)(
             where, Time(clock.control_steps, clock.step_ns, self._timestep_s), run.intervals,
             physics.take_resumes(), physics.arrays, kinematics, run.joints, run.targets,
-            run.hands, notes)
+            run.grippers, notes)
         self._took_steps(steps, notes)
         return steps, moved_s
 
@@ -221,7 +221,7 @@ class ControlPeriods:
             now_s, duration_s = self._clock.control_s, steps * self._timestep_s
             for number, run in enumerate(runs):
                 if direct(act)(where, k, now_s, duration_s, physics.arrays, kinematics,
-                               run.joints, run.targets, run.hands):
+                               run.joints, run.targets, run.grippers):
                     moved_s[number] = now_s + duration_s
             self._step(steps)
         return moved_s

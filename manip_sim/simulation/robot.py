@@ -21,7 +21,7 @@ from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.law.arm_records import Targets
-from manip_sim.control.law.finger_records import Hand, no_hand
+from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import Reflexes
 from manip_sim.errors import CommandError, UnknownNameError
@@ -36,10 +36,10 @@ from manip_sim.simulation.robot_state import State
 from manip_sim.validation import positive_number
 
 if TYPE_CHECKING:
-    from manip_sim.control.law.period import Joints
+    from manip_sim.control.law.period import RobotJoints
 
 #: The compiled law moves so many grippers.
-_MOST_HANDS = 2
+_MOST_GRIPPERS = 2
 
 
 class RobotRun(NamedTuple):
@@ -48,15 +48,15 @@ class RobotRun(NamedTuple):
 
     :ivar joints: its joints
     :ivar targets: of its end effectors
-    :ivar hands: its grippers that move, and others without fingers
-    :ivar grippers: the controllers of those that move
+    :ivar grippers: those that move, and others without fingers
+    :ivar controllers: of the grippers that move
     :ivar intervals: physics steps of each interval, shape (k,)
     """
 
-    joints: Joints
+    joints: RobotJoints
     targets: Targets
-    hands: tuple[Hand, Hand]
-    grippers: list[GripperController]
+    grippers: tuple[Gripper, Gripper]
+    controllers: list[GripperController]
     intervals: IntArray
 
 
@@ -430,7 +430,7 @@ class SimulatedRobot:
         :param intervals: physics steps of each, shape (k,)
         :returns: None if the law does not know what this robot does
         """
-        if len(self.grippers) > _MOST_HANDS:
+        if len(self.grippers) > _MOST_GRIPPERS:
             return None
         found, data = self.joints.begin_run(intervals, self._clock), self._physics.data
         if found is None:
@@ -438,11 +438,11 @@ class SimulatedRobot:
         joints, targets, count = found
         intervals = intervals[:count]
         moving = [gripper for gripper in self.grippers.values() if gripper.moving]
-        hands = [gripper.begin_run(data) for gripper in moving]
+        grippers = [gripper.begin_run(data) for gripper in moving]
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
         if calls:
             intervals = intervals[:_count_within(intervals.tolist(), min(calls))]
-        first, second, *_ = *hands, no_hand(), no_hand()
+        first, second, *_ = *grippers, no_gripper(), no_gripper()
         return RobotRun(joints, targets, (first, second), moving, intervals)
 
     def end_run(self, run: RobotRun, moved_s: float) -> None:
@@ -453,8 +453,8 @@ class SimulatedRobot:
         :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
         """
         self.joints.end_run(run.joints, run.targets, moved_s)
-        for gripper, hand in zip(run.grippers, run.hands):
-            gripper.end_run(hand)
+        for controller, gripper in zip(run.controllers, run.grippers):
+            controller.end_run(gripper)
 
     def abort(self, reason: str) -> None:
         """

@@ -52,7 +52,7 @@ class Grip(NamedTuple):
     flags: NDArray[np.bool_]
 
 
-class Hand(NamedTuple):
+class Gripper(NamedTuple):
     """
     A gripper.
 
@@ -65,8 +65,8 @@ class Hand(NamedTuple):
 
 
 @cache
-def no_hand() -> Hand:
+def no_gripper() -> Gripper:
     """Return a gripper without fingers, which does nothing."""
     none = np.zeros(0)
-    return Hand(readable(np.zeros(0, FINGER)), Grip(
+    return Gripper(readable(np.zeros(0, FINGER)), Grip(
         none, np.zeros((0, 2), np.bool_), none > 0.0, none, none, np.zeros(4, np.bool_)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.compiling import compiled, inner
-from manip_sim.control.law.finger_records import ACTS, Grip, Hand, MOVES, PAIR, TURNED
+from manip_sim.control.law.finger_records import ACTS, Grip, Gripper, MOVES, PAIR, TURNED
 from manip_sim.control.law.small_matrices import clip
 from manip_sim.physics.physics import WorldArrays
 
@@ -30,14 +30,14 @@ _STEADY = 1e-3
 
 
 @compiled
-def move_fingers(world: WorldArrays, hand: Hand, duration: float) -> None:
+def move_fingers(world: WorldArrays, gripper: Gripper, duration: float) -> None:
     """
     Write the controls of a gripper for an interval, if its setpoints move or centre fingers.
 
-    :param hand: whose grip is changed
+    :param gripper: whose grip is changed
     :param duration: of the interval [s]
     """
-    fingers, grip = hand.fingers, hand.grip
+    fingers, grip = gripper.fingers, gripper.grip
     centres = grip.flags[PAIR] and grip.pressing[0] and grip.pressing[1]
     if not (grip.flags[MOVES] or centres):
         return

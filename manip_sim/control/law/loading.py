@@ -13,13 +13,13 @@ from manip_sim.control.law.arm_records import (
     Arm, ArmMotion, CHAIN, Goal, Motion, Spring, targets_of, Velocities)
 from manip_sim.control.law.compiling import PLAIN
 from manip_sim.control.law.driving import drive_base
-from manip_sim.control.law.finger_records import no_hand
+from manip_sim.control.law.finger_records import no_gripper
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import blank_state, readable, records, SERVO
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.operational_space import exert
-from manip_sim.control.law.period import act, Joints, run, Time
+from manip_sim.control.law.period import act, RobotJoints, run, Time
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
@@ -28,7 +28,7 @@ from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait
 from manip_sim.physics.physics import address_of, Addresses, WorldArrays
 
-#: Joints of an arm that nobody sees.
+#: RobotJoints of an arm that nobody sees.
 _COUNT = 6
 #: A world in which nothing happens, as no step is made in it.
 _WORLD = """
@@ -71,16 +71,16 @@ def load_laws() -> None:
     put_ahead(world, world.kinematics, joints, targets, 0)
     press_on(world, none.copy(), none, targets, 0, 0, 0.0, 1.0)
     lead(world, world.kinematics, joints, none, targets, 0, 0.0)
-    hands = no_hand(), no_hand()
-    move_fingers(world, hands[0], 0.1)
+    grippers = no_gripper(), no_gripper()
+    move_fingers(world, grippers[0], 0.1)
     if may_step(data):
         where = Addresses(address_of(model), *[address_of(data)] * 2)
         notes, intervals = notes_of(data, np.zeros((0, 3), np.int64), 1), places[:0].copy()
         step(where, 0, False, notes)
-        robot = (world, world.kinematics, Joints(
+        robot = (world, world.kinematics, RobotJoints(
             joints[:0], nobody, nowhere, none, counts, none, no[:3], places[:0].copy(),
             np.zeros((1, 0, 3)), places[:0].copy(), places[:0].copy(), np.zeros((0, 3))),
-            targets_of(0), hands)
+            targets_of(0), grippers)
         act(where, 0, 0.0, 1.0, *robot)
         run(where, Time(0, 1, 1.0), intervals, False, *robot,
             notes)

@@ -14,7 +14,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.arm_records import EXERTS, LEADS, MOST_SOLUTIONS, Targets
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.driving import drive_base
-from manip_sim.control.law.finger_records import Hand
+from manip_sim.control.law.finger_records import Gripper
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.servo_rates import drive
@@ -28,7 +28,7 @@ from manip_sim.physics.physics import Addresses, Kinematics, WorldArrays
 MOVES, DUE, WRITTEN = range(3)
 
 
-class Joints(NamedTuple):
+class RobotJoints(NamedTuple):
     """
     The joints of a robot.
 
@@ -87,7 +87,7 @@ def _waits(targets: Targets, now: float) -> bool:
 
 
 @inner
-def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, joints: Joints,
+def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, joints: RobotJoints,
                targets: Targets, k: int, now: float, duration: float) -> bool:
     """Let arms bring their end effectors nearer to targets; return whether any of them does."""
     acts = False
@@ -107,7 +107,7 @@ def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, jo
 
 
 @inner
-def _move_joints(world: WorldArrays, joints: Joints, k: int, acts: bool, now: float,
+def _move_joints(world: WorldArrays, joints: RobotJoints, k: int, acts: bool, now: float,
                  duration: float) -> bool:
     """Write the controls of joints in an interval; return whether they do not just rest."""
     flags, held = joints.flags, False
@@ -131,7 +131,8 @@ def _move_joints(world: WorldArrays, joints: Joints, k: int, acts: bool, now: fl
 
 @inner
 def _act(addresses: Addresses, k: int, now: float, duration: float, world: WorldArrays,
-         scratch: Kinematics, joints: Joints, targets: Targets, hands: tuple[Hand, Hand]) -> bool:
+         scratch: Kinematics, joints: RobotJoints, targets: Targets,
+         grippers: tuple[Gripper, Gripper]) -> bool:
     """Write the controls of a robot for an interval; return whether joints do not just rest."""
     leads = _lead_arms(addresses, world, scratch, joints, targets, k, now, duration)
     if len(joints.base):
@@ -140,13 +141,14 @@ def _act(addresses: Addresses, k: int, now: float, duration: float, world: World
         joints.flags[MOVES] = True
     moved = _move_joints(world, joints, k, leads, now, duration)
     for number in range(2):
-        move_fingers(world, hands[number], duration)
+        move_fingers(world, grippers[number], duration)
     return moved
 
 
 @compiled
 def act(addresses: Addresses, k: int, now: float, duration: float, world: WorldArrays,
-        scratch: Kinematics, joints: Joints, targets: Targets, hands: tuple[Hand, Hand]) -> bool:
+        scratch: Kinematics, joints: RobotJoints, targets: Targets,
+        grippers: tuple[Gripper, Gripper]) -> bool:
     """
     Write the controls of a robot for an interval.
 
@@ -154,16 +156,16 @@ def act(addresses: Addresses, k: int, now: float, duration: float, world: WorldA
     :param now: simulation time [s]
     :param duration: of the interval [s]
     :param scratch: views into the data for kinematics
-    :param hands: grippers of the robot, those that are not there without fingers
+    :param grippers: grippers of the robot, those that are not there without fingers
     :returns: whether joints do not just rest
     """
-    return _act(addresses, k, now, duration, world, scratch, joints, targets, hands)
+    return _act(addresses, k, now, duration, world, scratch, joints, targets, grippers)
 
 
 @compiled
 def run(addresses: Addresses, time: Time, intervals: IntArray, resumes: bool, world: WorldArrays,
-        scratch: Kinematics, joints: Joints, targets: Targets, hands: tuple[Hand, Hand],
-        notes: Notes) -> tuple[int, float]:
+        scratch: Kinematics, joints: RobotJoints, targets: Targets,
+        grippers: tuple[Gripper, Gripper], notes: Notes) -> tuple[int, float]:
     """
     Run intervals: control of a robot at the beginning of each as by :func:`act`, and its steps.
 
@@ -179,7 +181,7 @@ def run(addresses: Addresses, time: Time, intervals: IntArray, resumes: bool, wo
         if _waits(targets, now):
             break
         duration = intervals[k] * time.step_s
-        if _act(addresses, k, now, duration, world, scratch, joints, targets, hands):
+        if _act(addresses, k, now, duration, world, scratch, joints, targets, grippers):
             moved_s = now + duration
         take_steps(addresses, intervals[k], resumes and k == 0, notes)
         done += intervals[k]

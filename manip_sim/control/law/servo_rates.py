@@ -11,6 +11,7 @@ is the rate at which the activation changes, so setpoints are linear in an inter
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -107,7 +108,10 @@ def _hold_back(world: WorldArrays, servos: Any, joints: Any, duration: float) ->
         place = world.kinematics.positions[servo.qpos] + duration * velocity
         if servo.gives or low <= x.position - place <= high:
             continue
-        x.position = clip(x.position, place + low, place + high)
+        x.position = clip(clip(x.position, place + low, place + high), x.low, x.high)
+        # Nor beyond the end of its range, whatever the joint does.
+        velocity = clip(velocity, 0.0 if x.position <= x.low else -math.inf,
+                        0.0 if x.position >= x.high else math.inf)
         x.rate = 0.0 if x.seeks != 0.0 else velocity
         x.raw = x.first = x.second = velocity - x.rate
         x.velocity, x.acceleration = velocity, 0.0
