@@ -24,7 +24,6 @@ from manip_sim.models.files import load_robot, requested_robot
 from manip_sim.models.files.requested_robot import load_requested
 from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.regular_files import FilesBelow, KeptFiles, OneText
-from manip_sim.models.urdf_writer.link_shapes import binary_stl
 from manip_sim.models.urdf_writer.writer import urdf_of
 
 DATA = Path(__file__).resolve().parents[1] / 'data/files'
@@ -235,13 +234,14 @@ def test_an_error_of_another_kind_is_told_too(roots, monkeypatch):
     assert 'cannot be loaded: TypeError' in reason
 
 
+def load_for_ever(*held):
+    """Load a robot again and again: how long once takes is up to the machine."""
+    while True:
+        requested_robot.load_held(*held)
+
+
 @pytest.mark.full
 def test_a_robot_that_takes_too_long_is_given_up_in_another_process(roots, monkeypatch):
-    load = requested_robot.load_held
-
-    def load_for_ever(*held):  # How long once takes is up to the machine.
-        while True:
-            load(*held)
     monkeypatch.setattr(requested_robot, 'MAX_CPU_S', 1)
     monkeypatch.setattr(requested_robot, 'load_held', load_for_ever)
     assert 'takes more than 1 s to load' in rejection(roots / 'lab_arm/arm.urdf', roots)
