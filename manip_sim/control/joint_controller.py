@@ -309,7 +309,6 @@ class JointController(ControlledJoints):
         self._setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
 
     # ------------------------------------------------------------------ in the control loop
-    # Nothing else holds setpoints and commands during a period, and what is held moves.
 
     def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float, interval_s: float
                      ) -> None:
