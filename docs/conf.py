@@ -58,7 +58,8 @@ nitpick_ignore_regex = [
                         r'|KinematicChain|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike'
                         r'|CameraLike|Pictures|FrictionLaw|Friction|TorqueSpeed|Shard|Base'
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
-                        r'|ControlState|ElementMap|Operations|Part|RobotJoints|Targets|Surroundings)'),
+                        r'|ControlState|ElementMap|Operations|Part|RobotJoints|Targets'
+                        r'|Surroundings)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.
