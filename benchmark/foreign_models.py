@@ -74,7 +74,7 @@ LIMIT_S = 600.0
 _MARKS = {True: 'yes', False: 'no', None: '-'}
 HAND = re.compile(r'(hand|gripper|2f85|dexee)')
 NO_MODEL = re.compile(r'(scene|keyframe|_actuators)')
-#: What names an included file, and what a whole model has, by its suffix.
+#: The element that names an included file, and the one that a whole model has, by its suffix.
 INCLUDED = re.compile(r'include\s+file(?:name)?\s*=\s*["\']([^"\']+)')
 WHOLE = {'.xml': re.compile(r'<mujoco\b.*<(?:joint|include|attach)\b', re.DOTALL),
          '.urdf': re.compile(r'<robot\b.*<joint\b', re.DOTALL),

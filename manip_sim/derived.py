@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is made from the state and the model, and is neither saved nor part of a digest."""
+"""Values made from the state and the model, neither saved nor part of a digest."""
 
 from __future__ import annotations
 

@@ -188,11 +188,6 @@ class Servos:
         return self._sources > 0 and (self._sources == len(self._ids) or bool(
             np.count_nonzero(self._gives_effort[indices])))
 
-    @property
-    def all_give_effort(self) -> bool:
-        """True if all actuators are sources of effort."""
-        return self._sources == len(self._ids)
-
     def gives_effort(self, indices: IntArray) -> BoolArray:
         """Return which of some actuators are sources of effort, shape of ``indices``."""
         return np.asarray(self._gives_effort[indices])

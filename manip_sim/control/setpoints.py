@@ -62,12 +62,12 @@ class SetpointGenerator:
 
     @property
     def limited(self) -> IntArray:
-        """How often a streamed goal required more than the velocity limit, shape (n,)."""
+        """Counts of streamed goals that required more than the velocity limit, shape (n,)."""
         return np.asarray(self.counts[0])
 
     @property
     def lost(self) -> IntArray:
-        """How many messages of streams seem to have been lost, shape (n,)."""
+        """Counts of messages of streams that seem to have been lost, shape (n,)."""
         return np.asarray(self.counts[1])
 
     def _numbers_of(self, field: str) -> FloatArray:
@@ -135,10 +135,6 @@ class SetpointGenerator:
         """Resume setpoints that were held back after they had come to rest."""
         joints = self.joints
         joints['moves'] = np.maximum(joints['moves'], joints['held'])
-        self.find_moving()
-
-    def find_moving(self) -> None:
-        """Find out whether any setpoint moves."""
         self.moving = bool(np.count_nonzero(self._numbers_of('moves')))
 
     # ------------------------------------------------------------------ goals

@@ -60,7 +60,7 @@ class MujocoXMLModel:
     _horizontal_radius: float = 0.0
     #: Whether others have the spec, so that it may be edited at any time.
     _spec_is_shared = False
-    #: Whether nothing that the spec refers to is missing, as it was compiled before.
+    #: True if nothing that the spec refers to is missing, as it was compiled before.
     _refers_to_all = False
     #: Whether :meth:`_check_declared` ran; else it does so before the part is put into a spec.
     _is_checked = True

@@ -62,7 +62,7 @@ _NUMBERS = re.compile(r'[\s,\d.eE+-]*')
 _WITH_FILES = ('flexcomp', 'hfield', 'mesh', 'skin', 'texture')
 #: Plugins that MuJoCo had.
 _PLUGINS = tuple(f'mujoco.elasticity.{kind}' for kind in ('cable', 'membrane', 'shell', 'solid'))
-#: What MuJoCo says about which element, of an attached model if there is an error in that.
+#: A message of MuJoCo and its element, of an attached model if there is an error in that.
 _MESSAGE = re.compile(r"Error: *(?P<what>(?:(?!Error:).)*?)\s*Element '(?P<tag>[^']*)', line "
                       r'(?P<line>\d+)', re.DOTALL)
 _UNKNOWN = re.compile(r"Schema violation: unrecognized attribute: '(.*)'")

@@ -21,7 +21,7 @@ PATH_VARIABLE = 'MANIP_SIM_PATH'
 #: Environment variables of the path of a checkout of google-deepmind/mujoco_menagerie; the package
 #: reads the first.
 MENAGERIE_VARIABLES = ('MENAGERIE_ROOT', 'MENAGERIE')
-#: What to do where models cannot be fetched.
+#: The remedy where models cannot be fetched.
 _OFFLINE = ('without internet, bring a clone of '
             "https://github.com/google-deepmind/mujoco_menagerie and type 'export "
             "MENAGERIE_ROOT=FOLDER', or name its folder in model_path")

@@ -27,7 +27,7 @@ from manip_sim.quoting import one_line, quoted
 #: The elements that name files, or say where they are.
 _FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler', 'mesh'))
 _CHECKED = _FOLLOWED | LIMITED | {'composite'}
-#: What some old files have before the XML declaration.
+#: Comments that some old files have before the XML declaration.
 _COMMENT, _BLANKS = re.compile(rb'<!--.*?-->', re.DOTALL), b' \t\r\n\xef\xbb\xbf'
 
 

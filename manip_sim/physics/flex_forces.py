@@ -19,7 +19,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 
 _OF_EDGES = int(mujoco.mjtEq.mjEQ_FLEX)
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-#: Whether contacts act on the vertices of a flex as in versions of MuJoCo before 4.0.
+#: True if contacts act on the vertices of a flex as in versions of MuJoCo before 4.0.
 _BY_DISTANCE = int(mujoco.__version__.partition('.')[0]) < 4
 
 

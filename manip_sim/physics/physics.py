@@ -108,7 +108,7 @@ def address_of(found: mujoco.MjModel | mujoco.MjData) -> Any:
     return np.uintp(found._address)
 
 
-#: What decides how large the arrays of kinematics are.
+#: Sizes of a model that decide how large the arrays of kinematics are.
 _SIZES = ('nbuffer', 'nq', 'nv', 'nbody', 'njnt', 'ngeom', 'nsite', 'nmocap', 'nflexvert', 'nu')
 
 
@@ -151,10 +151,7 @@ class Physics:
     :ivar data: its ``mujoco.MjData``
     :ivar qpos: view of its field, as the others are, so that it need not be fetched each time
     :ivar qvel: of ``qvel``
-    :ivar act: of ``act``
     :ivar ctrl: of ``ctrl``
-    :ivar bias: of ``qfrc_bias``
-    :ivar gravcomp: of ``qfrc_gravcomp``
     :ivar arrays: for laws of control
     :ivar kept_dofs: where the degrees of freedom that stayed in the last change were in ``qvel``
         before it, and where they are now
@@ -171,8 +168,7 @@ class Physics:
         self.plan: WorldPlan = live.plan
         self.model: mujoco.MjModel = live.model
         data = self.data = live.data
-        self.qpos, self.qvel, self.act, self.ctrl = data.qpos, data.qvel, data.act, data.ctrl
-        self.bias, self.gravcomp = data.qfrc_bias, data.qfrc_gravcomp
+        self.qpos, self.qvel, self.ctrl = data.qpos, data.qvel, data.ctrl
         self.arrays = WorldArrays.of(data)
         self._sizes = tuple([getattr(self.model, size) for size in _SIZES])
         for adapt in self._adapt:

@@ -262,11 +262,6 @@ class PhysicsSteps:
         return not (self._laws or self._pushed or self.measuring) and all(
             [tool.is_touched_only for tool in self.tools])
 
-    @property
-    def contacts(self) -> int:
-        """Number of contacts in the last step of this period."""
-        return self._contacts
-
     def take_resumes(self) -> bool:
         """Return whether the first half of the next step is computed, which then is made."""
         resumes, self._resumes = self._resumes, False

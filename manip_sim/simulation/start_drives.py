@@ -22,7 +22,7 @@ from manip_sim.simulation.start_remedies import remedies_for
 
 #: A force nearer to its limit than this fraction of it is at the limit.
 _AT_LIMIT = 1e-6
-#: How many names one sentence lists.
+#: Number of names that one sentence lists.
 _LISTED = 8
 _FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)

@@ -1,13 +1,13 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What to write against a defect of a start, in the format of the file that a part is from."""
+"""Remedies for defects of a start, in the format of the file that a part is from."""
 
 from __future__ import annotations
 
 
 class MjcfRemedies:
-    """What to write into an MJCF file."""
+    """Remedies in an MJCF file."""
 
     #: Where the pose at the start is written.
     pose = 'init_qpos, or the keyframe'
@@ -42,7 +42,7 @@ class MjcfRemedies:
 
 
 class UrdfRemedies(MjcfRemedies):
-    """What to write into a URDF file, or into the SRDF and the YAML file beside it."""
+    """Remedies in a URDF file, or in the SRDF and the YAML file beside it."""
 
     pose = "init_qpos, or 'start' in the YAML file"
 

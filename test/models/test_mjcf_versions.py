@@ -32,7 +32,7 @@ def arm(top='', joint='', inside=''):
     return ARM.format(top=top, joint=joint, inside=inside)
 
 
-#: What each file has that MuJoCo has dropped, and how a note of it begins.
+#: The part of each file that MuJoCo has dropped, and the beginning of its note.
 OLD = {
     'option apirate': (arm('<option apirate="200"/>'), "ignored: apirate='200' of <option>"),
     'option collision': (arm('<option collision="all"/>'), "ignored: collision='all'"),

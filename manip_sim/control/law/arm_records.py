@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What laws of arms read and write; numba is not needed."""
+"""Inputs and outputs of the laws of arms; numba is not needed."""
 
 from __future__ import annotations
 
@@ -140,9 +140,9 @@ class Velocities(NamedTuple):
         return cls(np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_))
 
 
-#: What an arm does: nothing for the end effector, its joints are led there, it exerts efforts.
+#: Actions of an arm: none, its joints are led to the target, it exerts efforts.
 IDLE, LEADS, EXERTS = range(3)
-#: How a target moves: not at all, with a stream of poses, with a twist; or the arm just brakes.
+#: Motions of a target: none, with a stream of poses, with a twist; the last lets the arm brake.
 RESTS, STREAMS, TWISTS, BRAKES = range(4)
 #: A target of an end effector: what the arm does, how it moves, ids of the end effector, of the
 #: frame that the goal stays fixed in and of the axes of a twist, and whether they are sites;
@@ -157,7 +157,7 @@ TASK = np.dtype([
     *((name, np.float64) for name in (
         'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'smooth', 'solve_s',
         'interval_s'))], align=True)
-#: What has become of a solution: when it was found [s], which share of the wanted motion is made,
+#: Outcome of a solution: when it was found [s], which share of the wanted motion is made,
 #: how far the end effector is off its way [m]; whether it has reached the target, whether it comes
 #: near enough to it, whether a motion is wanted in a direction in which it can hardly move,
 #: whether ranges of joints keep it from doing more, and whether velocity limits slow it down.

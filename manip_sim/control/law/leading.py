@@ -31,7 +31,7 @@ _AT_REST = 1e-4
 #: By efforts it is reached within this [m], [rad], by an end effector slower than this [m/s,
 #: rad/s].
 _PRESSED, _PRESSED_TURN, _SLOW_TWIST = 1e-3, 1e-2, 2e-3
-#: How far a goal that a twist moves may be ahead of the end effector [m], [rad].
+#: Largest lead of a goal that a twist moves over the end effector [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
 
 
@@ -309,7 +309,7 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
     task.rests = int(rests)
     if task.notes == 0:
         return
-    # What limits the end effector, and whether it rests, is noted once in a period.
+    # Limits of the end effector, and its rest, are noted once in a period.
     row, goes = task.solutions, np.empty(6)
     for i in range(6):
         targets.errors[number, row, i] = targets.missed[number, row, i] = motion.error[i]

@@ -25,7 +25,8 @@ from manip_sim.physics.physics import Addresses
 _MARKS = (987654321, 0)
 #: Share of the memory of ``MjData`` that may have been used so far.
 _MEMORY = 0.5
-#: What compiled code calls of MuJoCo, each with the addresses of an ``MjModel`` and an ``MjData``.
+#: Functions of MuJoCo that compiled code calls, with the addresses of an ``MjModel`` and an
+#: ``MjData``.
 _CALLED = ('mj_step', 'mj_step2', 'mj_kinematics', 'mj_comPos')
 
 

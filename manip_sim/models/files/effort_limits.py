@@ -14,11 +14,11 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.files.link_masses import greatest_weight
 from manip_sim.quoting import counted, quoted_names
 
-#: What a joint shall give what it moves beside the weight [rad/s^2 or m/s^2].
+#: Acceleration that a joint shall give its load beside the weight [rad/s^2 or m/s^2].
 _ACCELERATION = 5.0
 #: Share of a guessed limit that the weight and that acceleration need in the worst pose.
 _SHARE = 0.5
-#: How many names one sentence lists.
+#: Number of names that one sentence lists.
 _LISTED = 8
 
 

@@ -42,7 +42,7 @@ _BETTER_M = 1e-3
 _SAME = 1e-6
 #: A robot that starts farther below the floor than this is raised to it [m].
 _BELOW_FLOOR_M = 0.05
-#: What moves of a robot whose root is fixed touches the floor if it is lower than this, and is
+#: A moving shape of a robot whose root is fixed touches the floor if it is lower than this, and is
 #: raised to the other [m].
 _TOUCHES_FLOOR_M, _ABOVE_FLOOR_M = 1e-6, 1e-3
 

@@ -105,7 +105,7 @@ class PackageFolders:
             near = self._levels_of_workspace(above)
             tops = [*((folder, _DEPTH) for folder in (*_package_path(), *above[:near])),
                     *((folder, 1) for folder in above[near:])]
-            # What is near the file comes before the rest, and no folder is visited twice.
+            # Folders near the file come before the rest, and none is visited twice.
             folders = (folder for top, depth in tops for folder in _walk(top, depth, seen))
             self._below = [(name, folder) for folder in islice(folders, _MAX_FOLDERS)
                            if (name := _own_name(folder, self._at)) is not None]

@@ -27,7 +27,7 @@ from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
 from manip_sim.models.regular_files import Files
 
-#: How far above the floor the fingers of a hand alone stay [m].
+#: Height above the floor at which the fingers of a hand alone stay [m].
 _CLEARANCE_M = 0.05
 
 

@@ -24,7 +24,7 @@ SUFFIX = '.xacro'
 _WITH_ARGUMENTS = re.compile(r'(.*?\.xacro)\s+(\S.*)', re.IGNORECASE | re.DOTALL)
 _USED = re.compile(r'\$\(arg\s+(\w+)\s*\)')
 _WITH_DEFAULT = re.compile(r'<(?:xacro:)?arg\s(?=[^>]*\bdefault\s*=)[^>]*\bname\s*=\s*["\'](\w+)')
-#: What to do, by words in what xacro says.
+#: Remedies, by words in the messages of xacro.
 _REMEDIES = {
     'unbound prefix': 'write xmlns:xacro="http://www.ros.org/wiki/xacro" into its <robot>',
     'environment variable': "type 'export NAME=VALUE' with that name",
