@@ -5,7 +5,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+T = TypeVar('T')
 
 
 class Derived:
@@ -22,6 +25,20 @@ class Derived:
 
     def __init__(self) -> None:
         self.of: dict[Any, Any] = {}
+
+    def made_of(self, make: Callable[..., T], *parts: Any) -> T:
+        """
+        Return what is made of some objects, the same as before as long as they are the same.
+
+        :param make: its maker, one for each kind of parts
+        """
+        key: Any = make
+        numbers = tuple(map(id, parts))
+        kept = self.of.get(key)
+        if kept is None or kept[0] != numbers:
+            kept = self.of[key] = numbers, make(*parts), parts
+        made: T = kept[1]
+        return made
 
     def __reduce__(self) -> tuple[type[Derived], tuple[()]]:
         """Let a copy begin without any."""

@@ -110,6 +110,11 @@ class ControlledJoints:
         return self._indices_of['base'][[indices[0] for indices in found]]
 
     @property
+    def setpoints(self) -> SetpointGenerator:
+        """The setpoints of the joints."""
+        return self._setpoints
+
+    @property
     def lowered(self) -> tuple[str, ...]:
         """A sentence for each servo whose gains were lowered, as they were not stable."""
         return self._servos.lowered

@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.checked_gripper_actions import Formatter
@@ -19,6 +21,7 @@ from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.control.gripper_joints import GripperJoints
 from manip_sim.control.law.finger_records import Grip, Gripper, MOVES, TURNED
 from manip_sim.control.ledger import Ledger
+from manip_sim.derived import Derived
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
@@ -50,7 +53,7 @@ class GripperController:
     def __init__(self, physics: Physics, part: Part, timestep_s: float) -> None:
         if part.gripper is None:
             raise ValueError(f'{part.name} is not a gripper')
-        self.part = part
+        self.part, self._derived = part, Derived()
         self._physics = physics
         self._timestep_s = timestep_s
         self._actuators = GripperActuators(physics, part)
@@ -196,11 +199,21 @@ class GripperController:
     def begin_run(self, data: mujoco.MjData) -> Gripper:
         """Call ``format_action`` if it is due, and return the gripper for the compiled law."""
         self._call_if_due(data)
-        flags = np.array([self._moving, self._turned, self._action is not None,
-                          self._actuators.is_pair])
-        return Gripper(self._actuators.fingers(self._tolerance), Grip(
-            self._goal, self._to_end, self._pressing, self._pace, np.empty(len(self._goal)),
-            flags))
+        stopped, flags = self._room
+        flags[:] = (self._moving, self._turned, self._action is not None,
+                    self._actuators.is_pair)
+        return self._derived.made_of(
+            _gripper, self._actuators.fingers(self._tolerance), self._goal, self._to_end,
+            self._pressing, self._pace, stopped, flags)
+
+    @property
+    def _room(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Room for what the compiled law says of the fingers."""
+        room: tuple[FloatArray, NDArray[np.bool_]] | None = self._derived.of.get('room')
+        if room is None:
+            room = self._derived.of['room'] = (
+                np.zeros(len(self.part.actuators)), np.zeros(4, np.bool_))
+        return room
 
     def end_run(self, gripper: Gripper) -> None:
         """Take over what the compiled law has changed; end commands once all fingers stand."""
@@ -257,3 +270,7 @@ class GripperController:
         low, high = self._actuators.ranges.T
         commands: FloatArray = (setpoints - low) / (high - low) * 2.0 - 1.0
         return commands
+
+
+def _gripper(fingers: Any, *grip: Any) -> Gripper:
+    return Gripper(fingers, Grip(*grip))

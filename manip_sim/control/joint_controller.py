@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import clamp
@@ -24,13 +25,12 @@ from manip_sim.control.commands import (
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.modes import Arrival, MODES
 from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
+from manip_sim.control.law.joint_records import RobotJoints
+from manip_sim.derived import Derived
 from manip_sim.control.trajectory_following import TrajectoryFollowing
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
-
-if TYPE_CHECKING:
-    from manip_sim.control.law.period import RobotJoints
 
 C = TypeVar('C', bound=Command)
 #: No joint that a trajectory leads.
@@ -61,6 +61,7 @@ class JointController(ControlledJoints):
         self.cartesian = CartesianController(
             physics, chains or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
+        self._derived = Derived()
         self._timeouts = CommandTimeouts(atomic)
         self._trajectories = TrajectoryFollowing(
             self._setpoints, self.commands, len(self.names))
@@ -243,7 +244,8 @@ class JointController(ControlledJoints):
             self._setpoints.set_velocity(stopped, np.zeros(len(stopped)))
             meant.handle.end(Status.DONE)
         else:
-            drives = any([isinstance(c, BaseTwist) for c in self.commands.running])
+            drives = isinstance(meant, BaseTwist) and any(
+                [isinstance(c, BaseTwist) for c in self.commands.running])
             self.commands.take(meant)
             self.commands.begin(meant)
             if isinstance(meant, BaseTwist):
@@ -255,12 +257,29 @@ class JointController(ControlledJoints):
                     self._servos.give_effort(meant.indices, True)
                 self.cartesian.begin(meant, data, now_s)
 
+    def renew(self, command: JointSetpoint, values: FloatArray, now_s: float) -> bool:
+        """
+        Give a command that runs other values, as if an equal one had replaced it.
+
+        The caller lets setpoints go there.
+
+        :param command: nobody else has it
+        :param now_s: simulation time since the last reset [s]
+        :returns: False if it does not run any more, or a trajectory waits for its start
+        """
+        if self.commands.waiting or not any([own is command for own in self.commands.running]):
+            return False
+        self._setpoints.now_s = now_s
+        self._timeouts.renew(command.parts, now_s)
+        command.values[:] = values
+        return True
+
     def _of_present_mode(self, command: C) -> C | None:
         if isinstance(command, (TrajectoryStop, CartesianCommand)):
             return command
         if isinstance(command, JointSetpoint):
-            changed = [i for i, mode in zip(command.indices.tolist(), command.modes)
-                       if self.modes[i] != mode]
+            changed = self._derived.made_of(
+                _of_other_modes, command.indices, command.modes, self.modes)
         else:
             takes = 'takes_twists' if isinstance(command, BaseTwist) else 'follows_trajectories'
             changed = [i for i in command.indices if not getattr(MODES[self.modes[i]], takes)]
@@ -268,7 +287,7 @@ class JointController(ControlledJoints):
 
     def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
         arrival = Arrival(period_s, command.messages, command.sent_s)
-        modes = set(command.modes)
+        modes = dict.fromkeys(command.modes)
         for mode in modes:
             indices, values = command.indices, command.values
             if len(modes) > 1:
@@ -324,9 +343,8 @@ class JointController(ControlledJoints):
         for command in list(self.commands.running):
             if isinstance(command, CartesianCommand):
                 self.cartesian.begin_period(command, data)
-            if (isinstance(command, JointSetpoint)
-                    and all([MODES[mode].ends for mode in set(command.modes)])
-                    and self._setpoints.at_rest(command.indices)):
+            if (isinstance(command, JointSetpoint) and self._setpoints.at_rest(command.indices)
+                    and all([MODES[mode].ends for mode in dict.fromkeys(command.modes)])):
                 self._finish(command, data, command.values)
             if (isinstance(command, BaseTwist) and not command.handle.is_active
                     and self._setpoints.at_rest(command.indices)):
@@ -396,36 +414,46 @@ class JointController(ControlledJoints):
         :param intervals: physics steps of each, shape (k,)
         :param clock: of the simulation
         """
-        trajectories, arms, step_s = [], [], self._servos.step_s
+        trajectories, arms = [], []
         base: tuple[Any, ...] = _NOT_DRIVEN
         for command in self.commands.running:
+            if type(command) is JointSetpoint:
+                continue
             if isinstance(command, JointTrajectory):
                 trajectories.append(command)
             elif isinstance(command, CartesianCommand):
                 arms.append(command)
             elif isinstance(command, BaseTwist):
                 base = (command.joints, command.columns,
-                        self._base.wanted(clock.ends_s(intervals, step_s)))
+                        self._base.wanted(clock.ends_s(intervals, self._servos.step_s)))
         if len(arms) > MOST_ARMS:
             return None
         targets, count = no_targets(), len(intervals)
         if arms:
             targets, count = self.cartesian.begin_run(
-                arms, clock.begins_s(intervals), np.asarray(intervals * step_s, dtype=float))
+                arms, clock.begins_s(intervals),
+                np.asarray(intervals * self._servos.step_s, dtype=float))
         indices, path = _NOT_LED
         if trajectories or self.commands.waiting:
-            led = self._trajectories.path(trajectories, clock.ends_s(intervals[:count], step_s))
+            led = self._trajectories.path(
+                trajectories, clock.ends_s(intervals[:count], self._servos.step_s))
             if led is None:
                 return None
             indices, path = led
             count = len(path)
-        from manip_sim.control.law.period import RobotJoints  # It imports numba.
-        servos, setpoints = self._servos, self._setpoints
-        return RobotJoints(
-            setpoints.joints, servos.records, servos.places, self._effort, setpoints.counts,
-            self.cartesian.posture,
-            np.array([setpoints.moving, self._efforts_due, self._written]), indices, path,
-            *base), targets, count
+        servos, setpoints, flags = self._servos, self._setpoints, self._flags
+        flags[:] = setpoints.moving, self._efforts_due, self._written
+        return self._derived.made_of(
+            RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
+            setpoints.counts, self.cartesian.posture, flags, indices, path, *base), targets, count
+
+    @property
+    def _flags(self) -> NDArray[np.bool_]:
+        """Room for the flags of the compiled law."""
+        flags: NDArray[np.bool_] | None = self._derived.of.get('flags')
+        if flags is None:
+            flags = self._derived.of['flags'] = np.zeros(3, np.bool_)
+        return flags
 
     def end_run(self, joints: RobotJoints, targets: Targets, moved_s: float) -> None:
         """
@@ -456,3 +484,9 @@ class JointController(ControlledJoints):
 
     def _commanded_parts(self) -> frozenset[str]:
         return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))
+
+
+def _of_other_modes(indices: IntArray, modes: tuple[str, ...], present: tuple[str, ...]
+                    ) -> list[int]:
+    """Return the joints whose mode is no longer the one that a command was made for."""
+    return [i for i, mode in zip(indices.tolist(), modes) if present[i] != mode]

@@ -5,13 +5,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.joint_records import blank_state, PLACES, records
+from manip_sim.control.law.joint_records import blank_state, PLACES, PLAIN, records
 from manip_sim.derived import Derived
 
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
@@ -221,10 +223,20 @@ class SetpointGenerator:
         """
         self._wait(indices, goal, period_s, messages, stamp_s, False)
 
+    @property
+    def row(self) -> int:
+        """Address of the row of :attr:`joints` for compiled code."""
+        row = self._derived.of.get('row')
+        if row is None:
+            from manip_sim.control.law.rows import Row  # It imports numba.
+            from manip_sim.control.law.stream_timing import JOINTS
+            row = self._derived.of['row'] = Row(JOINTS)
+        row.write((self.joints,))
+        return int(row.address)
+
     def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
               stamp_s: float, velocities: bool) -> None:
-        from manip_sim.control.law.compiling import direct  # It imports numba.
-        from manip_sim.control.law.stream_timing import wait
+        direct, wait = _law_of_goals()
         direct(wait)(self.joints, indices, _numbers(goals), period_s, messages, stamp_s,
                      velocities)
         self.moving = True
@@ -274,6 +286,36 @@ class SetpointGenerator:
             from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
             self.moving = advance(self.joints, self.counts, self.now_s, duration_s)
         self.now_s += duration_s
+
+
+def wait_in_worlds(setpoints: Sequence[SetpointGenerator], indices: IntArray, goals: FloatArray,
+                   periods_s: FloatArray, velocities: bool) -> None:
+    """
+    Take goals of the same coordinates in many worlds, which came without a stamp.
+
+    :param setpoints: of each world
+    :param indices: of the coordinates, shape (n,)
+    :param goals: positions [rad or m] or velocities [rad/s or m/s], shape (worlds, n)
+    :param periods_s: lengths of a control period in each world [s], shape (worlds,)
+    :param velocities: whether goals are velocities
+    """
+    from manip_sim.control.law import stream_timing  # It imports numba.
+    if PLAIN:
+        for world, own, period_s in zip(setpoints, goals, periods_s.tolist()):
+            (world.go_at if velocities else world.go_to)(indices, own, period_s)
+        return
+    stream_timing.wait_in_worlds(
+        np.array([world.row for world in setpoints]), np.array(indices), _numbers(goals),
+        periods_s, velocities)
+    for world in setpoints:
+        world.moving = True
+
+
+@cache
+def _law_of_goals() -> tuple[Any, Any]:
+    from manip_sim.control.law.compiling import direct  # It imports numba.
+    from manip_sim.control.law.stream_timing import wait
+    return direct, wait
 
 
 def _numbers(values: ArrayLike) -> FloatArray:

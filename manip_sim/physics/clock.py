@@ -16,19 +16,40 @@ class Clock:
 
     :param timestep_ns: length of a step [ns]
     :ivar step_ns: the same
-    :ivar step_count: steps since construction; a reset does not change it
-    :ivar control_steps: steps since the last reset; control counts from there, so that an episode
-        is the same to the last bit whatever came before
+    :ivar counts: :attr:`step_count` and :attr:`control_steps`, shape (2,); compiled code goes on
+        with them too
     """
 
     def __init__(self, timestep_ns: int) -> None:
         self.step_ns = timestep_ns
-        self.step_count = self.control_steps = 0
+        self.counts: IntArray = np.zeros(2, np.int64)
+
+    @property
+    def step_count(self) -> int:
+        """Steps since construction; a reset does not change it."""
+        return self.counts.item(0)
+
+    @step_count.setter
+    def step_count(self, count: int) -> None:
+        self.counts[0] = count
+
+    @property
+    def control_steps(self) -> int:
+        """
+        Steps since the last reset.
+
+        Control counts from there, so that an episode is the same to the last bit whatever came
+        before.
+        """
+        return self.counts.item(1)
+
+    @control_steps.setter
+    def control_steps(self, count: int) -> None:
+        self.counts[1] = count
 
     def count(self, steps: int) -> None:
         """Go on by steps of the physics, or back."""
-        self.step_count += steps
-        self.control_steps += steps
+        self.counts += steps
 
     @property
     def time_ns(self) -> int:

@@ -40,13 +40,22 @@ class DivergenceWatch:
     def remember(self) -> FloatArray:
         """Remember the present state as the good one, and return it."""
         mujoco.mj_getState(self._model, self._data, self.good, _STATE)
-        self._warned = self._warnings.tobytes()
+        self.count_warnings()
         return self.good
+
+    def count_warnings(self) -> None:
+        """Remember how often MuJoCo has warned so far, where others remember the state."""
+        self._warned = self._warnings.tobytes()
+
+    @property
+    def warns(self) -> bool:
+        """Whether MuJoCo has warned of bad numbers since then."""
+        return bool(self._warnings.tobytes() != self._warned)
 
     def reason(self) -> str | None:
         """Return why the present state has diverged, or None if it is good."""
         position, velocity, acceleration = self._numbers
-        warns = self._warnings.tobytes() != self._warned
+        warns = self.warns
         if (velocity.dot(velocity) < _ABSURD_VELOCITY**2 and not warns
                 and math.isfinite(position.dot(position) + acceleration.dot(acceleration))):
             return None

@@ -118,6 +118,15 @@ class ActuatorEfforts:
         np.concatenate(self._views, out=self._last)
         self._loaded, self._values = self._of_loads(), None
 
+    @property
+    def room(self) -> FloatArray | None:
+        """Room for a record that others make; None where that takes more than copies of arrays."""
+        return self._last if self._loads is None else None
+
+    def take_record(self) -> None:
+        """Take over what others have recorded into :attr:`room`."""
+        self._loaded, self._values = 0.0, None
+
     def set_aside(self) -> tuple[Any, ...]:
         """Return what :meth:`record` changes."""
         return self.values, self._last.copy(), self._loaded

@@ -80,6 +80,7 @@ class ExternalWrench:
         self._centre = data.subtree_com[model.body_rootid[body]]
         self.uncollected = UncollectedForces.of(model, self.bodies)
         self._no_rows = bytes(self.forces.nbytes)
+        self._is_only_touched = self.uncollected.is_empty and not self.uncollected.adhesions
         # Adhesion pulls before there is a contact force, and those with flexes are not among them.
         self.no_forces = self._no_rows
         if self.uncollected.adhesions or self.uncollected.flexes is not None:
@@ -109,8 +110,7 @@ class ExternalWrench:
     @property
     def is_touched_only(self) -> bool:
         """True if contacts alone exert forces on the tool."""
-        return (self.uncollected.is_empty and not self.uncollected.adhesions
-                and not has_fluid(self._physics.model.opt))
+        return self._is_only_touched and not has_fluid(self._physics.model.opt)
 
     def record_rows(self, rows: FloatArray, centres: FloatArray) -> None:
         """

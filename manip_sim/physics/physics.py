@@ -153,6 +153,7 @@ class Physics:
     :ivar qvel: of ``qvel``
     :ivar ctrl: of ``ctrl``
     :ivar arrays: for laws of control
+    :ivar sizes: worlds with the same ones can share the scratch of a thread
     :ivar kept_dofs: where the degrees of freedom that stayed in the last change were in ``qvel``
         before it, and where they are now
     """
@@ -170,16 +171,16 @@ class Physics:
         data = self.data = live.data
         self.qpos, self.qvel, self.ctrl = data.qpos, data.qvel, data.ctrl
         self.arrays = WorldArrays.of(data)
-        self._sizes = tuple([getattr(self.model, size) for size in _SIZES])
+        self.sizes = tuple([getattr(self.model, size) for size in _SIZES])
         for adapt in self._adapt:
             adapt()
 
     @property
     def scratch(self) -> Scratch:
         """Data for kinematics of other positions, of this thread and of equal worlds."""
-        if _kept.sizes != self._sizes:
+        if _kept.sizes != self.sizes:
             data = mujoco.MjData(self.model)
-            _kept.sizes = self._sizes
+            _kept.sizes = self.sizes
             _kept.scratch = Scratch(data, Kinematics.of(data), address_of(data))
         return _kept.scratch
 

@@ -12,12 +12,12 @@ depends on positions and velocities alone is kept. What control does in between 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
@@ -73,8 +73,8 @@ class PhysicsSteps:
 
     def _look_at_tools(self) -> None:
         self._touch = TouchWatch(self._model, self._data, self.tools)
-        #: Room for the notes of compiled steps, by the address of the data and their number.
-        self.notes: dict[tuple[int, int], Any] = {}
+        #: Room for the notes of compiled steps, by their number.
+        self.notes = Derived()
         #: Of each tool the first body, the one after its last, and the root of its tree, (t, 3).
         self.tool_bodies: IntArray = np.array([
             (tool.bodies.start, tool.bodies.stop, self._model.body_rootid[tool.bodies.start])
@@ -126,11 +126,17 @@ class PhysicsSteps:
         self._compare(self.state())
         return self._resumes
 
+    @property
+    def _may_resume(self) -> bool:
+        """Whether a step may go on from what has been computed, if the state is the same."""
+        options = self._options
+        return (self._computed and int(options.integrator) in _RESUMABLE
+                and not options.enableflags)
+
     def _compare(self, state: FloatArray) -> None:
         """Find out what of a step has been computed for the present state."""
         self._integrates = self._resumes = False
-        options = self._options
-        if self._computed and int(options.integrator) in _RESUMABLE and not options.enableflags:
+        if self._may_resume:
             self._integrates = state.tobytes() == self.computed_from.tobytes()
             self._resumes = self._integrates or all([
                 state[part].tobytes() == self.computed_from[part].tobytes()
@@ -140,11 +146,30 @@ class PhysicsSteps:
 
     def begin(self) -> bool:
         """Begin a control period, and return whether the first half of a step is computed."""
-        self._begin = self._clock.step_count
+        self._begin_records()
         self._compare(self.divergence.remember())
+        return self._resumes
+
+    def _begin_records(self) -> None:
+        self._begin = self._clock.step_count
         for tool in self.tools:
             tool.begin_period()
-        return self._resumes
+
+    def begin_by_law(self) -> bool:
+        """
+        Begin a control period of which a law remembers the state.
+
+        :returns: whether a step may go on from what has been computed, if the state is the same
+        """
+        self._begin_records()
+        self.divergence.count_warnings()
+        resumes, self._computed, self._resumes = self._may_resume, False, False
+        return resumes
+
+    def end_by_law(self) -> None:
+        """End a control period of which a law has computed the last instant."""
+        self._efforts.take_record()
+        self._computed = True
 
     def undo(self) -> None:
         """Return to the beginning of the period."""
@@ -242,6 +267,16 @@ class PhysicsSteps:
         return self._model
 
     @property
+    def first_half(self) -> Sequence[slice]:
+        """The parts of a state that the first half of a step depends on."""
+        return self._first_half
+
+    @property
+    def room_for_efforts(self) -> FloatArray | None:
+        """Room for the efforts of the last step, or None if :meth:`finish` has to record them."""
+        return self._efforts.room
+
+    @property
     def scratch(self) -> Scratch:
         """Data of this thread for kinematics."""
         return self._physics.scratch
@@ -267,8 +302,8 @@ class PhysicsSteps:
         resumes, self._resumes = self._resumes, False
         return resumes
 
-    def took_steps(self, steps: int, changed: bool, counts: IntArray, rows: FloatArray,
-                   roots: FloatArray) -> None:
+    def took_steps(self, changed: bool, counts: IntArray, rows: FloatArray, roots: FloatArray
+                   ) -> None:
         """
         Record steps that a law has run.
 
@@ -282,7 +317,6 @@ class PhysicsSteps:
         for number, (tool, count) in enumerate(zip(self.tools, counts.tolist())):
             if count:
                 tool.record_rows(rows[number, :count, :len(tool.forces)], roots[number, :count])
-        self._clock.count(steps)
 
     def _interrupted(self, intervals: Iterable[int]) -> Iterator[int]:
         """Divide intervals where something is measured within the period."""

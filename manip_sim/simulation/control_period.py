@@ -18,14 +18,13 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.free_base import FreeRoots
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
+from manip_sim.simulation.compiled_period import CompiledPeriod
 from manip_sim.simulation.robot import RobotRun, SimulatedRobot
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
 #: Of how many lengths of periods the intervals are kept.
 _REMEMBERED = 64
-#: Compiled code runs so many steps at most, as there is room for notes of each.
-_MOST_STEPS = 1000
 
 
 class ControlPeriods:
@@ -39,6 +38,7 @@ class ControlPeriods:
     :param clock: of the simulation
     :param timestep_s: length of a physics step [s]
     :ivar diverged: why the physics is on hold, or None
+    :ivar compiled: what compiled code runs
     """
 
     def __init__(self, steps: PhysicsSteps, robots: Mapping[str, SimulatedRobot],
@@ -50,6 +50,13 @@ class ControlPeriods:
         self.look_at_robots()
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         self._cuts: dict[int, IntArray] = {}
+        self.compiled = CompiledPeriod(steps, clock, timestep_s)
+        #: What it was prepared for: the robot, what that does, whether a period ends with it, and
+        #: room for notes.
+        self._prepared: tuple[SimulatedRobot, RobotRun, bool, Any] | None = None
+        #: Of this period: whether it has begun for the physics, whether all of its last instant is
+        #: computed, and whether that is known to be good.
+        self._begun = self._is_computed = self._is_good = False
         #: Steps left until a late command takes effect, or until the end of the period.
         self._left = 0
         #: Steps of the period after that.
@@ -78,21 +85,46 @@ class ControlPeriods:
         :param steps: number of physics steps of the period
         :raises DivergenceError: if the physics diverges, or is on hold
         """
-        if not (self._begin(steps) and self._steps.run_untouched(steps)):
-            self._run(steps)
-        self._end(steps)
-        self._check_not_diverged()
+        if self.begin(steps):
+            self.compiled.run()
+        self.end(steps)
 
-    def _begin(self, steps: int) -> bool:
-        """Begin a period; return whether only physics happens in it, if nothing is touched."""
+    def begin(self, steps: int) -> bool:
+        """
+        Begin a control period, and run it unless compiled code can run all of it.
+
+        :param steps: number of physics steps of the period
+        :returns: whether :attr:`compiled` is prepared and has yet to run
+        :raises DivergenceError: if the physics is on hold
+        """
         self._check_not_diverged()
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
+        self._prepared, self._is_computed, self._is_good = None, False, False
         self._left = self._until_command(steps)
         self._later = steps - self._left
         self._begin_control(steps * self._timestep_s)
         self._plan_measuring(steps)
-        return self._steps.begin() and self.resting and self._steps.stays_untouched
+        physics, resting = self._steps, self.resting
+        self._begun = resting
+        if resting and physics.begin() and physics.stays_untouched and (
+                physics.run_untouched(steps)):
+            return False
+        physics.begin_run()
+        return self._run(steps, waits=True)
+
+    def end(self, steps: int) -> None:
+        """
+        End a control period that has run.
+
+        :param steps: number of physics steps of the period
+        :raises DivergenceError: if the physics has diverged in it
+        """
+        if self._prepared is not None:
+            self._take_over()
+            self._run(steps)
+        self._end(steps)
+        self._check_not_diverged()
 
     def _begin_control(self, period_s: float) -> None:
         interval_s = self._chunk(self._left) * self._timestep_s
@@ -111,13 +143,16 @@ class ControlPeriods:
 
     def _until_command(self, steps: int) -> int:
         """Return after how many of some steps the next late command takes effect, or all."""
-        now = self._clock.control_steps
-        return min([steps, *(arrival - now for robot in self._robots
-                             if (arrival := robot.next_arrival(now)) is not None)])
+        for robot in self._robots:
+            if robot.awaits_commands:
+                now = self._clock.control_steps
+                steps = min(steps, robot.next_arrival(now, now + steps) - now)
+        return steps
 
     def _end(self, steps: int) -> None:
         """End a period; hold the last good state if the physics has diverged in it."""
-        reason = self._steps.divergence.reason()
+        watch = self._steps.divergence
+        reason = None if self._is_good and not watch.warns else watch.reason()
         if reason is None:
             self._steps.end_period(steps, steps * self._timestep_s)
             for robot in self._robots:
@@ -156,9 +191,14 @@ class ControlPeriods:
         if self.diverged is not None:
             raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
 
-    def _run(self, steps: int) -> None:
-        """Run a period, in parts each of which control begins; so do late commands."""
-        self._steps.begin_run()
+    def _run(self, steps: int, waits: bool = False) -> bool:
+        """
+        Run what is left of a period, in parts each of which control begins; so do late commands.
+
+        :param steps: of the period
+        :param waits: whether all of it is left to compiled code, where that can run it at once
+        :returns: whether it is
+        """
         while self._left or self._later:
             if not self._left:
                 self._left = self._until_command(self._later)
@@ -166,14 +206,25 @@ class ControlPeriods:
                 self._begin_control(steps * self._timestep_s)
             awake = [robot for robot in self._robots if not robot.resting]
             runs = self._begin_runs(awake)
-            self._left -= self._run_law(awake, runs) if runs else self._tick(awake)
-        self._steps.finish()
+            if len(runs) == 1:
+                if self._prepare(awake[0], runs[0]) and waits:
+                    return True
+                self.compiled.run()
+                self._take_over()
+                continue
+            if not self._begun:
+                self._steps.begin()
+                self._begun = True
+            self._left -= self._run_together(awake, runs) if runs else self._tick(awake)
+        if not self._is_computed:
+            self._steps.finish()
+        return False
 
     def _begin_runs(self, awake: Sequence[SimulatedRobot]) -> list[RobotRun]:
         """Begin a run of compiled control and physics of robots, if there can be one."""
         if not awake or not self._steps.lets_laws_step or self._free_roots.is_needed:
             return []
-        if not self._may_step(self._left):
+        if not self.compiled.may_run(self._left):
             return []
         runs, intervals = [], self._cut(self._left)
         for robot in awake:
@@ -183,39 +234,34 @@ class ControlPeriods:
             runs.append(run)
         return runs
 
-    def _run_law(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> int:
-        """Run intervals by the compiled law, as ticks would; return how many steps."""
-        intervals = min([run.intervals for run in runs], key=len)
-        if len(runs) == 1:
-            steps, moved_s = self._run_alone(runs[0])
-            robots[0].end_run(runs[0], moved_s)
-        else:
-            intervals = intervals[:MOST_SOLUTIONS]
-            steps = int(intervals.sum())
-            for robot, run, moved_s in zip(robots, runs, self._run_together(runs, intervals)):
-                robot.end_run(run, moved_s)
-        return steps
+    def _prepare(self, robot: SimulatedRobot, run: RobotRun) -> bool:
+        """Prepare compiled code for a robot; return whether it runs the whole period."""
+        begins = not self._begun
+        ends = (not self._later and len(run.intervals) == len(self._cut(self._left))
+                and self._steps.room_for_efforts is not None)
+        notes = self.compiled.prepare(run, self._left, begins, ends)
+        self._prepared, self._begun = (robot, run, ends, notes), True
+        return begins and ends
 
-    def _run_alone(self, run: RobotRun) -> tuple[int, float]:
-        """Run intervals of a robot; return how many steps, and when setpoints stopped to move."""
-        from manip_sim.control.law.compiling import direct  # It imports numba.
-        from manip_sim.control.law.period import run as run_intervals, Time
-        physics, clock = self._steps, self._clock
-        where, kinematics = physics.addresses, physics.scratch.kinematics
-        notes = self._notes(self._left)
-        steps, moved_s = direct(run_intervals)(
-            where, Time(clock.control_steps, clock.step_ns, self._timestep_s), run.intervals,
-            physics.take_resumes(), physics.arrays, kinematics, run.joints, run.targets,
-            run.grippers, notes)
-        self._took_steps(steps, notes)
-        return steps, moved_s
+    def _take_over(self) -> None:
+        """Take over what compiled code has done."""
+        assert self._prepared is not None
+        (robot, run, ends, notes), self._prepared = self._prepared, None
+        steps, good, moved_s = self.compiled.outcome()
+        robot.end_run(run, moved_s)
+        self._took_steps(notes)
+        self._left -= steps
+        if ends and not self._left:
+            self._is_computed, self._is_good = True, good
+            self._steps.end_by_law()
 
-    def _run_together(self, runs: Sequence[RobotRun], intervals: IntArray) -> list[float]:
-        """Run intervals of several robots; return when the setpoints of each stopped to move."""
+    def _run_together(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> int:
+        """Run intervals of several robots; return how many steps."""
         from manip_sim.control.law.compiling import direct  # It imports numba.
         from manip_sim.control.law.period import act
         physics = self._steps
         where, kinematics = physics.addresses, physics.scratch.kinematics
+        intervals = min([run.intervals for run in runs], key=len)[:MOST_SOLUTIONS]
         moved_s = [-1.0] * len(runs)
         for k, steps in enumerate(intervals.tolist()):
             now_s, duration_s = self._clock.control_s, steps * self._timestep_s
@@ -224,15 +270,18 @@ class ControlPeriods:
                                run.joints, run.targets, run.grippers):
                     moved_s[number] = now_s + duration_s
             self._step(steps)
-        return moved_s
+        for robot, run, moved in zip(robots, runs, moved_s):
+            robot.end_run(run, moved)
+        return int(intervals.sum())
 
     def _step(self, steps: int) -> None:
         """Run steps in compiled code."""
         from manip_sim.control.law.compiling import direct  # It imports numba.
         from manip_sim.control.law.stepping import step
-        physics, notes = self._steps, self._notes(steps)
+        physics, notes = self._steps, self.compiled.notes(steps)
         direct(step)(physics.addresses, steps, physics.take_resumes(), notes)
-        self._took_steps(steps, notes)
+        self._clock.count(steps)
+        self._took_steps(notes)
 
     def _tick(self, awake: Sequence[SimulatedRobot]) -> int:
         """Let robots act and run the physics until they act again; return how many steps."""
@@ -243,7 +292,7 @@ class ControlPeriods:
             robot.tick(steps * self._timestep_s)
         physics, lifts = self._steps, self._free_roots.is_needed
         # Without a robot that acts, nothing is compiled.
-        if awake and not lifts and physics.lets_laws_step and self._may_step(steps):
+        if awake and not lifts and physics.lets_laws_step and self.compiled.may_run(steps):
             self._step(steps)
         else:
             if lifts:
@@ -251,26 +300,8 @@ class ControlPeriods:
             physics.run((steps,))
         return steps
 
-    def _may_step(self, steps: int) -> bool:
-        """Return whether compiled code may run steps."""
-        from manip_sim.control.law.stepping import may_step  # It imports numba.
-        return steps <= _MOST_STEPS and may_step(self._steps.data)
-
-    def _notes(self, steps: int) -> Any:
-        """Return room for the notes of steps."""
-        from manip_sim.control.law.stepping import notes_of  # It imports numba.
-        physics = self._steps
-        key = physics.data._address, steps  # A copy of this world has other data.
-        notes = physics.notes.get(key)
-        if notes is None:
-            if len(physics.notes) == _REMEMBERED:
-                physics.notes.clear()
-            notes = physics.notes[key] = notes_of(physics.data, physics.tool_bodies, steps)
-        return notes
-
-    def _took_steps(self, steps: int, notes: Any) -> None:
-        self._steps.took_steps(
-            steps, bool(notes.present[1]), notes.counts, notes.rows, notes.roots)
+    def _took_steps(self, notes: Any) -> None:
+        self._steps.took_steps(bool(notes.present[1]), notes.counts, notes.rows, notes.roots)
 
     def _chunk(self, left: int) -> int:
         """Return the steps of the next interval; they divide what is left of a period evenly."""

@@ -8,22 +8,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from itertools import accumulate
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.commands import (
-    Command, CommandHandle, GripperCommand, JointTrajectory, NoCommand, Status)
+    Command, CommandHandle, GripperCommand, JointSetpoint, JointTrajectory, NoCommand, Status)
 from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.law.arm_records import Targets
 from manip_sim.control.law.finger_records import Gripper, no_gripper
+from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import Reflexes
+from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
@@ -35,11 +37,9 @@ from manip_sim.simulation.robot_reader import RobotReader
 from manip_sim.simulation.robot_state import State
 from manip_sim.validation import positive_number
 
-if TYPE_CHECKING:
-    from manip_sim.control.law.period import RobotJoints
-
 #: The compiled law moves so many grippers.
 _MOST_GRIPPERS = 2
+_NO_GRIPPERS = no_gripper(), no_gripper()
 
 
 class RobotRun(NamedTuple):
@@ -87,7 +87,7 @@ class SimulatedRobot:
 
     def __init__(self, physics: Physics, robot: RobotModel, efforts: ActuatorEfforts,
                  clock: Clock) -> None:
-        self._physics, model = physics, physics.model
+        self._physics, model, self._derived = physics, physics.model, Derived()
         self._efforts, self._clock = efforts, clock
         self._timestep_s = self._period_s = float(model.opt.timestep)
         self.robot_model = robot
@@ -111,6 +111,11 @@ class SimulatedRobot:
 
     def _find_frames(self) -> None:
         self.parse_cartesian.look_at_model(self._physics.model)
+
+    @property
+    def period_s(self) -> float:
+        """Length of a control period, of which commands come [s]."""
+        return self._period_s
 
     @property
     def name(self) -> str:
@@ -171,6 +176,24 @@ class SimulatedRobot:
                     command, count + self.sensing.delays['command'].steps(count))
             else:
                 self._apply(command)
+
+    def renew(self, command: JointSetpoint, values: FloatArray, period_s: float | None) -> bool:
+        """
+        Give a command that was applied other values, as if an equal one had replaced it.
+
+        The caller lets setpoints go there.
+
+        :param command: nobody else has it
+        :param values: within the ranges of its joints [rad, m, or per s], shape (n,)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :returns: False, and nothing has changed, where it has to be applied instead
+        """
+        if self._late or self.sensing.settings.delays_commands or self.reflexes.tripped:
+            return False
+        if not self.joints.renew(command, values, self._clock.control_s):
+            return False
+        self._period_s = period_s or self._period_s
+        return True
 
     def _apply(self, command: Command) -> None:
         clock = self._clock
@@ -373,13 +396,19 @@ class SimulatedRobot:
         self.joints.begin_period(
             self._physics.data, self._clock.control_s, period_s, interval_s)
 
-    def next_arrival(self, count: int) -> int | None:
+    @property
+    def awaits_commands(self) -> bool:
+        """Whether commands are on their way."""
+        return bool(self._late)
+
+    def next_arrival(self, count: int, end: int) -> int:
         """
-        Return when the next late command takes effect, or None.
+        Return when the next late command takes effect.
 
         :param count: steps since the reset, after which that has to be
+        :param end: returned if none does
         """
-        return next((arrival for arrival, _ in self._late if arrival > count), None)
+        return next((arrival for arrival, _ in self._late if arrival > count), end)
 
     def _apply_late(self) -> None:
         for command in self._late.due(self._clock.control_steps):
@@ -436,14 +465,18 @@ class SimulatedRobot:
         if found is None:
             return None
         joints, targets, count = found
-        intervals = intervals[:count]
+        if count < len(intervals):
+            intervals = intervals[:count]
         moving = [gripper for gripper in self.grippers.values() if gripper.moving]
+        if not moving:
+            return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals)
         grippers = [gripper.begin_run(data) for gripper in moving]
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
         if calls:
             intervals = intervals[:_count_within(intervals.tolist(), min(calls))]
-        first, second, *_ = *grippers, no_gripper(), no_gripper()
-        return RobotRun(joints, targets, (first, second), moving, intervals)
+        first, second, *_ = *grippers, no_gripper()
+        return RobotRun(joints, targets, self._derived.made_of(_pair, first, second), moving,
+                        intervals)
 
     def end_run(self, run: RobotRun, moved_s: float) -> None:
         """
@@ -474,6 +507,10 @@ class SimulatedRobot:
         self.joints.reset(self._physics.data)
         for gripper in self.grippers.values():
             gripper.reset(self._physics.data)
+
+
+def _pair(first: Gripper, second: Gripper) -> tuple[Gripper, Gripper]:
+    return first, second
 
 
 def _count_within(intervals: Sequence[int], steps: int) -> int:

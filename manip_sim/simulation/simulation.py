@@ -12,6 +12,7 @@ import mujoco
 
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.errors import CommandError, ModelError
+from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
 from manip_sim.physics.clock import Clock
@@ -57,6 +58,7 @@ class Simulation:
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar surroundings: mocap bodies, joints of the arena, and actuators of no part
     :ivar pulls: springs that pull bodies
+    :ivar periods: runs control periods
     :ivar episode_start: where resets lead to
     :ivar states: what saved states consist of
     :ivar timestep_s: length of a physics step [s]
@@ -81,7 +83,7 @@ class Simulation:
         self._steps = PhysicsSteps(
             self.physics, self._clock, self.efforts, self._present.tools, self._present.laws)
         self.pulls = Pulls(self.physics, self._clock)
-        self._periods = ControlPeriods(
+        self.periods = ControlPeriods(
             self._steps, self.robots, self._free_roots, self.pulls, self._clock, self.timestep_s)
         self.instruments = MeasuredInstruments(self.physics, self.robots)
         self.sensors = self.instruments.sensors
@@ -172,7 +174,7 @@ class Simulation:
 
     def _look_at_robots(self) -> None:
         self._steps.look_at_robots(self._present.tools, self._present.laws)
-        self._periods.look_at_robots()
+        self.periods.look_at_robots()
 
     @property
     def world(self) -> World:
@@ -258,12 +260,12 @@ class Simulation:
     @property
     def diverged(self) -> str | None:
         """Why the physics is on hold, or None."""
-        return self._periods.diverged
+        return self.periods.diverged
 
     @property
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
-        return self._periods.idle
+        return self.periods.idle
 
     def advance(self, steps: int) -> None:
         """
@@ -274,7 +276,7 @@ class Simulation:
         :raises DivergenceError: if the physics diverges, or has diverged and was not reset; the
             last good state is held, at rest
         """
-        self._periods.advance(whole_number(steps, 1, 'steps', CommandError))
+        self.periods.advance(whole_number(steps, 1, 'steps', CommandError))
 
     def advance_idle(self, steps: int, periods: int) -> None:
         """
@@ -286,7 +288,7 @@ class Simulation:
         :param periods: number of control periods
         :raises DivergenceError: if the physics diverges
         """
-        self._periods.run_idle(steps, periods)
+        self.periods.run_idle(steps, periods)
 
     def reset(self, seed: int | None = None, drawn: Drawn | None = None) -> None:
         """
@@ -303,6 +305,8 @@ class Simulation:
         :raises ModelError: if the seed is no whole number from 0, or something cannot be drawn;
             then nothing changes
         """
+        if seed is not None:
+            seed = checked_seed(seed)
         own = self.seed if seed is None else seed
         positions = self.episode_start.draw(seed)
         if drawn is not None or (seed is not None and self.randomized.draws):
@@ -327,7 +331,7 @@ class Simulation:
         self._clock.control_steps = 0
         for robot in self.robots.values():
             robot.reset()
-        self._periods.diverged = None
+        self.periods.diverged = None
         self.pulls.end()
         self._steps.contacts_change = False
         self._steps.compute()
@@ -375,7 +379,7 @@ class Simulation:
         for robot in self.robots.values():
             robot.abort('a saved state was restored')
         self.pulls.end()
-        self._periods.diverged = state.diverged
+        self.periods.diverged = state.diverged
         if state.drawn != self.randomized.drawn:
             self._randomize(state.seed, state.drawn)
         self.states.replace(state, control, sensing)

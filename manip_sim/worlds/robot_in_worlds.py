@@ -14,10 +14,13 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.clamping import clamp
 from manip_sim.control.commands import Command, JointSetpoint
+from manip_sim.control.modes import POSITION, VELOCITY
+from manip_sim.control.setpoints import wait_in_worlds
 from manip_sim.errors import CommandError
 from manip_sim.physics.end_effectors import EndEffector
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
+from manip_sim.validation import positive_number
 from manip_sim.worlds.rows import chosen, rows
 
 
@@ -131,15 +134,19 @@ class RowByRow:
 
     def _apply(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]],
                where: ArrayLike | None, period_s: float | None) -> None:
+        for robot, commands in self._parsed(parse, chosen(where, len(self._robots))):
+            robot.apply(*commands, period_s=period_s)
+
+    def _parsed(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]], mask: BoolArray
+                ) -> list[tuple[SimulatedRobot, tuple[Command, ...]]]:
         made = []
-        for world in np.flatnonzero(chosen(where, len(self._robots))).tolist():
+        for world in np.flatnonzero(mask).tolist():
             robot = self._robots[world]
             try:
                 made.append((robot, tuple(parse(robot, world))))
             except CommandError as error:
                 raise CommandError(f'world {world}: {error}') from error
-        for robot, commands in made:
-            robot.apply(*commands, period_s=period_s)
+        return made
 
     def _rows(self, values: ArrayLike, what: str) -> FloatArray:
         return rows(values, len(self._robots), what)
@@ -151,6 +158,11 @@ class Commands(RowByRow):
 
     :param robots: the robot in each world
     """
+
+    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
+        super().__init__(robots)
+        #: By world: the last command that can go on with other numbers; nobody else has it.
+        self._streams: dict[int, JointSetpoint] = {}
 
     def action(self, part: str, action: ArrayLike, *, where: ArrayLike | None = None,
                period_s: float | None = None) -> None:
@@ -187,37 +199,71 @@ class Commands(RowByRow):
                  for field, values in (('position', position), ('velocity', velocity),
                                        ('effort', effort)) if values is not None}
         mask = chosen(where, len(self._robots))
-        alike: dict[int, JointSetpoint] = {}
+        alike, one = np.zeros(len(self._robots), dtype=bool), None
         if len(given) == 1 and len(self._robots) > 1:
             (field, values), = given.items()
-            alike = self._alike(names, field, values, part, mask)
-        self._apply(lambda robot, world: [alike[world]] if world in alike else
-                    robot.parse.joint_command(names, part=part, **{
-                        field: values[world] for field, values in given.items()}),
-                    mask, period_s)
+            one, alike = self._alike(names, field, values, part, mask)
+        made = self._parsed(lambda robot, world: robot.parse.joint_command(
+            names, part=part, **{field: values[world] for field, values in given.items()}),
+            mask & ~alike)
+        if one is not None:
+            if period_s is not None:
+                positive_number(period_s, 'period_s', CommandError)
+            made += self._begin(one, values, alike & ~self._renew(one, values, alike, period_s))
+        for robot, commands in made:
+            robot.apply(*commands, period_s=period_s)
 
     def _alike(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
-               mask: BoolArray) -> dict[int, JointSetpoint]:
-        """Return the commands, by world, of those that differ in nothing but numbers in range."""
+               mask: BoolArray) -> tuple[JointSetpoint | None, BoolArray]:
+        """Return the command of a world, and which differ from it in nothing but numbers."""
+        none = None, np.zeros(len(self._robots), dtype=bool)
         fine = mask & np.isfinite(values.reshape(len(values), -1)).all(axis=1)
         if np.count_nonzero(fine) < 2:
-            return {}
+            return none
         robots, first = self._robots, int(np.flatnonzero(fine)[0])
         joints = robots[first].joints
         try:
             parsed = robots[first].parse.joint_command(names, part=part, **{field: values[first]})
         except CommandError:  # One by one, the message names the world.
-            return {}
+            return none
         if len(parsed) != 1 or not isinstance(parsed[0], JointSetpoint) or (
                 len(parsed[0].indices) != values.shape[1]):
-            return {}
+            return none
         one, modes = parsed[0], joints.modes
-        inside = (clamp(values, joints.clamps(one.indices))[0] == values).all(axis=1)
-        return {world: JointSetpoint(
-                    robot=one.robot, parts=one.parts, indices=one.indices, modes=one.modes,
-                    values=values[world].copy())
-                for world in np.flatnonzero(fine & inside).tolist()
-                if robots[world].joints.modes == modes}
+        inside = fine & (clamp(values, joints.clamps(one.indices))[0] == values).all(axis=1)
+        for world in np.flatnonzero(inside).tolist():
+            inside[world] = robots[world].joints.modes == modes
+        return one, inside
+
+    def _renew(self, one: JointSetpoint, values: FloatArray, worlds: BoolArray,
+               period_s: float | None) -> BoolArray:
+        """Let worlds in which such a command runs go on with it; return which do."""
+        renewed, setpoints, periods = np.zeros(len(worlds), dtype=bool), [], []
+        modes = [mode for mode in (POSITION, VELOCITY) if {*one.modes} == {mode.name}]
+        if not modes:
+            return renewed
+        for world in np.flatnonzero(worlds).tolist():
+            robot, own = self._robots[world], self._streams.get(world)
+            if own is not None and own.indices is one.indices and own.modes is one.modes and (
+                    robot.renew(own, values[world], period_s)):
+                renewed[world] = True
+                setpoints.append(robot.joints.setpoints)
+                periods.append(robot.period_s)
+        if setpoints:
+            wait_in_worlds(setpoints, one.indices, values[renewed], np.array(periods),
+                           modes[0] is VELOCITY)
+        return renewed
+
+    def _begin(self, one: JointSetpoint, values: FloatArray, worlds: BoolArray
+               ) -> list[tuple[SimulatedRobot, tuple[Command, ...]]]:
+        """Return such a command for some worlds, which these can go on with."""
+        made: list[tuple[SimulatedRobot, tuple[Command, ...]]] = []
+        for world in np.flatnonzero(worlds).tolist():
+            own = self._streams[world] = JointSetpoint(
+                robot=one.robot, parts=one.parts, indices=one.indices, modes=one.modes,
+                values=values[world].copy())
+            made.append((self._robots[world], (own,)))
+        return made
 
     def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
                    positions: ArrayLike, velocities: ArrayLike | None = None, *,

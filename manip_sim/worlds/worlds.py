@@ -20,6 +20,7 @@ from manip_sim.errors import (
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
+from manip_sim.simulation.compiled_period import run_prepared
 from manip_sim.validation import whole_number
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
@@ -147,8 +148,10 @@ class Worlds:
         """
         self._check_open()
         steps = whole_number(steps, 1, 'steps', CommandError)
-        self._threads.run([partial(_advance, simulation, steps)
-                           for simulation in self._of(where) if simulation.diverged is None])
+        running = [world for world in self._of(where) if world.diverged is None]
+        count = min(self._threads.count, len(running))
+        self._threads.run([partial(_advance, running[begin::count], steps)
+                           for begin in range(count)])
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:
@@ -231,6 +234,26 @@ class Worlds:
         return [simulation for simulation, wanted in zip(self.simulations, mask) if wanted]
 
 
-def _advance(simulation: Simulation, steps: int) -> None:
-    with contextlib.suppress(DivergenceError):
-        simulation.advance(steps)
+def _advance(worlds: Sequence[Simulation], steps: int) -> None:
+    """Run a control period in some worlds, all of which end it."""
+    prepared, failures = [], []
+    for world in worlds:
+        try:
+            if world.periods.begin(steps):
+                prepared.append(world)
+                continue
+            world.periods.end(steps)
+        except DivergenceError:
+            pass
+        except Exception as error:  # A user's gripper may raise anything.
+            failures.append(error)
+    while prepared:
+        sizes = prepared[0].physics.sizes  # A world may have other objects than the others.
+        alike = [world for world in prepared if world.physics.sizes == sizes]
+        prepared = [world for world in prepared if world.physics.sizes != sizes]
+        run_prepared([world.periods.compiled.row for world in alike], alike[0].physics.scratch)
+        for world in alike:
+            with contextlib.suppress(DivergenceError):
+                world.periods.end(steps)
+    if failures:
+        raise failures[0]

@@ -11,6 +11,7 @@ from manip_sim.control.commands import Status
 from manip_sim.control.law.stepping import may_step, notes_of
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.compiled_period import CompiledPeriod
 from manip_sim.simulation.control_period import ControlPeriods
 
 STEPS = 10
@@ -69,7 +70,7 @@ def runs(monkeypatch):
 def by_python(monkeypatch):
     """Let Python control each interval and make each step."""
     monkeypatch.setattr(ControlPeriods, '_begin_runs', lambda periods, awake: [])
-    monkeypatch.setattr(ControlPeriods, '_may_step', lambda periods, steps: False)
+    monkeypatch.setattr(CompiledPeriod, 'may_run', lambda compiled, steps: False)
 
 
 @pytest.mark.parametrize('mode', ['effort', 'position'])
@@ -185,7 +186,7 @@ def test_what_pushes_a_tool_is_not_left_out(runs):
     robot.apply(robot.parse_cartesian.action('right', np.zeros(6)), period_s=PERIOD_S)
     simulation.advance(STEPS)
     assert runs == [1]
-    (tool,) = simulation._periods._steps.tools
+    (tool,) = simulation.periods._steps.tools
     simulation.data.xfrc_applied[tool.bodies.start, 2] = -1.0
     simulation.advance(STEPS)
     assert len(runs) > 1 and not any(runs[1:])

@@ -22,7 +22,7 @@ from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import Panda
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.control_period import ControlPeriods
+from manip_sim.simulation.compiled_period import CompiledPeriod
 
 #: Classes of data that change: all others are handed from thread to thread as they are.
 CHANGING = {'control.commands.CommandHandle', 'control.cartesian.reports.CartesianReport',
@@ -169,12 +169,12 @@ def test_time_counts_steps_exactly(panda):
 def test_setpoints_move_every_four_milliseconds_or_more_often(
         timestep_s, steps, intervals, monkeypatch):
     simulation, seen = Simulation(compose('Panda', timestep_s=timestep_s)), []
-    robot, alone = simulation.robot, ControlPeriods._run_alone
+    robot, prepare = simulation.robot, CompiledPeriod.prepare
 
-    def noted(periods, run):
+    def noted(period, run, *rest):
         seen.extend(run.intervals)
-        return alone(periods, run)
-    monkeypatch.setattr(ControlPeriods, '_run_alone', noted)
+        return prepare(period, run, *rest)
+    monkeypatch.setattr(CompiledPeriod, 'prepare', noted)
     robot.apply(robot.parse.action('arm', [0.5] * 7))
     simulation.advance(steps)
     assert seen == intervals

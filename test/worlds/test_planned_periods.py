@@ -15,6 +15,7 @@ from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.compiled_period import CompiledPeriod
 from manip_sim.simulation.control_period import ControlPeriods
 from manip_sim.worlds import Worlds
 
@@ -29,7 +30,7 @@ BY_PYTHON: list[ControlPeriods] = []
 @pytest.fixture
 def at_once(monkeypatch):
     """Return a list that grows by whether compiled code runs what is left of a period."""
-    done, begin, may = [], ControlPeriods._begin_runs, ControlPeriods._may_step
+    done, begin, may = [], ControlPeriods._begin_runs, CompiledPeriod.may_run
 
     def begun(periods, awake):
         if periods in BY_PYTHON:
@@ -39,8 +40,9 @@ def at_once(monkeypatch):
             done.append(bool(runs))
         return runs
     monkeypatch.setattr(ControlPeriods, '_begin_runs', begun)
-    monkeypatch.setattr(ControlPeriods, '_may_step',
-                        lambda periods, steps: periods not in BY_PYTHON and may(periods, steps))
+    monkeypatch.setattr(
+        CompiledPeriod, 'may_run', lambda compiled, steps: may(compiled, steps) and compiled not in
+        [periods.compiled for periods in BY_PYTHON])
     yield done
     BY_PYTHON.clear()
 
@@ -72,7 +74,7 @@ class Followers:
                 mujoco.mjtIntegrator, f'mjINT_{integrator}')
             if 'base' in simulation.robot.parts:
                 simulation.robot.set_control_mode('base', 'position')
-        BY_PYTHON.append(self.alone._periods)
+        BY_PYTHON.append(self.alone.periods)
         robot = self.alone.robot
         self._names = list(robot.joints.names)
         self._start = np.array([self.alone.data.joint(name).qpos[0] for name in self._names])
@@ -178,7 +180,7 @@ def test_two_robots_whose_grippers_move_are_stepped_together_as_by_python(at_onc
         robots[1].set_base_xpos([0.0, 1.5, 0.0])
         simulation = Simulation(World(robots))
         if by_python:
-            BY_PYTHON.append(simulation._periods)
+            BY_PYTHON.append(simulation.periods)
         found = []
         for period in range(30):
             for robot in simulation.robots.values():

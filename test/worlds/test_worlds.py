@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from robot_kinds import KINDS as ROBOT_KINDS
 
+from manip_sim.control.commands import Status
 from manip_sim.errors import (
     CommandError, DivergenceError, ManipSimError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models import compose
@@ -23,12 +24,13 @@ from manip_sim.models.composing import compose_robot
 from manip_sim.models.world import World
 from manip_sim.physics.object_spawning import plan_without
 from manip_sim.simulation import Simulation
-from manip_sim.worlds import Worlds
+from manip_sim.worlds import robot_in_worlds, Worlds
 from manip_sim.worlds.physics_threads import PhysicsThreads
+from manip_sim.worlds.robot_in_worlds import wait_in_worlds
 
 NOISE = {'type': 'uniform', 'magnitude': 0.05}
 COUNT = 3
-KINDS = ('stream', 'some', 'gripper', 'pose', 'twist', 'osc', 'trajectory', 'nothing')
+KINDS = ('stream', 'some', 'goals', 'gripper', 'pose', 'twist', 'osc', 'trajectory', 'nothing')
 MODES = ('position', 'velocity', 'effort')
 
 
@@ -75,12 +77,21 @@ class Pair:
         worlds = np.arange(len(self.simulations))[:, None]
         wave = 0.3 * np.sin(0.4 * number + worlds + np.arange(len(indices)))
         six = np.sin(number + worlds * 2.0 + np.arange(6))
+        if kind in ('some', 'goals') and len({
+                simulation.robot.joints.modes for simulation in self.simulations}) > 1:
+            return  # They take other fields.
         if kind == 'stream':
             self._both('action', (self.part, wave), where)
         elif kind == 'some':
             field = one.command_interfaces()[names[-1]]
             goals = wave[:, -1:] + robot.measured(self.part)[:, len(indices) - 1][:, None]
             self._both('joint_command', (names[-1:],), where, **{field: goals})
+        elif kind == 'goals':
+            field = one.command_interfaces()[names[0]]
+            goals = 0.2 * wave + robot.measured(self.part)[:, :len(indices)]
+            for lead in (0.0, 0.01):
+                self._both('joint_command', (names,), where, **{field: goals + lead})
+                self.advance()
         elif kind == 'gripper':
             dof = one.robot_model.grippers[self.arm].dof
             self._both('action', (f'{self.arm}/gripper', np.sign(six[:, :1]) * np.ones(dof)),
@@ -326,6 +337,92 @@ def test_a_stream_whose_goals_are_off_at_random_is_averaged_in_its_own_world_alo
     pair.check_equal()
     joints = [of.robot.joints._setpoints.joints[0] for of in pair.simulations]
     assert [of['memory'] > 0.01 for of in joints] == [False, True, False]
+
+
+def _take_a_joint(robot):
+    field = robot.command_interfaces()[robot.joint_names[2]]
+    robot.apply(*robot.parse.joint_command(robot.joint_names[2:3], **{field: [0.1]}))
+
+
+def _wait_for_a_trajectory(robot):
+    begin_ns = robot._clock.time_ns + 15_000_000
+    robot.apply(robot.parse.trajectory(
+        'arm', robot.joint_names[:2], [0.05], [[0.0, 0.3]], start_ns=begin_ns))
+
+
+def _withdraw(robot):
+    (command,) = robot.joints.commands.running
+    robot.withdraw(command, 'no longer')
+
+
+def _switch(robot):
+    before = robot.joints.modes[0]
+    for mode in ('effort', before):
+        robot.set_control_mode('arm', mode)
+
+
+def _trip(robot):
+    robot.set_reflex('arm', 'velocity', 1e-6)
+
+
+def _delay(robot):
+    robot.sensing.set('latency.command', 0.013)
+
+
+@pytest.mark.parametrize('mode', ['position', 'velocity'])
+@pytest.mark.parametrize('change', [
+    _take_a_joint, _wait_for_a_trajectory, _withdraw, _switch, _trip, _delay,
+    lambda robot: robot.set_command_timeout('arm', 0.005)])
+def test_streams_go_on_in_worlds_in_which_nothing_has_changed(pair, mode, change, monkeypatch):
+    start(pair, mode)
+    names, renewed = pair.simulations[0].robot.joint_names[:7], []
+    start_at = pair.worlds.robot.state().position[:, :7] if mode == 'position' else 0.0
+    monkeypatch.setattr(robot_in_worlds, 'wait_in_worlds', lambda setpoints, *rest: (
+        renewed.append(len(setpoints)), wait_in_worlds(setpoints, *rest)))
+    for period in range(12):
+        if period == 5 and (mode == 'position' or change is not _wait_for_a_trajectory):
+            for simulation in (pair.worlds.simulations[1], pair.simulations[1]):
+                change(simulation.robot)
+        goals = start_at + np.array([0.1, 0.3, 0.2])[:, None] * np.sin(
+            0.02 * period * (1.0 + np.arange(7)))
+        pair._both('joint_command', (names,), None, **{mode: goals})
+        pair.check_equal()
+        pair.advance()
+        pair.check_equal()
+    assert renewed[:4] == [3] * 4 and min(renewed) >= 2
+
+
+@pytest.mark.parametrize('again', ['reset', 'restore'])
+def test_a_stream_begins_anew_after_a_reset_and_a_restored_state(pair, again):
+    start(pair)
+    names, goals = pair.simulations[0].robot.joint_names[:7], np.zeros((COUNT, 7))
+    saved = pair.worlds.save()
+    for period in range(8):
+        if period == 4 and again == 'reset':
+            pair.reset(np.array([4, 5, 6]), np.array([True, False, True]))
+        elif period == 4:
+            pair.worlds.restore(saved)
+            for simulation, state in zip(pair.simulations, saved):
+                simulation.restore(state)
+        goals += 0.01
+        pair._both('joint_command', (names,), None, position=goals)
+        pair.check_equal()
+        pair.advance()
+        pair.check_equal()
+
+
+def test_a_command_that_came_from_elsewhere_ends_when_a_stream_takes_its_joints(pair):
+    start(pair)
+    robot, names = pair.worlds.simulations[0].robot, pair.simulations[0].robot.joint_names[:7]
+    goals = pair.worlds.robot.state().position[:, :7]
+    pair.worlds.robot.command.joint_command(names, position=goals + 0.1)
+    pair.worlds.advance(5)
+    (command,) = robot.parse.joint_command(names, position=goals[0])
+    robot.apply(command)
+    pair.worlds.advance(5)
+    pair.worlds.robot.command.joint_command(names, position=goals + 0.05)
+    assert command.handle.status is Status.REPLACED
+    np.testing.assert_array_equal(command.values, goals[0])
 
 
 def test_goals_for_joints_that_are_not_side_by_side_pass_in_all_worlds(pair):

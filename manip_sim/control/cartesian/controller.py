@@ -23,7 +23,7 @@ from manip_sim.control.cartesian.targets import Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.law.arm_records import (
-    BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, RESTS, STREAMS, Targets, targets_of, TWISTS)
+    Arm, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, RESTS, STREAMS, Targets, targets_of, TWISTS)
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
@@ -274,7 +274,8 @@ class CartesianController:
         room: Targets | None = self._derived.of.get('targets')
         if room is None:
             room = self._derived.of['targets'] = targets_of(len(self._names))
-        return room._replace(arms=(arms[0], arms[-1]))
+        of_arms = self._derived.made_of(_pair, arms[0], arms[-1])
+        return self._derived.made_of(Targets, *room._replace(arms=of_arms))
 
     def _fill(self, targets: Targets, number: int, command: CartesianCommand, exerts: bool,
               follows: int, interval_s: float) -> None:
@@ -420,3 +421,7 @@ class CartesianController:
         report.see_target(targets.errors[number, k], bool(close), progress, now_s)
         if follows == RESTS:
             report.see_way(aside)
+
+
+def _pair(first: Arm, second: Arm) -> tuple[Arm, Arm]:
+    return first, second

@@ -20,6 +20,7 @@ from typing import Any, cast, TypeVar
 import numba
 from numba.core import config
 
+from manip_sim.control.law.joint_records import PLAIN
 from manip_sim.control.law.kept import laws_folder
 
 F = TypeVar('F', bound=Callable[..., Any])
@@ -38,8 +39,6 @@ def kept_in(folder: Path) -> Iterator[None]:
         settings.CACHE_DIR = before
 
 
-#: True if the laws are plain Python.
-PLAIN = bool(config.DISABLE_JIT)
 _FOLDER = None if PLAIN else laws_folder()
 if not PLAIN and (_FOLDER is None or next(_FOLDER.rglob('*.nbi'), None) is None):
     _LOGGER.warning('Compiling control laws, which takes up to a minute, %s',

@@ -10,11 +10,12 @@ A coordinate is a joint, or any other number with limits, such as a component of
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 
 #: Fields of a record, each a float [s, rad or m, and per s]; flags are 0 or 1.
@@ -55,12 +56,15 @@ FIELDS = (
 #: Where they are in the numbers of a coordinate.
 PLACES = {name: place for place, name in enumerate(FIELDS)}
 JOINT = np.dtype([(name, np.float64) for name in FIELDS])
-#: True for plain Python, which reads attributes of records of another type alone.
-_PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'
+#: True if laws are plain Python, which reads attributes of records of another type alone.
+PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'
 #: Time constant of what is tracked beside the reference, at least [s].
 SMOOTHING_S = 0.02
 
 
+#: Flags of the joints of a robot: any setpoint moves, efforts have yet to be written, controls are
+#: those of setpoints that move.
+MOVES, DUE, WRITTEN = range(3)
 #: A servo: addresses of the joint in ``qpos`` and ``qvel`` and of the actuator in ``act`` and
 #: ``ctrl``; joint to actuator, stiffness [N m/rad or N/m], damping of servo and joint [N m s/rad
 #: or N s/m], dry friction [N m or N], lowest and highest effort, with what compensates the weight
@@ -83,7 +87,7 @@ def records(state: FloatArray) -> Any:
 
 def readable(structured: Any) -> Any:
     """Return structured numbers as the law reads them, by attributes of its elements."""
-    return structured.view(np.recarray) if _PLAIN else structured
+    return structured.view(np.recarray) if PLAIN else structured
 
 
 def blank_state(limit: FloatArray) -> FloatArray:
@@ -100,3 +104,36 @@ def blank_state(limit: FloatArray) -> FloatArray:
     joints['smoothing'] = SMOOTHING_S
     joints['longest'], joints['arrived'], joints['until'] = STREAM_INTERVAL_S, -np.inf, np.inf
     return state
+
+
+class RobotJoints(NamedTuple):
+    """
+    The joints of a robot.
+
+    :ivar setpoints: records, shape (n,)
+    :ivar servos: records of ``SERVO``, shape (n,)
+    :ivar places: of their inertia in ``M``, -1 where it is zero, shape (n, n)
+    :ivar efforts: of those that are sources of effort [N m or N], shape (n,)
+    :ivar counts: of goals beyond the velocity limit and of lost messages, shape (2, n)
+    :ivar postures: that redundant arms tend to [rad], shape (n,)
+    :ivar flags: by :data:`MOVES`, :data:`DUE`, :data:`WRITTEN`, shape (3,)
+    :ivar led: those that trajectories lead, shape (m,)
+    :ivar path: their position, velocity and acceleration at the ends of intervals, shape
+        (k, m, 3), with k = 0 where no trajectory runs or waits
+    :ivar base: the joints x, y and yaw of a base that follows a twist, or no joints, shape (3,)
+    :ivar owned: which of these the twist owns, shape (j,)
+    :ivar twists: what it wants at the ends of intervals, in the frame of the base, shape (k, 3)
+    """
+
+    setpoints: NDArray[np.void]
+    servos: NDArray[np.void]
+    places: IntArray
+    efforts: FloatArray
+    counts: IntArray
+    postures: FloatArray
+    flags: NDArray[np.bool_]
+    led: IntArray
+    path: FloatArray
+    base: IntArray
+    owned: IntArray
+    twists: FloatArray

@@ -11,21 +11,22 @@ import numpy as np
 from manip_sim.control.law.approach import approach, follow_twist
 from manip_sim.control.law.arm_records import (
     Arm, ArmMotion, CHAIN, Goal, Motion, Spring, targets_of, Velocities)
-from manip_sim.control.law.compiling import PLAIN
 from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import no_gripper
 from manip_sim.control.law.gripping import move_fingers
-from manip_sim.control.law.joint_records import blank_state, readable, records, SERVO
+from manip_sim.control.law.joint_records import (
+    blank_state, PLAIN, readable, records, RobotJoints, SERVO)
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.operational_space import exert
-from manip_sim.control.law.period import act, RobotJoints, run, Time
+from manip_sim.control.law.period import act, run_rows, SCRATCH
+from manip_sim.control.law.rows import Row
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stepping import may_step, notes_of, step
 from manip_sim.control.law.stream_goals import take_alone
-from manip_sim.control.law.stream_timing import wait
+from manip_sim.control.law.stream_timing import wait, wait_in_worlds
 from manip_sim.physics.physics import address_of, Addresses, WorldArrays
 
 #: RobotJoints of an arm that nobody sees.
@@ -49,6 +50,8 @@ def load_laws() -> None:
     world, joints = WorldArrays.of(data), records(blank_state(one))
     counts, nobody = np.zeros((2, _COUNT), np.int64), readable(np.zeros(0, SERVO))
     wait(joints, places, none, 0.01, 1.0, 0.0, False)
+    if not PLAIN:
+        wait_in_worlds(places[:0].copy(), places, np.zeros((0, _COUNT)), none, False)
     advance(joints, counts, 0.0, 1.0)
     drive(world, nobody, nowhere, joints[:0], none, 1.0)
     find_rates(world, nobody, nowhere, joints[:0], 1.0, none, none)
@@ -82,8 +85,7 @@ def load_laws() -> None:
             np.zeros((1, 0, 3)), places[:0].copy(), places[:0].copy(), np.zeros((0, 3))),
             targets_of(0), grippers)
         act(where, 0, 0.0, 1.0, *robot)
-        run(where, Time(0, 1, 1.0), intervals, False, *robot,
-            notes)
+        run_rows(intervals, Row(SCRATCH).address)
     if not PLAIN:
         note_that_all_are_kept()
 

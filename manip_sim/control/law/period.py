@@ -5,74 +5,101 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.arm_records import EXERTS, LEADS, MOST_SOLUTIONS, Targets
+from manip_sim.control.law.arm_records import (
+    EXERTS, LEADS, MOST_SOLUTIONS, Targets, targets_of)
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.driving import drive_base
-from manip_sim.control.law.finger_records import Gripper
+from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.gripping import move_fingers
+from manip_sim.control.law.joint_records import (
+    DUE, JOINT, MOVES, readable, RobotJoints, SERVO, WRITTEN)
 from manip_sim.control.law.leading import lead, press_on, put_ahead
+from manip_sim.control.law.rows import Layout
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law.setpoint_changes import follow
 from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.stepping import begin_notes, find_places, Notes, take_steps
-from manip_sim.physics.physics import Addresses, Kinematics, WorldArrays
+from manip_sim.control.law.stepping import (
+    begin_notes, compute_end, find_places, LastStep, Notes, notes_of, remember, take_steps, Watch)
+from manip_sim.physics.physics import address_of, Addresses, Kinematics, WorldArrays
 
-#: Flags of the joints of a robot: any setpoint moves, efforts have yet to be written, controls are
-#: those of setpoints that move.
-MOVES, DUE, WRITTEN = range(3)
-
-
-class RobotJoints(NamedTuple):
-    """
-    The joints of a robot.
-
-    :ivar setpoints: records, shape (n,)
-    :ivar servos: records of ``SERVO``, shape (n,)
-    :ivar places: of their inertia in ``M``, -1 where it is zero, shape (n, n)
-    :ivar efforts: of those that are sources of effort [N m or N], shape (n,)
-    :ivar counts: of goals beyond the velocity limit and of lost messages, shape (2, n)
-    :ivar postures: that redundant arms tend to [rad], shape (n,)
-    :ivar flags: by :data:`MOVES`, :data:`DUE`, :data:`WRITTEN`, shape (3,)
-    :ivar led: those that trajectories lead, shape (m,)
-    :ivar path: their position, velocity and acceleration at the ends of intervals, shape
-        (k, m, 3), with k = 0 where no trajectory runs or waits
-    :ivar base: the joints x, y and yaw of a base that follows a twist, or no joints, shape (3,)
-    :ivar owned: which of these the twist owns, shape (j,)
-    :ivar twists: what it wants at the ends of intervals, in the frame of the base, shape (k, 3)
-    """
-
-    setpoints: NDArray[np.void]
-    servos: NDArray[np.void]
-    places: IntArray
-    efforts: FloatArray
-    counts: IntArray
-    postures: FloatArray
-    flags: NDArray[np.bool_]
-    led: IntArray
-    path: FloatArray
-    base: IntArray
-    owned: IntArray
-    twists: FloatArray
+#: Orders for a period: remember the state that it begins with, compute all of the one that it ends
+#: in; the first half of the first step is computed, which is cleared if the state has changed.
+BEGINS, ENDS, RESUMES = range(3)
 
 
 class Time(NamedTuple):
     """
-    The time of a run.
+    The time of a world.
 
-    :ivar step: number of the first physics step since the last reset
+    :ivar counts: physics steps since construction and since the last reset, shape (2,)
     :ivar step_ns: length of a step [ns]
     :ivar step_s: the same as the physics has it [s]
     """
 
-    step: int
+    counts: IntArray
     step_ns: int
     step_s: float
+
+
+class Outcome(NamedTuple):
+    """
+    What has become of a period.
+
+    :ivar steps: physics steps that were made, fewer than wanted where no room is left to note what
+        has become of targets; and whether the last instant has to be looked at, shape (2,)
+    :ivar moved_s: simulation time when setpoints stopped to move, or -1 [s], shape (1,)
+    """
+
+    steps: IntArray
+    moved_s: FloatArray
+
+
+class Period(NamedTuple):
+    """
+    Intervals of a control period in one world: control of a robot in each, and its steps.
+
+    :ivar place: addresses of the model and of its data
+    :ivar time: of the world, which goes on
+    :ivar orders: flags by :data:`BEGINS`, :data:`ENDS`, :data:`RESUMES`, shape (3,)
+    :ivar intervals: steps of each, shape (k,)
+    :ivar world: arrays of the data
+    :ivar joints: of the robot
+    :ivar targets: of its end effectors
+    :ivar grippers: of the robot, those that are not there without fingers
+    :ivar notes: of contacts and forces on tools
+    :ivar watch: states at begin and end
+    :ivar outcome: what has become of it
+    """
+
+    place: tuple[Any, Any]
+    time: Time
+    orders: IntArray
+    intervals: IntArray
+    world: WorldArrays
+    joints: RobotJoints
+    targets: Targets
+    grippers: tuple[Gripper, Gripper]
+    notes: Notes
+    watch: Watch
+    outcome: Outcome
+
+
+class ScratchArrays(NamedTuple):
+    """
+    Data for the kinematics of other positions.
+
+    :ivar address: of an ``MjData``
+    :ivar kinematics: views into it
+    """
+
+    address: Any
+    kinematics: Kinematics
 
 
 @inner
@@ -162,27 +189,66 @@ def act(addresses: Addresses, k: int, now: float, duration: float, world: WorldA
     return _act(addresses, k, now, duration, world, scratch, joints, targets, grippers)
 
 
-@compiled
-def run(addresses: Addresses, time: Time, intervals: IntArray, resumes: bool, world: WorldArrays,
-        scratch: Kinematics, joints: RobotJoints, targets: Targets,
-        grippers: tuple[Gripper, Gripper], notes: Notes) -> tuple[int, float]:
-    """
-    Run intervals: control of a robot at the beginning of each as by :func:`act`, and its steps.
-
-    :param intervals: steps of each, shape (k,)
-    :param resumes: whether the first half of the first step has been computed
-    :returns: how many steps were made, fewer where no room is left to note what has become of
-        targets; simulation time when setpoints stopped to move, as far as that is known, or -1 [s]
-    """
-    done, moved_s = 0, -1.0
-    begin_notes(notes)
-    for k in range(len(intervals)):
-        now = (time.step + done) * time.step_ns * 1e-9
-        if _waits(targets, now):
+@inner
+def _run(period: Period, scratch: ScratchArrays) -> None:
+    """Run intervals: control of a robot at the beginning of each as by :func:`act`, and steps."""
+    addresses = Addresses(period.place[0], period.place[1], scratch.address)
+    time, orders, resumes = period.time, period.orders, period.orders[RESUMES] != 0
+    if orders[BEGINS]:
+        resumes = remember(addresses, period.watch) and resumes
+        orders[RESUMES] = resumes
+    begin_notes(period.notes)
+    done, moved_s, count = 0, -1.0, len(period.intervals)
+    for k in range(count):
+        now = time.counts[1] * time.step_ns * 1e-9
+        if _waits(period.targets, now):
+            count = k
             break
-        duration = intervals[k] * time.step_s
-        if _act(addresses, k, now, duration, world, scratch, joints, targets, grippers):
+        steps = period.intervals[k]
+        duration = steps * time.step_s
+        if _act(addresses, k, now, duration, period.world, scratch.kinematics, period.joints,
+                period.targets, period.grippers):
             moved_s = now + duration
-        take_steps(addresses, intervals[k], resumes and k == 0, notes)
-        done += intervals[k]
-    return done, moved_s
+        take_steps(addresses, steps, resumes and k == 0, period.notes)
+        time.counts[0] += steps
+        time.counts[1] += steps
+        done += steps
+    ended = orders[ENDS] != 0 and count == len(period.intervals)
+    period.outcome.moved_s[0], period.outcome.steps[0] = moved_s, done
+    period.outcome.steps[1] = ended and not compute_end(addresses, period.watch)
+
+
+def _example() -> tuple[Period, ScratchArrays]:
+    """Return a period in which nothing happens, of a world in which nothing is."""
+    model = mujoco.MjModel.from_xml_string('<mujoco/>')
+    data, none, nobody = mujoco.MjData(model), np.zeros(0), np.zeros(0, np.int64)
+    world, nowhere = WorldArrays.of(data), np.zeros((0, 0), np.int64)
+    joints = RobotJoints(
+        readable(np.zeros(0, JOINT)), readable(np.zeros(0, SERVO)), nowhere, none, nowhere, none,
+        np.zeros(3, np.bool_), nobody, np.zeros((0, 0, 3)), nobody, nobody, np.zeros((0, 3)))
+    place = address_of(model), address_of(data)
+    period = Period(
+        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(3, np.int64), nobody, world, joints,
+        targets_of(0), (no_gripper(), no_gripper()),
+        notes_of(data, np.zeros((0, 3), np.int64), 0),
+        Watch(none, none, nowhere, 0, data.qpos, data.qacc, LastStep.of(model, data, none)),
+        Outcome(np.zeros(2, np.int64), np.zeros(1)))
+    return period, ScratchArrays(place[1], world.kinematics)
+
+
+#: The places of a period and of the scratch in their rows.
+PERIOD, SCRATCH = (Layout(example) for example in _example())
+_read_period, _read_scratch = PERIOD.reader(), SCRATCH.reader()
+
+
+@compiled
+def run_rows(rows: IntArray, scratch: int) -> None:
+    """
+    Run periods of several worlds, one after another.
+
+    :param rows: addresses of rows by :data:`PERIOD`, shape (n,)
+    :param scratch: of a row by :data:`SCRATCH`, whose data nobody else uses meanwhile
+    """
+    room = _read_scratch(scratch)
+    for row in rows:
+        _run(_read_period(row), room)

@@ -1,14 +1,18 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Physics steps in compiled code, which note contacts and forces on tools."""
+"""
+Physics steps in compiled code, which note contacts and forces on tools.
+
+Whole control periods remember the state that they begin with, and compute all of that they end in.
+"""
 
 from __future__ import annotations
 
 import ctypes
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import llvmlite.binding
 import mujoco
@@ -25,16 +29,19 @@ from manip_sim.physics.physics import Addresses
 _MARKS = (987654321, 0)
 #: Share of the memory of ``MjData`` that may have been used so far.
 _MEMORY = 0.5
+#: Sum of the squares of velocities from which on somebody has to look [(rad/s or m/s)^2].
+_ABSURD = 1e8
 #: Functions of MuJoCo that compiled code calls, with the addresses of an ``MjModel`` and an
-#: ``MjData``.
-_CALLED = ('mj_step', 'mj_step2', 'mj_kinematics', 'mj_comPos')
+#: ``MjData``; and one that takes where to write a state, and which parts of it.
+_CALLED = ('mj_step', 'mj_step2', 'mj_kinematics', 'mj_comPos', 'mj_forward')
+_GET_STATE = 'mj_getState'
 
 
 def _load_steps() -> bool:
     """Let compiled code call MuJoCo by name, so that numba can keep it; return False if not."""
     for path in sorted(Path(mujoco.__path__[0]).glob('libmujoco*')):
         library = ctypes.CDLL(str(path))
-        for name in _CALLED:
+        for name in (*_CALLED, _GET_STATE):
             llvmlite.binding.add_symbol(
                 name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
         return True
@@ -43,8 +50,10 @@ def _load_steps() -> bool:
 
 #: False where MuJoCo's library lies elsewhere than in its package.
 _LOADED = _load_steps()
-_mj_step, _mj_step2, _mj_kinematics, _mj_com_pos = (
+_mj_step, _mj_step2, _mj_kinematics, _mj_com_pos, _mj_forward = (
     types.ExternalFunction(name, types.void(types.uintp, types.uintp)) for name in _CALLED)
+_mj_get_state = types.ExternalFunction(
+    _GET_STATE, types.void(types.uintp, types.uintp, types.uintp, types.int32))
 
 
 class Notes(NamedTuple):
@@ -72,6 +81,59 @@ class Notes(NamedTuple):
     roots: FloatArray
 
 
+class LastStep(NamedTuple):
+    """
+    Efforts of actuators and what they depend on, as views, and room for those of the last step.
+
+    :ivar acted: ``qfrc_actuator``, shape (nv,)
+    :ivar velocities: ``qvel``, shape (nv,)
+    :ivar forces: ``actuator_force``, shape (nu,)
+    :ivar speeds: ``actuator_velocity``, shape (nu,)
+    :ivar biases: ``actuator_biasprm``, shape (nu, k)
+    :ivar ranges: ``actuator_forcerange``, shape (nu, 2)
+    :ivar limited: ``actuator_forcelimited``, shape (nu,)
+    :ivar last: of the last step, the first four, damping, ranges and limits one after another
+    """
+
+    acted: FloatArray
+    velocities: FloatArray
+    forces: FloatArray
+    speeds: FloatArray
+    biases: FloatArray
+    ranges: FloatArray
+    limited: NDArray[Any]
+    last: FloatArray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, last: FloatArray) -> LastStep:
+        """Return the views of a model and its data."""
+        return cls(data.qfrc_actuator, data.qvel, data.actuator_force, data.actuator_velocity,
+                   model.actuator_biasprm, model.actuator_forcerange,
+                   model.actuator_forcelimited, last)
+
+
+class Watch(NamedTuple):
+    """
+    The state that a period begins with, and what is computed of the one that it ends in.
+
+    :ivar good: the state at its beginning, shape (n,)
+    :ivar computed: the state that all of an instant was computed from last, shape (n,)
+    :ivar first_half: begins and ends of the parts of it that ``mj_step1`` depends on, (p, 2)
+    :ivar parts: the parts that the state consists of, as MuJoCo numbers them
+    :ivar positions: ``qpos``, shape (nq,)
+    :ivar accelerations: ``qacc``, shape (nv,)
+    :ivar last_step: what becomes of the efforts of actuators
+    """
+
+    good: FloatArray
+    computed: FloatArray
+    first_half: IntArray
+    parts: int
+    positions: FloatArray
+    accelerations: FloatArray
+    last_step: LastStep
+
+
 @cache
 def _place_of_contacts() -> int | None:
     """Return where the number of contacts is in ``MjData`` [bytes]; None if it is not found."""
@@ -90,8 +152,12 @@ def _place_of_contacts() -> int | None:
 def may_step(data: mujoco.MjData) -> bool:
     """Return whether compiled code may run steps."""
     # Out of memory, MuJoCo ends the process, where Python would get an exception.
-    return (data.maxuse_arena <= _MEMORY * data.narena and not config.DISABLE_JIT and _LOADED
-            and _place_of_contacts() is not None)
+    return _may_step() and data.maxuse_arena <= _MEMORY * data.narena
+
+
+@cache
+def _may_step() -> bool:
+    return not config.DISABLE_JIT and _LOADED and _place_of_contacts() is not None
 
 
 def notes_of(data: mujoco.MjData, tools: IntArray, steps: int) -> Notes:
@@ -177,3 +243,65 @@ def find_places(addresses: Addresses) -> None:
     """Compute where bodies and sites are in the scratch, and the motions of joints."""
     _mj_kinematics(addresses.model, addresses.scratch)
     _mj_com_pos(addresses.model, addresses.scratch)
+
+
+@inner
+def _same(first: FloatArray, second: FloatArray, begin: int, end: int) -> bool:
+    """Return whether parts of two states have the same bits."""
+    ones, others = first.view(np.int64), second.view(np.int64)
+    for k in range(begin, end):
+        if ones[k] != others[k]:
+            break
+    else:
+        return True
+    return False
+
+
+@inner
+def remember(addresses: Addresses, watch: Watch) -> bool:
+    """
+    Remember the state that a period begins with.
+
+    :returns: whether the first half of a step has been computed for it
+    """
+    _mj_get_state(addresses.model, addresses.data, watch.good.ctypes.data, watch.parts)
+    for part in range(len(watch.first_half)):
+        if not _same(watch.good, watch.computed, watch.first_half[part, 0],
+                     watch.first_half[part, 1]):
+            return False
+    return True
+
+
+@inner
+def compute_end(addresses: Addresses, watch: Watch) -> bool:
+    """
+    Compute all of the instant in which a period ends.
+
+    :returns: whether it is good; else somebody has to look whether the physics has diverged
+    """
+    _record(watch.last_step)
+    _mj_get_state(addresses.model, addresses.data, watch.computed.ctypes.data, watch.parts)
+    _mj_forward(addresses.model, addresses.data)
+    position, velocity, acceleration = 0.0, 0.0, 0.0
+    for k in range(len(watch.positions)):
+        position += watch.positions[k] * watch.positions[k]
+    for k in range(len(watch.accelerations)):
+        speed, change = watch.last_step.velocities[k], watch.accelerations[k]
+        velocity += speed * speed
+        acceleration += change * change
+    return velocity < _ABSURD and np.isfinite(position + acceleration)
+
+
+@inner
+def _record(step: LastStep) -> None:
+    """Note the efforts of the last step, and what they depend on."""
+    last, joints, actuators = step.last, len(step.acted), len(step.forces)
+    for k in range(joints):
+        last[k], last[joints + k] = step.acted[k], step.velocities[k]
+    place = 2 * joints
+    for k in range(actuators):
+        last[place + k], last[place + actuators + k] = step.forces[k], step.speeds[k]
+        last[place + 2 * actuators + k] = step.biases[k, 2]
+        last[place + 3 * actuators + 2 * k] = step.ranges[k, 0]
+        last[place + 3 * actuators + 2 * k + 1] = step.ranges[k, 1]
+        last[place + 5 * actuators + k] = step.limited[k]
