@@ -141,7 +141,7 @@ class GripperController:
             if grasp is not None:
                 goal = self._together(goal)
             self._set_goal(np.where(np.isnan(goal), self._goal, goal), to_end=grasp is not None)
-            self._pace = self._pace_of(grasp, data)
+            self._pace[:] = self._pace_of(grasp, data)
         self._moving = True
 
     def _together(self, goal: FloatArray) -> FloatArray:
@@ -178,11 +178,11 @@ class GripperController:
 
     def _set_goal(self, goal: FloatArray, to_end: bool) -> None:
         low, high = self._actuators.ranges.T
-        self._goal = np.clip(goal, low, high)
+        self._goal[:] = np.clip(goal, low, high)
         ends = np.stack([self._goal - low, high - self._goal], axis=1) <= self._tolerance[:, None]
-        before = self._to_end
-        self._to_end = ends & to_end & (self._actuators.overtravel > 0.0)
-        self._pressing &= (before & self._to_end).any(axis=1)
+        ends &= to_end & (self._actuators.overtravel > 0.0)
+        self._pressing &= (self._to_end & ends).any(axis=1)
+        self._to_end[:] = ends
         self._turned = True
 
     def tick(self, data: mujoco.MjData, duration_s: float) -> None:
@@ -250,8 +250,8 @@ class GripperController:
             self._action = None
         self._set_goal(goal, to_end=True)
         # Until the next call the setpoints move evenly, not in jumps.
-        self._pace = (np.full(len(goal), np.inf) if self._action is None else
-                      np.abs(goal - self._actuators.setpoints(data)) / period_s)
+        self._pace[:] = (np.inf if self._action is None else
+                         np.abs(goal - self._actuators.setpoints(data)) / period_s)
 
     def _formatted_goal(self) -> FloatArray | None:
         assert self._action is not None

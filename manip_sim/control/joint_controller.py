@@ -431,8 +431,8 @@ class JointController(ControlledJoints):
         targets, count = no_targets(), len(intervals)
         if arms:
             targets, count = self.cartesian.begin_run(
-                arms, clock.begins_s(intervals),
-                np.asarray(intervals * self._servos.step_s, dtype=float))
+                arms, clock.control_s, self._derived.made_of(self._durations, intervals),
+                lambda: clock.begins_s(intervals))
         indices, path = _NOT_LED
         if trajectories or self.commands.waiting:
             led = self._trajectories.path(
@@ -446,6 +446,9 @@ class JointController(ControlledJoints):
         return self._derived.made_of(
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
             setpoints.counts, self.cartesian.posture, flags, indices, path, *base), targets, count
+
+    def _durations(self, intervals: IntArray) -> FloatArray:
+        return np.asarray(intervals * self._servos.step_s, dtype=float)
 
     @property
     def _flags(self) -> NDArray[np.bool_]:

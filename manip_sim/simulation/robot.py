@@ -472,8 +472,9 @@ class SimulatedRobot:
             return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals)
         grippers = [gripper.begin_run(data) for gripper in moving]
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
-        if calls:
-            intervals = intervals[:_count_within(intervals.tolist(), min(calls))]
+        count = _count_within(intervals.tolist(), min(calls)) if calls else len(intervals)
+        if count < len(intervals):
+            intervals = intervals[:count]
         first, second, *_ = *grippers, no_gripper()
         return RobotRun(joints, targets, self._derived.made_of(_pair, first, second), moving,
                         intervals)

@@ -6,14 +6,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.clamping import clamp
-from manip_sim.control.commands import Command, JointSetpoint
+from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
 from manip_sim.control.modes import POSITION, VELOCITY
 from manip_sim.control.setpoints import wait_in_worlds
 from manip_sim.errors import CommandError
@@ -352,5 +352,14 @@ class CartesianCommands(RowByRow):
         :raises UnknownNameError: if there is no such arm with a gripper
         """
         numbers = self._rows(action, f'{arm}: pose actions')
-        self._apply(lambda robot, world: [robot.parse_cartesian.action(arm, numbers[world])],
-                    where, period_s)
+        mask = chosen(where, len(self._robots))
+        inside = mask & (np.abs(numbers.reshape(len(numbers), -1)) <= 1.0).all(axis=1)
+        one = None
+        if numbers.shape[1:] == (6,) and inside.any():
+            first = int(np.flatnonzero(inside)[0])
+            one = self._robots[first].parse_cartesian.action(arm, numbers[first])
+        # Where nothing has to be clamped or rejected, actions differ in nothing but numbers.
+        self._apply(lambda robot, world: [
+            robot.parse_cartesian.action(arm, numbers[world])
+            if one is None or not inside[world] else replace(
+                one, action=numbers[world], handle=CommandHandle())], mask, period_s)

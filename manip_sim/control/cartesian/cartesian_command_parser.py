@@ -104,7 +104,8 @@ class CartesianParser:
         inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
         return PoseAction(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            action=inside, clamped=clamped, clamped_example=action_example(numbers, inside))
+            action=inside, clamped=clamped,
+            clamped_example=action_example(numbers, inside) if clamped else '')
 
     def _indices_of(self, arm: str) -> IntArray:
         if arm not in self._settings:

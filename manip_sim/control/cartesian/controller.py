@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import math
 import mujoco
 import numpy as np
@@ -227,27 +227,28 @@ class CartesianController:
         return np.concatenate([data.xpos[bodies].ravel(), data.xmat[bodies].ravel(),
                                data.qpos[taken]])
 
-    def begin_run(self, commands: Sequence[CartesianCommand], begins_s: FloatArray,
-                  durations_s: FloatArray) -> tuple[Targets, int]:
+    def begin_run(self, commands: Sequence[CartesianCommand], now_s: float, durations_s: FloatArray,
+                  begins_s: Callable[[], FloatArray]) -> tuple[Targets, int]:
         """
         Return the targets of commands for the compiled law.
 
         :param commands: of two arms at most
-        :param begins_s: when intervals begin, simulation time [s], shape (k,)
-        :param durations_s: their lengths [s], shape (k,)
+        :param now_s: simulation time [s]
+        :param durations_s: lengths of intervals [s], shape (k,)
+        :param begins_s: returns when they begin, simulation time [s], shape (k,)
         :returns: the targets, and for how many intervals they are known
         """
-        targets, count = self._targets_for_law(commands), len(begins_s)
+        targets, count = self._targets_for_law(commands), len(durations_s)
         targets.tasks['acts'] = IDLE
         for number, command in enumerate(commands):
-            target, now_s = self._targets[command.arm], float(begins_s[0])
+            target = self._targets[command.arm]
             self._end_twist(command, target, now_s)
             exerts = self._servos.any_gives_effort_of(command.indices)
             interval_s = self._solution_s(float(durations_s[0]))
             follows = self._follows(target, exerts, now_s)
             self._fill(targets, number, command, exerts, follows, interval_s)
             if follows in (STREAMS, TWISTS):
-                known = self._look_ahead(targets, number, target, begins_s, durations_s)
+                known = self._look_ahead(targets, number, target, begins_s(), durations_s)
                 count = min(count, known)
         return targets, count
 
@@ -274,8 +275,7 @@ class CartesianController:
         room: Targets | None = self._derived.of.get('targets')
         if room is None:
             room = self._derived.of['targets'] = targets_of(len(self._names))
-        of_arms = self._derived.made_of(_pair, arms[0], arms[-1])
-        return self._derived.made_of(Targets, *room._replace(arms=of_arms))
+        return self._derived.made_of(_with_arms, room, arms[0], arms[-1])
 
     def _fill(self, targets: Targets, number: int, command: CartesianCommand, exerts: bool,
               follows: int, interval_s: float) -> None:
@@ -373,7 +373,8 @@ class CartesianController:
         """
         from manip_sim.control.law.leading import lead, press_on, put_ahead  # It imports numba.
         world, model = self._physics.arrays, self._physics.model
-        targets, _ = self.begin_run([command], np.array([now_s]), np.array([duration_s]))
+        targets, _ = self.begin_run(
+            [command], now_s, np.array([duration_s]), lambda: np.array([now_s]))
         task = targets.tasks[0]
         if task['acts'] == EXERTS:
             press_on(world, efforts, self.posture, targets, 0, 0, now_s, duration_s)
@@ -423,5 +424,5 @@ class CartesianController:
             report.see_way(aside)
 
 
-def _pair(first: Arm, second: Arm) -> tuple[Arm, Arm]:
-    return first, second
+def _with_arms(targets: Targets, first: Arm, second: Arm) -> Targets:
+    return targets._replace(arms=(first, second))

@@ -71,6 +71,8 @@ class CartesianReport:
         :param singular: whether the end effector can hardly move in the wanted direction
         :param slowed: whether limits of joints slow a twist or a stream of poses down
         """
+        if not (held or singular or slowed or self._active):
+            return
         self._note('joint_limit', bool(held),
                    lambda: f'{what} is limited by the range of {", ".join(held)}')
         self._note('singular', singular,
@@ -92,7 +94,10 @@ class CartesianReport:
         if first or progress > _STALLED_PROGRESS or close:
             self._stalled_s = now_s
         self._seen_s = now_s
-        self._note('unreachable', now_s - self._stalled_s >= _STALLED_S,
+        stalled = now_s - self._stalled_s >= _STALLED_S
+        if not (stalled or self._active):
+            return
+        self._note('unreachable', stalled,
                    lambda: f'the target is not reached, {length(error[:3]):.3f} m and '
                    f'{length(error[3:]):.3f} rad are left{self._causes()}')
 
@@ -107,6 +112,8 @@ class CartesianReport:
 
         :param distance: [m]
         """
+        if distance <= _ASIDE and not self._active:
+            return
         self._note('aside', distance > _ASIDE,
                    lambda: f'the end effector is more than {_ASIDE:g} m off the straight line '
                            'to its target')

@@ -110,12 +110,14 @@ def target_of(command: CartesianCommand, chain: KinematicChain, model: mujoco.Mj
         anchor = Frame(WORLD, 0) if _moves(chain, command.frame, model) else command.frame
         return Target.at(anchor, origin + product(turned, command.position),
                          product(turned, command.rotation), data)
-    position, rotation = chain.tip.pose(data)
+    position, rotation = chain.tip.view(data)
     if isinstance(command, PoseAction):
-        _, axes = chain.origin.pose(data)
-        turn = matrix_of_vector(product(axes, _ACTION_TURN * command.action[3:]))
-        return Target.at(chain.origin, position + product(axes, _ACTION_STEP * command.action[:3]),
-                         product(turn, rotation), data)
+        origin, axes = chain.origin.view(data)
+        return Target(
+            chain.origin,
+            transposed_product(axes, position - origin) + _ACTION_STEP * command.action[:3],
+            product(matrix_of_vector(_ACTION_TURN * command.action[3:]),
+                    transposed_product(axes, rotation)), chain.origin)
     assert isinstance(command, CartesianTwist)
     if before is not None:
         position, rotation = before.goal(data)

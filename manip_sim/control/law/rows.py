@@ -93,7 +93,7 @@ def _words_of(leaf: Any, wanted: tuple[Any, int]) -> tuple[int, ...]:
     if kind != wanted:
         raise TypeError(f'expected {wanted} in a row of a law, got {kind}')
     if isinstance(leaf, np.ndarray):
-        return leaf.__array_interface__['data'][0], *leaf.shape
+        return leaf.ctypes.data, *leaf.shape
     return (int(np.array(leaf).view(np.int64)),)
 
 
