@@ -46,13 +46,13 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
     :raises ManipSimError: that exception, if they are not ``length`` finite numbers
     """
     found = as_numbers(values, what, error)
+    if found.shape == (length,) and np.isfinite(found).all():
+        return found
     if found.shape != (length,):
         got = str(found.size) if found.ndim == 1 else f'the shape {found.shape}'
         raise error(f'{what} must have {counted(length, "number")}, got {got}')
-    bad = np.flatnonzero(~np.isfinite(found))
-    if bad.size:
-        raise error(f'{what} must be finite, got {found[bad[0]]} at index {bad[0]}')
-    return found
+    bad = int(np.flatnonzero(~np.isfinite(found))[0])
+    raise error(f'{what} must be finite, got {found[bad]} at index {bad}')
 
 
 def mapping(value: object, what: str, example: str) -> Mapping[str, Any]:

@@ -22,6 +22,7 @@ from manip_sim.tasks.task import Task
 Observation = dict[str, NDArray[Any]]
 #: Before the name of a camera, the key of its image.
 IMAGE = 'image/'
+_JOINTS = ('joint_position', 'joint_velocity', 'joint_effort')
 
 
 class _Scene(NamedTuple):
@@ -61,8 +62,7 @@ class Observer:
         for robot in simulation.robots.values():
             robot.sensing.record_too(self._remember)
         self._readers: dict[str, Callable[[], NDArray[Any]]] = {
-            'joint_position': lambda: self._joints(0), 'joint_velocity': lambda: self._joints(1),
-            'joint_effort': lambda: self._joints(2), 'eef_pose': lambda: self._ends('pose'),
+            'eef_pose': lambda: self._ends('pose'),
             'eef_twist': lambda: self._ends('twist'),
             'external_wrench': lambda: self._ends('external_wrench')}
         #: Exact readers, of the present instant.
@@ -78,13 +78,13 @@ class Observer:
         robots = self._simulation.robots.values()
         joints = [name for robot in robots for name in robot.joint_names]
         arms = [f'{robot.name}/{arm}' for robot in robots for arm in robot.end_effectors]
-        return {key: joints if key.startswith('joint') else
+        return {key: joints if key in _JOINTS else
                 self._simulation.entities.free_names if key == 'object_pose' else arms
-                for key in (*self._readers, *self._surroundings) if key != 'goal'}
+                for key in (*_JOINTS, *self._readers, *self._surroundings) if key != 'goal'}
 
     def read(self) -> Observation:
         """Return what is observed at the present instant, copies."""
-        found = {key: read() for key, read in self._readers.items()}
+        found = {**self._joints(), **{key: read() for key, read in self._readers.items()}}
         seen = self._scene(self._sensing)
         found |= self._look() if seen is None else {
             key: value.copy() for key, value in seen.surroundings.items()}
@@ -127,9 +127,9 @@ class Observer:
         return {f'{IMAGE}{camera}': noise[camera].on_colours(image)
                 for camera, image in pictures.take(self._simulation, scenes).items()}
 
-    def _joints(self, row: int) -> NDArray[Any]:
-        return np.concatenate([robot.measured().reshape(3, -1)[row]
-                               for robot in self._simulation.robots.values()])
+    def _joints(self) -> Observation:
+        rows = [robot.measured().reshape(3, -1) for robot in self._simulation.robots.values()]
+        return dict(zip(_JOINTS, np.concatenate(rows, axis=1)))
 
     def _ends(self, what: str) -> NDArray[Any]:
         return np.stack([robot.sensing.measured(f'{arm}/{what}')

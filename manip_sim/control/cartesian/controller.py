@@ -227,8 +227,9 @@ class CartesianController:
         return np.concatenate([data.xpos[bodies].ravel(), data.xmat[bodies].ravel(),
                                data.qpos[taken]])
 
-    def begin_run(self, commands: Sequence[CartesianCommand], now_s: float, durations_s: FloatArray,
-                  begins_s: Callable[[], FloatArray]) -> tuple[Targets, int]:
+    def begin_run(self, commands: Sequence[CartesianCommand], now_s: float,
+                  durations_s: FloatArray, begins_s: Callable[[], FloatArray]
+                  ) -> tuple[Targets, int]:
         """
         Return the targets of commands for the compiled law.
 
