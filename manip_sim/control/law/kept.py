@@ -27,11 +27,13 @@ def _version() -> str:
     """Return a name for all that the compiled code depends on."""
     content = hashlib.sha256()
     # numba finds what it has kept by the path of the source.
-    for word in (package_version(), _version_of_numba(), platform.python_version(), _processor(),
-                 str(Path(__file__).parent)):
+    for word in (package_version(), _version_of_numba(), version('mujoco'),
+                 platform.python_version(), _processor(), str(Path(__file__).parent)):
         content.update(f'{word}\n'.encode())
-    # numba looks only at the file of the function that is called, not at those it calls.
-    for path in sorted(Path(__file__).parent.glob('*.py')):
+    # numba looks only at the file of the function that is called, not at those it calls, nor at
+    # the arrays whose types compiled code reads rows by.
+    laws = Path(__file__).parent
+    for path in (*sorted(laws.glob('*.py')), laws.parents[1] / 'physics' / 'physics.py'):
         content.update(path.read_bytes())
     return content.hexdigest()[:16]
 
