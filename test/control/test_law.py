@@ -186,6 +186,9 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
 def test_laws_of_another_installation_are_kept_apart_as_numba_does(monkeypatch, tmp_path):
     folders = set()
     for place in ('one', 'other'):
-        monkeypatch.setattr(kept, '__file__', str(tmp_path / place / 'kept.py'))
+        (tmp_path / place / 'physics').mkdir(parents=True)
+        (tmp_path / place / 'physics' / 'physics.py').touch()
+        monkeypatch.setattr(
+            kept, '__file__', str(tmp_path / place / 'control' / 'law' / 'kept.py'))
         folders.add(kept._version())
     assert len(folders) == 2
