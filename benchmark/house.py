@@ -168,7 +168,7 @@ def print_calls_of_a_command() -> None:
     physics = calls.by_thread['physics']
     # MuJoCo's function, or what is asked for last before compiled code calls it.
     steps = [i for i, call in enumerate(physics)
-             if call == 'mj_step' or call.endswith('PhysicsSteps.take_resumes')]
+             if call == 'mj_step' or call == 'run_prepared']
     first = next(i for i, call in enumerate(physics) if call.endswith('PendingCommands.take'))
     print(f'{next(i for i in steps if i > first) - first} calls from the buffer to mj_step')
     print(f'{statistics.median(b - a for a, b in zip(steps, steps[1:])):.0f} calls of an interval')

@@ -46,6 +46,7 @@ class ExternalWrench:
     :ivar forces: on the bodies of the tool in the last step, a view
     :ivar no_forces: the same where there is nothing to record, as bytes
     :ivar uncollected: the forces that are not in :attr:`forces`
+    :ivar is_only_touched: whether contacts, or a fluid, alone exert forces on the tool
     """
 
     #: A name, and the period that has passed; nothing in the next one depends on that.
@@ -80,7 +81,7 @@ class ExternalWrench:
         self._centre = data.subtree_com[model.body_rootid[body]]
         self.uncollected = UncollectedForces.of(model, self.bodies)
         self._no_rows = bytes(self.forces.nbytes)
-        self._is_only_touched = self.uncollected.is_empty and not self.uncollected.adhesions
+        self.is_only_touched = self.uncollected.is_empty and not self.uncollected.adhesions
         # Adhesion pulls before there is a contact force, and those with flexes are not among them.
         self.no_forces = self._no_rows
         if self.uncollected.adhesions or self.uncollected.flexes is not None:
@@ -106,11 +107,6 @@ class ExternalWrench:
         self._centres.append(centre)
         if len(self._rows) == _ROWS:
             self._sum_up()
-
-    @property
-    def is_touched_only(self) -> bool:
-        """True if contacts alone exert forces on the tool."""
-        return self._is_only_touched and not has_fluid(self._physics.model.opt)
 
     def record_rows(self, rows: FloatArray, centres: FloatArray) -> None:
         """

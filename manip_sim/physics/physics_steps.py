@@ -73,6 +73,8 @@ class PhysicsSteps:
 
     def _look_at_tools(self) -> None:
         self._touch = TouchWatch(self._model, self._data, self.tools)
+        #: Whether nothing but contacts, and what :attr:`_touch` sees, exerts forces on tools.
+        self._only_touched = all(tool.is_only_touched for tool in self.tools)
         #: Room for the notes of compiled steps, by their number.
         self.notes = Derived()
         #: Of each tool the first body, the one after its last, and the root of its tree, (t, 3).
@@ -163,7 +165,8 @@ class PhysicsSteps:
         """
         self._begin_records()
         self.divergence.count_warnings()
-        resumes, self._computed, self._resumes = self._may_resume, False, False
+        resumes = self._may_resume
+        self._computed = self._resumes = False
         return resumes
 
     def end_by_law(self) -> None:
@@ -294,8 +297,7 @@ class PhysicsSteps:
     @property
     def lets_laws_step(self) -> bool:
         """True if compiled laws may run steps: nothing but contacts has to be watched."""
-        return not (self._laws or self._pushed or self.measuring) and all(
-            [tool.is_touched_only for tool in self.tools])
+        return self._only_touched and not (self._laws or self._pushed or self.measuring)
 
     def take_resumes(self) -> bool:
         """Return whether the first half of the next step is computed, which then is made."""

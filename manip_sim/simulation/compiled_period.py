@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,22 @@ class _Kept(threading.local):
 
 
 _kept = _Kept()
+
+
+class _Room(NamedTuple):
+    """
+    The row of the periods of a world, and parts of it that stay as long as its model.
+
+    :ivar model: by which another model is recognized
+    """
+
+    model: Any
+    row: Any
+    place: tuple[Any, Any]
+    time: Any
+    orders: IntArray
+    watch: Any
+    outcome: Any
 
 
 class CompiledPeriod:
@@ -63,7 +79,7 @@ class CompiledPeriod:
                 physics.data, physics.tool_bodies, steps)
         return notes
 
-    def prepare(self, run: RobotRun, left: int, begins: bool, ends: bool) -> Any:
+    def prepare(self, run: RobotRun, left: int, begins: bool, ends: bool) -> None:
         """
         Write the row of intervals.
 
@@ -71,53 +87,43 @@ class CompiledPeriod:
         :param left: most steps of which there have to be notes
         :param begins: whether they begin a period, of which the state is remembered
         :param ends: whether they end it, and all of the last instant is computed
-        :returns: room for the notes of the steps
         """
-        place, time, orders, watch, outcome = self._fixed()
-        physics = self._steps
-        resumes = physics.begin_by_law() if begins else physics.take_resumes()
-        orders[:] = begins, ends, resumes
-        notes = self.notes(left)
-        self._row().write((
-            place, time, orders, run.intervals, physics.arrays, run.joints, run.targets,
-            run.grippers, notes, watch, outcome))
-        return notes
+        room, physics = self._room(), self._steps
+        room.orders[:] = begins, ends, (
+            physics.begin_by_law() if begins else physics.take_resumes())
+        notes = self._derived.of['notes'] = self.notes(left)
+        room.row.write((
+            room.place, room.time, room.orders, run.intervals, physics.arrays, run.joints,
+            run.targets, run.grippers, notes, room.watch, room.outcome))
 
-    def _row(self) -> Any:
-        row = self._derived.of.get('row')
-        if row is None:
-            from manip_sim.control.law.period import PERIOD  # It imports numba.
-            from manip_sim.control.law.rows import Row
-            row = self._derived.of['row'] = Row(PERIOD)
-        return row
+    def _room(self) -> _Room:
+        """Return what is the same as long as there is the same model."""
+        room: _Room | None = self._derived.of.get('room')
+        if room is None or room.model is not self._steps.divergence:
+            room = self._derived.of['room'] = self._make_room()
+        return room
 
-    def _fixed(self) -> Any:
-        """Return what stays as long as there is the same model."""
-        physics = self._steps
-        fixed = self._derived.of.get('fixed')
-        if fixed is None or fixed[0] is not physics.divergence:
-            fixed = self._derived.of['fixed'] = physics.divergence, self._make_fixed()
-        return fixed[1]
-
-    def _make_fixed(self) -> Any:
-        from manip_sim.control.law.period import Outcome, Time  # It imports numba.
+    def _make_room(self) -> _Room:
+        from manip_sim.control.law.period import Outcome, PERIOD, Time  # It imports numba.
+        from manip_sim.control.law.rows import Row
         from manip_sim.control.law.stepping import LastStep, Watch
         physics, clock = self._steps, self._clock
-        model, data, room = physics.model, physics.data, physics.room_for_efforts
+        model, data, efforts = physics.model, physics.data, physics.room_for_efforts
         halves = np.array([(part.start, part.stop) for part in physics.first_half], np.int64)
         watch = Watch(
             physics.divergence.good, physics.computed_from, halves.reshape(-1, 2), PHYSICS,
             data.qpos, data.qacc,
-            LastStep.of(model, data, np.zeros(0) if room is None else room))
+            LastStep.of(model, data, np.zeros(0) if efforts is None else efforts))
         addresses = physics.addresses
-        return ((addresses.model, addresses.data),
-                Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(3, np.int64), watch,
-                Outcome(np.zeros(2, np.int64), np.zeros(1)))
+        return _Room(
+            physics.divergence, Row(PERIOD), (addresses.model, addresses.data),
+            Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(3, np.int64), watch,
+            Outcome(np.zeros(2, np.int64), np.zeros(1)))
 
     @property
     def row(self) -> int:
         """Address of the row of what has been prepared."""
-        return int(self._row().address)
+        return int(self._room().row.address)
 
     def run(self) -> None:
         """Run what has been prepared."""
@@ -126,14 +132,13 @@ class CompiledPeriod:
     @property
     def orders(self) -> IntArray:
         """What was wanted of the last run, by ``BEGINS``, ``ENDS`` and ``RESUMES`` of the law."""
-        orders: IntArray = self._fixed()[2]
-        return orders
+        return self._room().orders
 
-    def outcome(self) -> tuple[int, bool, float]:
-        """Return how many steps were made, whether the end is good, when setpoints stopped."""
-        *_, outcome = self._fixed()
+    def outcome(self) -> tuple[int, bool, float, Any]:
+        """Return how many steps were made, if the end is good, when setpoints stopped, notes."""
+        outcome = self._room().outcome
         steps, doubtful = outcome.steps.tolist()
-        return steps, not doubtful, outcome.moved_s.item()
+        return steps, not doubtful, outcome.moved_s.item(), self._derived.of['notes']
 
 
 @cache

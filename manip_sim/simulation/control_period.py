@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -23,6 +23,8 @@ from manip_sim.simulation.robot import RobotRun, SimulatedRobot
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
+#: Nothing to be measured within a period.
+_NOTHING: Mapping[int, Callable[[], None]] = {}
 #: Of how many lengths of periods the intervals are kept.
 _REMEMBERED = 64
 
@@ -51,9 +53,8 @@ class ControlPeriods:
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         self._cuts: dict[int, IntArray] = {}
         self.compiled = CompiledPeriod(steps, clock, timestep_s)
-        #: What it was prepared for: the robot, what that does, whether a period ends with it, and
-        #: room for notes.
-        self._prepared: tuple[SimulatedRobot, RobotRun, bool, Any] | None = None
+        #: What it was prepared for: the robot, what that does, and whether a period ends with it.
+        self._prepared: tuple[SimulatedRobot, RobotRun, bool] | None = None
         #: Of this period: whether it has begun for the physics, whether all of its last instant is
         #: computed, and whether that is known to be good.
         self._begun = self._is_computed = self._is_good = False
@@ -101,10 +102,12 @@ class ControlPeriods:
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         self._prepared, self._is_computed, self._is_good = None, False, False
-        self._left = self._until_command(steps)
-        self._later = steps - self._left
+        self._left, self._later, self._steps.measuring = steps, 0, _NOTHING
+        if any([robot.has_latency for robot in self._robots]):
+            self._plan_measuring(steps)
+            self._left = self._until_command(steps)
+            self._later = steps - self._left
         self._begin_control(steps * self._timestep_s)
-        self._plan_measuring(steps)
         physics, resting = self._steps, self.resting
         self._begun = resting
         if resting and physics.begin() and physics.stays_untouched and (
@@ -143,11 +146,9 @@ class ControlPeriods:
 
     def _until_command(self, steps: int) -> int:
         """Return after how many of some steps the next late command takes effect, or all."""
-        for robot in self._robots:
-            if robot.awaits_commands:
-                now = self._clock.control_steps
-                steps = min(steps, robot.next_arrival(now, now + steps) - now)
-        return steps
+        now = self._clock.control_steps
+        return min([steps, *(robot.next_arrival(now, now + steps) - now
+                             for robot in self._robots)])
 
     def _end(self, steps: int) -> None:
         """End a period; hold the last good state if the physics has diverged in it."""
@@ -239,15 +240,15 @@ class ControlPeriods:
         begins = not self._begun
         ends = (not self._later and len(run.intervals) == len(self._cut(self._left))
                 and self._steps.room_for_efforts is not None)
-        notes = self.compiled.prepare(run, self._left, begins, ends)
-        self._prepared, self._begun = (robot, run, ends, notes), True
+        self.compiled.prepare(run, self._left, begins, ends)
+        self._prepared, self._begun = (robot, run, ends), True
         return begins and ends
 
     def _take_over(self) -> None:
         """Take over what compiled code has done."""
         assert self._prepared is not None
-        (robot, run, ends, notes), self._prepared = self._prepared, None
-        steps, good, moved_s = self.compiled.outcome()
+        (robot, run, ends), self._prepared = self._prepared, None
+        steps, good, moved_s, notes = self.compiled.outcome()
         robot.end_run(run, moved_s)
         self._took_steps(notes)
         self._left -= steps

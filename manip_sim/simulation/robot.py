@@ -397,9 +397,9 @@ class SimulatedRobot:
             self._physics.data, self._clock.control_s, period_s, interval_s)
 
     @property
-    def awaits_commands(self) -> bool:
-        """Whether commands are on their way."""
-        return bool(self._late)
+    def has_latency(self) -> bool:
+        """Whether commands are on their way, or states are measured before they arrive."""
+        return bool(self._late) or self.sensing.settings.delays
 
     def next_arrival(self, count: int, end: int) -> int:
         """
