@@ -17,7 +17,7 @@ from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import PHYSICS, Scratch
 from manip_sim.physics.physics_steps import PhysicsSteps
-from manip_sim.simulation.robot import RobotRun
+from manip_sim.simulation.robot import RobotRun, RunRoom
 
 #: Of how many lengths of runs the room for notes is kept.
 _REMEMBERED = 64
@@ -48,7 +48,7 @@ class _Room(NamedTuple):
     time: Any
     orders: IntArray
     watch: Any
-    outcome: Any
+    outcome: IntArray
 
 
 class CompiledPeriod:
@@ -79,11 +79,13 @@ class CompiledPeriod:
                 physics.data, physics.tool_bodies, steps)
         return notes
 
-    def prepare(self, run: RobotRun, left: int, begins: bool, ends: bool) -> None:
+    def prepare(self, runs: Sequence[RobotRun], intervals: IntArray, left: int,
+                begins: bool = False, ends: bool = False) -> None:
         """
         Write the row of intervals.
 
-        :param run: of the only robot that acts
+        :param runs: of the robots that act
+        :param intervals: steps of each, shape (k,)
         :param left: most steps of which there have to be notes
         :param begins: whether they begin a period, of which the state is remembered
         :param ends: whether they end it, and all of the last instant is computed
@@ -92,9 +94,11 @@ class CompiledPeriod:
         room.orders[:] = begins, ends, (
             physics.begin_by_law() if begins else physics.take_resumes())
         notes = self._derived.of['notes'] = self.notes(left)
-        room.row.write((
-            room.place, room.time, room.orders, run.intervals, physics.arrays, run.joints,
-            run.targets, run.grippers, notes, room.watch, room.outcome))
+        for run in runs:
+            run.room.row.write((run.joints, run.targets, run.grippers, run.room.moved_s))
+        robots = self._derived.made_of(_addresses, *[run.room for run in runs])
+        room.row.write((room.place, room.time, room.orders, intervals, physics.arrays, robots,
+                        notes, room.watch, room.outcome))
 
     def _room(self) -> _Room:
         """Return what is the same as long as there is the same model."""
@@ -104,7 +108,7 @@ class CompiledPeriod:
         return room
 
     def _make_room(self) -> _Room:
-        from manip_sim.control.law.period import Outcome, PERIOD, Time  # It imports numba.
+        from manip_sim.control.law.period import PERIOD, Time  # It imports numba.
         from manip_sim.control.law.rows import Row
         from manip_sim.control.law.stepping import LastStep, Watch
         physics, clock = self._steps, self._clock
@@ -118,7 +122,7 @@ class CompiledPeriod:
         return _Room(
             physics.divergence, Row(PERIOD), (addresses.model, addresses.data),
             Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(3, np.int64), watch,
-            Outcome(np.zeros(2, np.int64), np.zeros(1)))
+            np.zeros(2, np.int64))
 
     @property
     def row(self) -> int:
@@ -134,11 +138,15 @@ class CompiledPeriod:
         """What was wanted of the last run, by ``BEGINS``, ``ENDS`` and ``RESUMES`` of the law."""
         return self._room().orders
 
-    def outcome(self) -> tuple[int, bool, float, Any]:
-        """Return how many steps were made, if the end is good, when setpoints stopped, notes."""
-        outcome = self._room().outcome
-        steps, doubtful = outcome.steps.tolist()
-        return steps, not doubtful, outcome.moved_s.item(), self._derived.of['notes']
+    def outcome(self) -> tuple[int, bool, Any]:
+        """Return how many steps were made, whether the end is good, and the notes of the steps."""
+        steps, doubtful = self._room().outcome.tolist()
+        return steps, not doubtful, self._derived.of['notes']
+
+
+def _addresses(*rooms: RunRoom) -> IntArray:
+    """Return the addresses of the rows of robots."""
+    return np.array([room.row.address for room in rooms], dtype=np.int64)
 
 
 @cache

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from manip_sim.arrays import IntArray
-from manip_sim.control.law.arm_records import MOST_SOLUTIONS
 from manip_sim.errors import DivergenceError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.free_base import FreeRoots
@@ -53,8 +51,9 @@ class ControlPeriods:
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         self._cuts: dict[int, IntArray] = {}
         self.compiled = CompiledPeriod(steps, clock, timestep_s)
-        #: What it was prepared for: the robot, what that does, and whether a period ends with it.
-        self._prepared: tuple[SimulatedRobot, RobotRun, bool] | None = None
+        #: What it was prepared for: robots, what they do, and whether a period ends with it.
+        self._prepared: tuple[
+            Sequence[SimulatedRobot], Sequence[RobotRun], bool] | None = None
         #: Of this period: whether it has begun for the physics, whether all of its last instant is
         #: computed, and whether that is known to be good.
         self._begun = self._is_computed = self._is_good = False
@@ -207,8 +206,8 @@ class ControlPeriods:
                 self._begin_control(steps * self._timestep_s)
             awake = [robot for robot in self._robots if not robot.resting]
             runs = self._begin_runs(awake)
-            if len(runs) == 1:
-                if self._prepare(awake[0], runs[0]) and waits:
+            if runs:
+                if self._prepare(awake, runs) and waits:
                     return True
                 self.compiled.run()
                 self._take_over()
@@ -216,7 +215,7 @@ class ControlPeriods:
             if not self._begun:
                 self._steps.begin()
                 self._begun = True
-            self._left -= self._run_together(awake, runs) if runs else self._tick(awake)
+            self._left -= self._tick(awake)
         if not self._is_computed:
             self._steps.finish()
         return False
@@ -235,54 +234,33 @@ class ControlPeriods:
             runs.append(run)
         return runs
 
-    def _prepare(self, robot: SimulatedRobot, run: RobotRun) -> bool:
-        """Prepare compiled code for a robot; return whether it runs the whole period."""
+    def _prepare(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> bool:
+        """Prepare compiled code for robots; return whether it runs the whole period."""
+        intervals = min([run.intervals for run in runs], key=len)
         begins = not self._begun
-        ends = (not self._later and len(run.intervals) == len(self._cut(self._left))
+        ends = (not self._later and len(intervals) == len(self._cut(self._left))
                 and self._steps.room_for_efforts is not None)
-        self.compiled.prepare(run, self._left, begins, ends)
-        self._prepared, self._begun = (robot, run, ends), True
+        self.compiled.prepare(runs, intervals, self._left, begins, ends)
+        self._prepared, self._begun = (robots, runs, ends), True
         return begins and ends
 
     def _take_over(self) -> None:
         """Take over what compiled code has done."""
         assert self._prepared is not None
-        (robot, run, ends), self._prepared = self._prepared, None
-        steps, good, moved_s, notes = self.compiled.outcome()
-        robot.end_run(run, moved_s)
-        self._took_steps(notes)
+        (robots, runs, ends), self._prepared = self._prepared, None
+        for robot, run in zip(robots, runs):
+            robot.end_run(run)
+        steps, good = self._took_steps()
         self._left -= steps
         if ends and not self._left:
             self._is_computed, self._is_good = True, good
             self._steps.end_by_law()
 
-    def _run_together(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> int:
-        """Run intervals of several robots; return how many steps."""
-        from manip_sim.control.law.compiling import direct  # It imports numba.
-        from manip_sim.control.law.period import act
-        physics = self._steps
-        where, kinematics = physics.addresses, physics.scratch.kinematics
-        intervals = min([run.intervals for run in runs], key=len)[:MOST_SOLUTIONS]
-        moved_s = [-1.0] * len(runs)
-        for k, steps in enumerate(intervals.tolist()):
-            now_s, duration_s = self._clock.control_s, steps * self._timestep_s
-            for number, run in enumerate(runs):
-                if direct(act)(where, k, now_s, duration_s, physics.arrays, kinematics,
-                               run.joints, run.targets, run.grippers):
-                    moved_s[number] = now_s + duration_s
-            self._step(steps)
-        for robot, run, moved in zip(robots, runs, moved_s):
-            robot.end_run(run, moved)
-        return int(intervals.sum())
-
-    def _step(self, steps: int) -> None:
-        """Run steps in compiled code."""
-        from manip_sim.control.law.compiling import direct  # It imports numba.
-        from manip_sim.control.law.stepping import step
-        physics, notes = self._steps, self.compiled.notes(steps)
-        direct(step)(physics.addresses, steps, physics.take_resumes(), notes)
-        self._clock.count(steps)
-        self._took_steps(notes)
+    def _took_steps(self) -> tuple[int, bool]:
+        """Record what compiled code has noted; return its steps, and whether their end is good."""
+        steps, good, notes = self.compiled.outcome()
+        self._steps.took_steps(bool(notes.present[1]), notes.counts, notes.rows, notes.roots)
+        return steps, good
 
     def _tick(self, awake: Sequence[SimulatedRobot]) -> int:
         """Let robots act and run the physics until they act again; return how many steps."""
@@ -294,15 +272,14 @@ class ControlPeriods:
         physics, lifts = self._steps, self._free_roots.is_needed
         # Without a robot that acts, nothing is compiled.
         if awake and not lifts and physics.lets_laws_step and self.compiled.may_run(steps):
-            self._step(steps)
+            self.compiled.prepare((), np.array([steps]), steps)
+            self.compiled.run()
+            self._took_steps()
         else:
             if lifts:
                 self._free_roots.apply()
             physics.run((steps,))
         return steps
-
-    def _took_steps(self, notes: Any) -> None:
-        self._steps.took_steps(bool(notes.present[1]), notes.counts, notes.rows, notes.roots)
 
     def _chunk(self, left: int) -> int:
         """Return the steps of the next interval; they divide what is left of a period evenly."""

@@ -10,6 +10,8 @@ from dataclasses import asdict, replace
 from itertools import accumulate
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
@@ -42,6 +44,18 @@ _MOST_GRIPPERS = 2
 _NO_GRIPPERS = no_gripper(), no_gripper()
 
 
+class RunRoom(NamedTuple):
+    """
+    Room for what a robot does in intervals that the compiled law runs.
+
+    :ivar row: the row of the robot
+    :ivar moved_s: simulation time when setpoints stopped to move, or -1 [s], shape (1,)
+    """
+
+    row: Any
+    moved_s: FloatArray
+
+
 class RobotRun(NamedTuple):
     """
     What a robot does in intervals that the compiled law runs.
@@ -51,6 +65,7 @@ class RobotRun(NamedTuple):
     :ivar grippers: those that move, and others without fingers
     :ivar controllers: of the grippers that move
     :ivar intervals: physics steps of each interval, shape (k,)
+    :ivar room: for the law
     """
 
     joints: RobotJoints
@@ -58,6 +73,7 @@ class RobotRun(NamedTuple):
     grippers: tuple[Gripper, Gripper]
     controllers: list[GripperController]
     intervals: IntArray
+    room: RunRoom
 
 
 class SimulatedRobot:
@@ -469,7 +485,7 @@ class SimulatedRobot:
             intervals = intervals[:count]
         moving = [gripper for gripper in self.grippers.values() if gripper.moving]
         if not moving:
-            return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals)
+            return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals, self._run_room)
         grippers = [gripper.begin_run(data) for gripper in moving]
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
         count = _count_within(intervals.tolist(), min(calls)) if calls else len(intervals)
@@ -477,16 +493,24 @@ class SimulatedRobot:
             intervals = intervals[:count]
         first, second, *_ = *grippers, no_gripper()
         return RobotRun(joints, targets, self._derived.made_of(_pair, first, second), moving,
-                        intervals)
+                        intervals, self._run_room)
 
-    def end_run(self, run: RobotRun, moved_s: float) -> None:
+    @property
+    def _run_room(self) -> RunRoom:
+        room: RunRoom | None = self._derived.of.get('room')
+        if room is None:
+            from manip_sim.control.law.period import ROBOT  # It imports numba.
+            from manip_sim.control.law.rows import Row
+            room = self._derived.of['room'] = RunRoom(Row(ROBOT), np.zeros(1))
+        return room
+
+    def end_run(self, run: RobotRun) -> None:
         """
         Take over what the compiled law has changed.
 
         :param run: what :meth:`begin_run` has returned
-        :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
         """
-        self.joints.end_run(run.joints, run.targets, moved_s)
+        self.joints.end_run(run.joints, run.targets, run.room.moved_s.item())
         for controller, gripper in zip(run.controllers, run.grippers):
             controller.end_run(gripper)
 

@@ -15,19 +15,19 @@ from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import no_gripper
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import (
-    blank_state, PLAIN, readable, records, RobotJoints, SERVO)
+    blank_state, PLAIN, readable, records, SERVO)
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.operational_space import exert
-from manip_sim.control.law.period import act, run_rows, SCRATCH
+from manip_sim.control.law.period import run_rows, SCRATCH
 from manip_sim.control.law.rows import Row
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.stepping import may_step, notes_of, step
+from manip_sim.control.law.stepping import may_step
 from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait, wait_in_worlds
-from manip_sim.physics.physics import address_of, Addresses, WorldArrays
+from manip_sim.physics.physics import WorldArrays
 
 #: RobotJoints of an arm that nobody sees.
 _COUNT = 6
@@ -44,7 +44,7 @@ _WORLD = """
 def load_laws() -> None:
     """Load or compile what a simulation calls, in calls of no consequence; in any thread."""
     none, one, places = np.zeros(_COUNT), np.ones(_COUNT), np.arange(_COUNT)
-    nowhere, no = np.full((_COUNT, _COUNT), -1), none > 0.0
+    nowhere = np.full((_COUNT, _COUNT), -1)
     model = mujoco.MjModel.from_xml_string(_WORLD)
     data = mujoco.MjData(model)
     world, joints = WorldArrays.of(data), records(blank_state(one))
@@ -74,18 +74,9 @@ def load_laws() -> None:
     put_ahead(world, world.kinematics, joints, targets, 0)
     press_on(world, none.copy(), none, targets, 0, 0, 0.0, 1.0)
     lead(world, world.kinematics, joints, none, targets, 0, 0.0)
-    grippers = no_gripper(), no_gripper()
-    move_fingers(world, grippers[0], 0.1)
+    move_fingers(world, no_gripper(), 0.1)
     if may_step(data):
-        where = Addresses(address_of(model), *[address_of(data)] * 2)
-        notes, intervals = notes_of(data, np.zeros((0, 3), np.int64), 1), places[:0].copy()
-        step(where, 0, False, notes)
-        robot = (world, world.kinematics, RobotJoints(
-            joints[:0], nobody, nowhere, none, counts, none, no[:3], places[:0].copy(),
-            np.zeros((1, 0, 3)), places[:0].copy(), places[:0].copy(), np.zeros((0, 3))),
-            targets_of(0), grippers)
-        act(where, 0, 0.0, 1.0, *robot)
-        run_rows(intervals, Row(SCRATCH).address)
+        run_rows(places[:0].copy(), Row(SCRATCH).address)
     if not PLAIN:
         note_that_all_are_kept()
 

@@ -47,34 +47,36 @@ class Time(NamedTuple):
     step_s: float
 
 
-class Outcome(NamedTuple):
+class Robot(NamedTuple):
     """
-    What has become of a period.
+    What a robot does in a period.
 
-    :ivar steps: physics steps that were made, fewer than wanted where no room is left to note what
-        has become of targets; and whether the last instant has to be looked at, shape (2,)
-    :ivar moved_s: simulation time when setpoints stopped to move, or -1 [s], shape (1,)
+    :ivar joints: of the robot
+    :ivar targets: of its end effectors
+    :ivar grippers: of the robot, those that are not there without fingers
+    :ivar moved_s: simulation time when its setpoints stopped to move, or -1 [s], shape (1,)
     """
 
-    steps: IntArray
+    joints: RobotJoints
+    targets: Targets
+    grippers: tuple[Gripper, Gripper]
     moved_s: FloatArray
 
 
 class Period(NamedTuple):
     """
-    Intervals of a control period in one world: control of a robot in each, and its steps.
+    Intervals of a control period in one world: control of robots in each, and its steps.
 
     :ivar place: addresses of the model and of its data
     :ivar time: of the world, which goes on
     :ivar orders: flags by :data:`BEGINS`, :data:`ENDS`, :data:`RESUMES`, shape (3,)
     :ivar intervals: steps of each, shape (k,)
     :ivar world: arrays of the data
-    :ivar joints: of the robot
-    :ivar targets: of its end effectors
-    :ivar grippers: of the robot, those that are not there without fingers
+    :ivar robots: addresses of the rows of those that act, shape (n,)
     :ivar notes: of contacts and forces on tools
     :ivar watch: states at begin and end
-    :ivar outcome: what has become of it
+    :ivar outcome: physics steps that were made, fewer than wanted where no room is left to note
+        what has become of targets; and whether the last instant has to be looked at, shape (2,)
     """
 
     place: tuple[Any, Any]
@@ -82,12 +84,10 @@ class Period(NamedTuple):
     orders: IntArray
     intervals: IntArray
     world: WorldArrays
-    joints: RobotJoints
-    targets: Targets
-    grippers: tuple[Gripper, Gripper]
+    robots: IntArray
     notes: Notes
     watch: Watch
-    outcome: Outcome
+    outcome: IntArray
 
 
 class ScratchArrays(NamedTuple):
@@ -172,73 +172,79 @@ def _act(addresses: Addresses, k: int, now: float, duration: float, world: World
     return moved
 
 
-@compiled
-def act(addresses: Addresses, k: int, now: float, duration: float, world: WorldArrays,
-        scratch: Kinematics, joints: RobotJoints, targets: Targets,
-        grippers: tuple[Gripper, Gripper]) -> bool:
-    """
-    Write the controls of a robot for an interval.
-
-    :param k: number of the interval
-    :param now: simulation time [s]
-    :param duration: of the interval [s]
-    :param scratch: views into the data for kinematics
-    :param grippers: grippers of the robot, those that are not there without fingers
-    :returns: whether joints do not just rest
-    """
-    return _act(addresses, k, now, duration, world, scratch, joints, targets, grippers)
-
-
-@inner
-def _run(period: Period, scratch: ScratchArrays) -> None:
-    """Run intervals: control of a robot at the beginning of each as by :func:`act`, and steps."""
-    addresses = Addresses(period.place[0], period.place[1], scratch.address)
-    time, orders, resumes = period.time, period.orders, period.orders[RESUMES] != 0
-    if orders[BEGINS]:
-        resumes = remember(addresses, period.watch) and resumes
-        orders[RESUMES] = resumes
-    begin_notes(period.notes)
-    done, moved_s, count = 0, -1.0, len(period.intervals)
-    for k in range(count):
-        now = time.counts[1] * time.step_ns * 1e-9
-        if _waits(period.targets, now):
-            count = k
-            break
-        steps = period.intervals[k]
-        duration = steps * time.step_s
-        if _act(addresses, k, now, duration, period.world, scratch.kinematics, period.joints,
-                period.targets, period.grippers):
-            moved_s = now + duration
-        take_steps(addresses, steps, resumes and k == 0, period.notes)
-        time.counts[0] += steps
-        time.counts[1] += steps
-        done += steps
-    ended = orders[ENDS] != 0 and count == len(period.intervals)
-    period.outcome.moved_s[0], period.outcome.steps[0] = moved_s, done
-    period.outcome.steps[1] = ended and not compute_end(addresses, period.watch)
+def _example_of_robot() -> Robot:
+    """Return a robot without joints."""
+    none, nobody = np.zeros(0), np.zeros(0, np.int64)
+    nowhere = np.zeros((0, 0), np.int64)
+    joints = RobotJoints(
+        readable(np.zeros(0, JOINT)), readable(np.zeros(0, SERVO)), nowhere, none, nowhere, none,
+        np.zeros(3, np.bool_), nobody, np.zeros((0, 0, 3)), nobody, nobody, np.zeros((0, 3)))
+    return Robot(joints, targets_of(0), (no_gripper(), no_gripper()), np.zeros(1))
 
 
 def _example() -> tuple[Period, ScratchArrays]:
     """Return a period in which nothing happens, of a world in which nothing is."""
     model = mujoco.MjModel.from_xml_string('<mujoco/>')
     data, none, nobody = mujoco.MjData(model), np.zeros(0), np.zeros(0, np.int64)
-    world, nowhere = WorldArrays.of(data), np.zeros((0, 0), np.int64)
-    joints = RobotJoints(
-        readable(np.zeros(0, JOINT)), readable(np.zeros(0, SERVO)), nowhere, none, nowhere, none,
-        np.zeros(3, np.bool_), nobody, np.zeros((0, 0, 3)), nobody, nobody, np.zeros((0, 3)))
-    place = address_of(model), address_of(data)
+    world, place = WorldArrays.of(data), (address_of(model), address_of(data))
     period = Period(
-        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(3, np.int64), nobody, world, joints,
-        targets_of(0), (no_gripper(), no_gripper()),
+        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(3, np.int64), nobody, world, nobody,
         notes_of(data, np.zeros((0, 3), np.int64), 0),
-        Watch(none, none, nowhere, 0, data.qpos, data.qacc, LastStep.of(model, data, none)),
-        Outcome(np.zeros(2, np.int64), np.zeros(1)))
+        Watch(none, none, np.zeros((0, 2), np.int64), 0, data.qpos, data.qacc,
+              LastStep.of(model, data, none)), np.zeros(2, np.int64))
     return period, ScratchArrays(place[1], world.kinematics)
 
 
-#: The places of a period and of the scratch in their rows.
+#: The places of a robot, of a period and of the scratch in their rows.
+ROBOT = Layout(_example_of_robot())
 PERIOD, SCRATCH = (Layout(example) for example in _example())
-_read_period, _read_scratch = PERIOD.reader(), SCRATCH.reader()
+_read_robot, _read_period, _read_scratch = ROBOT.reader(), PERIOD.reader(), SCRATCH.reader()
+
+
+@inner
+def _begin_robots(robots: IntArray) -> None:
+    """Let no setpoints have stopped yet."""
+    for row in robots:
+        _read_robot(row).moved_s[0] = -1.0
+
+
+@inner
+def _act_all(addresses: Addresses, period: Period, k: int, now: float, duration: float,
+             scratch: Kinematics) -> bool:
+    """Write the controls of all robots; return False, and write none, where one has to wait."""
+    for row in period.robots:
+        if _waits(_read_robot(row).targets, now):
+            return False
+    for row in period.robots:
+        robot = _read_robot(row)
+        if _act(addresses, k, now, duration, period.world, scratch, robot.joints, robot.targets,
+                robot.grippers):
+            robot.moved_s[0] = now + duration
+    return True
+
+
+@inner
+def _run(period: Period, scratch: ScratchArrays) -> None:
+    """Run intervals: control of robots at the beginning of each, and its steps."""
+    addresses = Addresses(period.place[0], period.place[1], scratch.address)
+    time, orders, resumes = period.time, period.orders, period.orders[RESUMES] != 0
+    if orders[BEGINS]:
+        resumes = remember(addresses, period.watch) and resumes
+        orders[RESUMES] = resumes
+    begin_notes(period.notes)
+    _begin_robots(period.robots)
+    done, ends = 0, orders[ENDS] != 0
+    for k in range(len(period.intervals)):
+        steps, now = period.intervals[k], time.counts[1] * time.step_ns * 1e-9
+        if not _act_all(addresses, period, k, now, steps * time.step_s, scratch.kinematics):
+            ends = False
+            break
+        take_steps(addresses, steps, resumes and k == 0, period.notes)
+        time.counts[0] += steps
+        time.counts[1] += steps
+        done += steps
+    period.outcome[0] = done
+    period.outcome[1] = ends and not compute_end(addresses, period.watch)
 
 
 @compiled

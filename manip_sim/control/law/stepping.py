@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.compiling import inner
 from manip_sim.physics.physics import Addresses
 
 #: Numbers of contacts by which their place is recognized.
@@ -225,17 +225,6 @@ def take_steps(addresses: Addresses, steps: int, resumes: bool, notes: Notes) ->
         else:
             _mj_step(addresses.model, addresses.data)
         _note(notes)
-
-
-@compiled
-def step(addresses: Addresses, steps: int, resumes: bool, notes: Notes) -> None:
-    """
-    Run physics steps.
-
-    :param resumes: whether the first half of the first step has been computed
-    """
-    begin_notes(notes)
-    take_steps(addresses, steps, resumes, notes)
 
 
 @inner
