@@ -236,10 +236,8 @@ class SetpointGenerator:
 
     def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
               stamp_s: float, velocities: bool) -> None:
-        direct, wait = _law_of_goals()
-        direct(wait)(self.joints, indices, _numbers(goals), period_s, messages, stamp_s,
-                     velocities)
-        self.moving = True
+        wait_in_worlds([self], indices, _numbers(goals)[None], np.array([period_s]), velocities,
+                       messages, stamp_s)
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -289,33 +287,34 @@ class SetpointGenerator:
 
 
 def wait_in_worlds(setpoints: Sequence[SetpointGenerator], indices: IntArray, goals: FloatArray,
-                   periods_s: FloatArray, velocities: bool) -> None:
+                   periods_s: FloatArray, velocities: bool, messages: int = 1,
+                   stamp_s: float = 0.0) -> None:
     """
-    Take goals of the same coordinates in many worlds, which came without a stamp.
+    Take goals of the same coordinates in one world or many.
 
     :param setpoints: of each world
     :param indices: of the coordinates, shape (n,)
-    :param goals: positions [rad or m] or velocities [rad/s or m/s], shape (worlds, n)
+    :param goals: positions [rad or m] or velocities [rad/s or m/s], shape (worlds, n), contiguous
     :param periods_s: lengths of a control period in each world [s], shape (worlds,)
     :param velocities: whether goals are velocities
+    :param messages: how many messages came since the last call, of which this is the last
+    :param stamp_s: when it was sent, by any clock [s]; 0: unknown
     """
-    from manip_sim.control.law import stream_timing  # It imports numba.
+    law = _law_of_goals()
     if PLAIN:
         for world, own, period_s in zip(setpoints, goals, periods_s.tolist()):
-            (world.go_at if velocities else world.go_to)(indices, own, period_s)
-        return
-    stream_timing.wait_in_worlds(
-        np.array([world.row for world in setpoints]), np.array(indices), _numbers(goals),
-        periods_s, velocities)
+            law.wait(world.joints, indices, own, period_s, float(messages), stamp_s, velocities)
+    else:
+        law.wait_in_worlds(np.array([world.row for world in setpoints]), np.array(indices), goals,
+                           periods_s, float(messages), float(stamp_s), velocities)
     for world in setpoints:
         world.moving = True
 
 
 @cache
-def _law_of_goals() -> tuple[Any, Any]:
-    from manip_sim.control.law.compiling import direct  # It imports numba.
-    from manip_sim.control.law.stream_timing import wait
-    return direct, wait
+def _law_of_goals() -> Any:
+    from manip_sim.control.law import stream_timing  # It imports numba.
+    return stream_timing
 
 
 def _numbers(values: ArrayLike) -> FloatArray:

@@ -171,9 +171,9 @@ def test_setpoints_move_every_four_milliseconds_or_more_often(
     simulation, seen = Simulation(compose('Panda', timestep_s=timestep_s)), []
     robot, prepare = simulation.robot, CompiledPeriod.prepare
 
-    def noted(period, run, *rest):
-        seen.extend(run.intervals)
-        return prepare(period, run, *rest)
+    def noted(period, runs, intervals, *rest):
+        seen.extend(intervals)
+        return prepare(period, runs, intervals, *rest)
     monkeypatch.setattr(CompiledPeriod, 'prepare', noted)
     robot.apply(robot.parse.action('arm', [0.5] * 7))
     simulation.advance(steps)

@@ -58,25 +58,6 @@ def compiled(function: F) -> F:
         )(function))
 
 
-#: The version of a law that is called directly.
-_VERSIONS: dict[Callable[..., Any], Callable[..., Any]] = {}
-
-
-def direct(law: F) -> F:
-    """
-    Return the only version of a law that is compiled, to be called with arguments of its types.
-
-    It does not look at them: with 70 arrays that takes 20 us, as much as 2 physics steps.
-    """
-    version = _VERSIONS.get(law)
-    if version is None:
-        signatures: list[Any] = getattr(law, 'signatures', [])
-        if len(signatures) != 1:
-            return law
-        version = _VERSIONS[law] = cast('Any', law).get_overload(signatures[0])
-    return cast('F', version)
-
-
 def inner(function: F) -> F:
     """Compile a function in the same way that only compiled functions call."""
     return cast('F', numba.njit(nogil=True, error_model='numpy', no_cfunc_wrapper=True,

@@ -51,7 +51,7 @@ def load_laws() -> None:
     counts, nobody = np.zeros((2, _COUNT), np.int64), readable(np.zeros(0, SERVO))
     wait(joints, places, none, 0.01, 1.0, 0.0, False)
     if not PLAIN:
-        wait_in_worlds(places[:0].copy(), places, np.zeros((0, _COUNT)), none, False)
+        wait_in_worlds(places[:0].copy(), places, np.zeros((0, _COUNT)), none, 1.0, 0.0, False)
     advance(joints, counts, 0.0, 1.0)
     drive(world, nobody, nowhere, joints[:0], none, 1.0)
     find_rates(world, nobody, nowhere, joints[:0], 1.0, none, none)

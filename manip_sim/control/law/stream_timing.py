@@ -261,10 +261,19 @@ def next_members(joints: Any, begin: int, now: float, members: IntArray) -> int:
     return count
 
 
-@inner
-def _wait(joints: Any, indices: IntArray, goals: Any, period: float, messages: float,
-          stamp: float, velocities: bool) -> None:
-    """Let goals that have come wait for the next interval, as :func:`wait` does."""
+@compiled
+def wait(joints: Any, indices: IntArray, goals: Any, period: float, messages: float,
+         stamp: float, velocities: bool) -> None:
+    """
+    Let goals that have come wait for the next interval, in place of those that wait already.
+
+    :param indices: of the coordinates
+    :param goals: shape of ``indices``
+    :param period: of control [s]
+    :param messages: how many have come
+    :param stamp: when the last one was sent, by any clock [s]; 0: unknown
+    :param velocities: whether they bring velocities, and not positions
+    """
     kind = 2.0 if velocities else 1.0
     copied, moved = True, False
     for k in range(len(indices)):
@@ -283,39 +292,22 @@ def _wait(joints: Any, indices: IntArray, goals: Any, period: float, messages: f
         x.moves = 1.0
 
 
-@compiled
-def wait(joints: Any, indices: IntArray, goals: Any, period: float, messages: float,
-         stamp: float, velocities: bool) -> None:
-    """
-    Let goals that have come wait for the next interval, in place of those that wait already.
-
-    :param indices: of the coordinates
-    :param goals: shape of ``indices``
-    :param period: of control [s]
-    :param messages: how many have come
-    :param stamp: when the last one was sent, by any clock [s]; 0: unknown
-    :param velocities: whether they bring velocities, and not positions
-    """
-    _wait(joints, indices, goals, period, messages, stamp, velocities)
-
-
 #: The place of the records of coordinates in a row.
 JOINTS = Layout((readable(np.zeros(0, JOINT)),))
 _read_joints = JOINTS.reader()
 
 
 @compiled
-def wait_in_worlds(rows: IntArray, indices: IntArray, goals: FloatArray,
-                   periods: FloatArray, velocities: bool) -> None:
+def wait_in_worlds(rows: IntArray, indices: IntArray, goals: FloatArray, periods: FloatArray,
+                   messages: float, stamp: float, velocities: bool) -> None:
     """
-    Let a goal for each of some coordinates, which came without a stamp, wait in many worlds.
+    Let goals wait in one world or many, as by :func:`wait`.
 
     :param rows: addresses of rows by :data:`JOINTS`, shape (worlds,)
     :param indices: of the coordinates, shape (n,)
     :param goals: shape (worlds, n)
     :param periods: of control [s], shape (worlds,)
-    :param velocities: whether they are velocities, and not positions
     """
     for world in range(len(rows)):
         joints, = _read_joints(rows[world])
-        _wait(joints, indices, goals[world], periods[world], 1.0, 0.0, velocities)
+        wait(joints, indices, goals[world], periods[world], messages, stamp, velocities)
