@@ -66,9 +66,11 @@ class CommandTimeouts:
 
         :param now_s: simulation time [s]
         """
-        return [] if not self._last_s else [
-            part for part, last_s in self._last_s.items()
-            if 0.0 < self._timeout_s[part] <= now_s - last_s + 1e-9]
+        parts = []
+        for part, last_s in self._last_s.items():
+            if 0.0 < self._timeout_s[part] <= now_s - last_s + 1e-9:
+                parts.append(part)
+        return parts
 
     def count(self, part: str) -> None:
         """Count a timeout of a part, and stop watching it."""

@@ -126,7 +126,7 @@ class SetpointGenerator:
 
     def at_rest(self, indices: IntArray) -> bool:
         """Return whether all of the given setpoints rest at their goals."""
-        return not self.moving or not np.count_nonzero(self._numbers_of('moves')[indices])
+        return not self.moving or not np.count_nonzero(self._state[indices, PLACES['moves']])
 
     @property
     def settled(self) -> bool:
@@ -207,7 +207,8 @@ class SetpointGenerator:
         :param messages: how many messages came since the last call, of which this is the last
         :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        self._wait(indices, velocity, period_s, messages, stamp_s, True)
+        wait_in_worlds([self], indices, _numbers(velocity)[None], np.array([period_s]), True,
+                       messages, stamp_s)
 
     def go_to(self, indices: IntArray, goal: FloatArray, period_s: float, messages: int = 1,
               stamp_s: float = 0.0) -> None:
@@ -221,7 +222,8 @@ class SetpointGenerator:
         :param messages: how many messages came since the last call, of which this is the last
         :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        self._wait(indices, goal, period_s, messages, stamp_s, False)
+        wait_in_worlds([self], indices, _numbers(goal)[None], np.array([period_s]), False,
+                       messages, stamp_s)
 
     @property
     def row(self) -> int:
@@ -233,11 +235,6 @@ class SetpointGenerator:
             row = self._derived.of['row'] = Row(JOINTS)
         row.write((self.joints,))
         return int(row.address)
-
-    def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
-              stamp_s: float, velocities: bool) -> None:
-        wait_in_worlds([self], indices, _numbers(goals)[None], np.array([period_s]), velocities,
-                       messages, stamp_s)
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """

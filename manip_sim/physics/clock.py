@@ -59,7 +59,7 @@ class Clock:
     @property
     def control_s(self) -> float:
         """Simulation time since the last reset [s]."""
-        return self.control_steps * self.step_ns * 1e-9
+        return self.counts.item(1) * self.step_ns * 1e-9
 
     def begins_s(self, intervals: IntArray) -> FloatArray:
         """

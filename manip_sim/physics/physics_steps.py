@@ -23,7 +23,7 @@ from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
 from manip_sim.physics.friction_laws import FrictionLaws
-from manip_sim.physics.physics import Addresses, Physics, PHYSICS, Scratch, WorldArrays
+from manip_sim.physics.physics import Physics, PHYSICS
 
 _EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 #: Integrators with which a step after ``mj_forward`` may go on from there, with the same bits.
@@ -43,6 +43,7 @@ class PhysicsSteps:
     :param efforts: of the actuators, recorded at the end of each period
     :param tools: whose external wrenches are recorded
     :param laws: what changes the model with the velocities
+    :ivar physics: of the world
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
     :ivar contacts_change: whether contacts came or went in the last period
@@ -53,7 +54,7 @@ class PhysicsSteps:
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
                  tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws] = ()) -> None:
-        self._physics = physics
+        self.physics = physics
         self._clock = clock
         self._efforts = efforts
         self.tools, self._laws = tuple(tools), tuple(laws)
@@ -83,7 +84,7 @@ class PhysicsSteps:
             for tool in self.tools], dtype=np.int64).reshape(-1, 3)
 
     def _look_at_model(self) -> None:
-        model, data = self._physics.model, self._physics.data
+        model, data = self.physics.model, self.physics.data
         self._model, self._data, self._options = model, data, model.opt
         self.divergence = DivergenceWatch(model, data)
         self._look_at_tools()
@@ -260,16 +261,6 @@ class PhysicsSteps:
         self._contacts = contacts
 
     @property
-    def data(self) -> mujoco.MjData:
-        """The ``MjData`` that the steps change."""
-        return self._data
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The ``MjModel`` of the steps."""
-        return self._model
-
-    @property
     def first_half(self) -> Sequence[slice]:
         """The parts of a state that the first half of a step depends on."""
         return self._first_half
@@ -278,21 +269,6 @@ class PhysicsSteps:
     def room_for_efforts(self) -> FloatArray | None:
         """Room for the efforts of the last step, or None if :meth:`finish` has to record them."""
         return self._efforts.room
-
-    @property
-    def scratch(self) -> Scratch:
-        """Data of this thread for kinematics."""
-        return self._physics.scratch
-
-    @property
-    def addresses(self) -> Addresses:
-        """Addresses for compiled code in this thread."""
-        return self._physics.addresses
-
-    @property
-    def arrays(self) -> WorldArrays:
-        """The arrays of the data for laws of control."""
-        return self._physics.arrays
 
     @property
     def lets_laws_step(self) -> bool:

@@ -66,17 +66,17 @@ class CompiledPeriod:
 
     def may_run(self, steps: int) -> bool:
         """Return whether compiled code may run steps."""
-        return steps <= _MOST_STEPS and _stepping().may_step(self._steps.data)
+        return steps <= _MOST_STEPS and _stepping().may_step(self._steps.physics.data)
 
     def notes(self, steps: int) -> Any:
         """Return room for the notes of steps."""
-        physics = self._steps
-        notes = physics.notes.of.get(steps)
+        kept = self._steps.notes.of
+        notes = kept.get(steps)
         if notes is None:
-            if len(physics.notes.of) == _REMEMBERED:
-                physics.notes.of.clear()
-            notes = physics.notes.of[steps] = _stepping().notes_of(
-                physics.data, physics.tool_bodies, steps)
+            if len(kept) == _REMEMBERED:
+                kept.clear()
+            notes = kept[steps] = _stepping().notes_of(
+                self._steps.physics.data, self._steps.tool_bodies, steps)
         return notes
 
     def prepare(self, runs: Sequence[RobotRun], intervals: IntArray, left: int,
@@ -90,15 +90,15 @@ class CompiledPeriod:
         :param begins: whether they begin a period, of which the state is remembered
         :param ends: whether they end it, and all of the last instant is computed
         """
-        room, physics = self._room(), self._steps
+        room, physics_steps = self._room(), self._steps
         room.orders[:] = begins, ends, (
-            physics.begin_by_law() if begins else physics.take_resumes())
+            physics_steps.begin_by_law() if begins else physics_steps.take_resumes())
         notes = self._derived.of['notes'] = self.notes(left)
         for run in runs:
             run.room.row.write((run.joints, run.targets, run.grippers, run.room.moved_s))
         robots = self._derived.made_of(_addresses, *[run.room for run in runs])
-        room.row.write((room.place, room.time, room.orders, intervals, physics.arrays, robots,
-                        notes, room.watch, room.outcome))
+        room.row.write((room.place, room.time, room.orders, intervals,
+                        physics_steps.physics.arrays, robots, notes, room.watch, room.outcome))
 
     def _room(self) -> _Room:
         """Return what is the same as long as there is the same model."""
@@ -111,16 +111,16 @@ class CompiledPeriod:
         from manip_sim.control.law.period import PERIOD, Time  # It imports numba.
         from manip_sim.control.law.rows import Row
         from manip_sim.control.law.stepping import LastStep, Watch
-        physics, clock = self._steps, self._clock
-        model, data, efforts = physics.model, physics.data, physics.room_for_efforts
-        halves = np.array([(part.start, part.stop) for part in physics.first_half], np.int64)
+        steps, clock, efforts = self._steps, self._clock, self._steps.room_for_efforts
+        physics, watched = steps.physics, steps.divergence
+        model, data, addresses = physics.model, physics.data, physics.addresses
+        halves = np.array([(part.start, part.stop) for part in steps.first_half], np.int64)
         watch = Watch(
-            physics.divergence.good, physics.computed_from, halves.reshape(-1, 2), PHYSICS,
+            watched.good, steps.computed_from, halves.reshape(-1, 2), PHYSICS,
             data.qpos, data.qacc,
             LastStep.of(model, data, np.zeros(0) if efforts is None else efforts))
-        addresses = physics.addresses
         return _Room(
-            physics.divergence, Row(PERIOD), (addresses.model, addresses.data),
+            watched, Row(PERIOD), (addresses.model, addresses.data),
             Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(3, np.int64), watch,
             np.zeros(2, np.int64))
 
@@ -131,7 +131,7 @@ class CompiledPeriod:
 
     def run(self) -> None:
         """Run what has been prepared."""
-        run_prepared([self.row], self._steps.scratch)
+        run_prepared([self.row], self._steps.physics.scratch)
 
     @property
     def orders(self) -> IntArray:

@@ -76,7 +76,7 @@ class ControlPeriods:
     @property
     def resting(self) -> bool:
         """Whether control has nothing to do."""
-        return not self._free_roots.is_needed and all([robot.resting for robot in self._robots])
+        return not self._free_roots.is_needed and not self._awake()
 
     def advance(self, steps: int) -> None:
         """
@@ -107,13 +107,13 @@ class ControlPeriods:
             self._left = self._until_command(steps)
             self._later = steps - self._left
         self._begin_control(steps * self._timestep_s)
-        physics, resting = self._steps, self.resting
-        self._begun = resting
+        physics, awake = self._steps, self._awake()
+        self._begun = resting = not awake and not self._free_roots.is_needed
         if resting and physics.begin() and physics.stays_untouched and (
                 physics.run_untouched(steps)):
             return False
         physics.begin_run()
-        return self._run(steps, waits=True)
+        return self._run(steps, awake, waits=True)
 
     def end(self, steps: int) -> None:
         """
@@ -124,7 +124,7 @@ class ControlPeriods:
         """
         if self._prepared is not None:
             self._take_over()
-            self._run(steps)
+            self._run(steps, self._awake())
         self._end(steps)
         self._check_not_diverged()
 
@@ -191,11 +191,16 @@ class ControlPeriods:
         if self.diverged is not None:
             raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
 
-    def _run(self, steps: int, waits: bool = False) -> bool:
+    def _awake(self) -> list[SimulatedRobot]:
+        """Return the robots that act."""
+        return [robot for robot in self._robots if not robot.resting]
+
+    def _run(self, steps: int, awake: Sequence[SimulatedRobot], waits: bool = False) -> bool:
         """
         Run what is left of a period, in parts each of which control begins; so do late commands.
 
         :param steps: of the period
+        :param awake: the robots that act now
         :param waits: whether all of it is left to compiled code, where that can run it at once
         :returns: whether it is
         """
@@ -204,18 +209,19 @@ class ControlPeriods:
                 self._left = self._until_command(self._later)
                 self._later -= self._left
                 self._begin_control(steps * self._timestep_s)
-            awake = [robot for robot in self._robots if not robot.resting]
+                awake = self._awake()
             runs = self._begin_runs(awake)
             if runs:
                 if self._prepare(awake, runs) and waits:
                     return True
                 self.compiled.run()
                 self._take_over()
-                continue
-            if not self._begun:
-                self._steps.begin()
-                self._begun = True
-            self._left -= self._tick(awake)
+            else:
+                if not self._begun:
+                    self._steps.begin()
+                    self._begun = True
+                self._left -= self._tick(awake)
+            awake = self._awake() if self._left else awake
         if not self._is_computed:
             self._steps.finish()
         return False
