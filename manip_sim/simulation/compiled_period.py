@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manip_sim.arrays import IntArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
+from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.physics import PHYSICS, Scratch
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.simulation.robot import RobotRun, RunRoom
@@ -36,13 +37,8 @@ _kept = _Kept()
 
 
 class _Room(NamedTuple):
-    """
-    The row of the periods of a world, and parts of it that stay as long as its model.
+    """The row of the periods of a world, and parts of it that stay as long as its model."""
 
-    :ivar model: by which another model is recognized
-    """
-
-    model: Any
     row: Any
     place: tuple[Any, Any]
     time: Any
@@ -102,17 +98,20 @@ class CompiledPeriod:
 
     def _room(self) -> _Room:
         """Return what is the same as long as there is the same model."""
-        room: _Room | None = self._derived.of.get('room')
-        if room is None or room.model is not self._steps.divergence:
-            room = self._derived.of['room'] = self._make_room()
-        return room
+        steps = self._steps
+        return self._derived.made_of(self._make_room, steps.divergence, steps.room_for_efforts)
 
-    def _make_room(self) -> _Room:
+    def _make_room(self, watched: DivergenceWatch, efforts: FloatArray | None) -> _Room:
+        """
+        Make it for a model, and for efforts that a restored state has replaced.
+
+        :param watched: keeps the good state, of each model another
+        :param efforts: room for those of the last step, or None
+        """
         from manip_sim.control.law.period import PERIOD, Time  # It imports numba.
         from manip_sim.control.law.rows import Row
         from manip_sim.control.law.stepping import LastStep, Watch
-        steps, clock, efforts = self._steps, self._clock, self._steps.room_for_efforts
-        physics, watched = steps.physics, steps.divergence
+        steps, clock, physics = self._steps, self._clock, self._steps.physics
         model, data, addresses = physics.model, physics.data, physics.addresses
         halves = np.array([(part.start, part.stop) for part in steps.first_half], np.int64)
         watch = Watch(
@@ -120,7 +119,7 @@ class CompiledPeriod:
             data.qpos, data.qacc,
             LastStep.of(model, data, np.zeros(0) if efforts is None else efforts))
         return _Room(
-            watched, Row(PERIOD), (addresses.model, addresses.data),
+            Row(PERIOD), (addresses.model, addresses.data),
             Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(3, np.int64), watch,
             np.zeros(2, np.int64))
 

@@ -156,6 +156,24 @@ def test_a_state_goes_on_in_another_process(panda, tmp_path):
     assert done.stdout.split() == expected, done.stderr
 
 
+def test_efforts_after_a_restored_state_are_those_of_before(panda):
+    robot, names = panda.robot, panda.robot.joint_names[:7]
+
+    def move():
+        efforts = []
+        for number in range(6):
+            robot.apply(*robot.parse.joint_command(
+                names, position=[0.05 * number, *robot.measured('arm')[1:7]]))
+            panda.advance(5)
+            efforts.append(robot.state().effort)
+        return efforts
+    move()
+    state = panda.save()
+    first = move()
+    panda.restore(state)
+    np.testing.assert_array_equal(move(), first)
+
+
 def test_a_seed_gives_the_same_episode_after_any_other(panda):
     anew(panda, 7)
     first = run(panda, SCRIPT)
