@@ -39,3 +39,18 @@ def test_make_keeps_what_is_installed_unless_ros_comes_from_elsewhere(marker, cl
         text=True, env=environment, cwd=MAKEFILE.parent, timeout=60.0, check=True)
     (line,) = [line for line in done.stdout.splitlines() if ' -m venv ' in line]
     assert ('--clear' in line) == cleared, line
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
+@pytest.mark.parametrize('target, ready, installs', [
+    ('run', True, True), ('pick', True, False), ('view', True, False), ('view', False, True)])
+def test_what_runs_beside_a_node_does_not_change_its_environment(
+        target, ready, installs, tmp_path):
+    if ready:  # Older than setup.py.
+        (tmp_path / '.ready-wheels').touch()
+        os.utime(tmp_path / '.ready-wheels', (0, 0))
+    environment = {k: v for k, v in os.environ.items() if k not in ('ROS_DISTRO', 'MAKEFLAGS')}
+    done = subprocess.run(
+        ['make', '--dry-run', f'VENV={tmp_path}', target], capture_output=True, text=True,
+        env=environment, cwd=MAKEFILE.parent, timeout=60.0, check=True)
+    assert ('pip install' in done.stdout) == installs, done.stdout

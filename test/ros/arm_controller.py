@@ -31,6 +31,9 @@ def main(arm, cycles):
         command.header.stamp = state.header.stamp
         publisher.publish(command)
 
+    # An answer that nobody takes is not repeated, and the node would wait for it.
+    while not publisher.get_subscription_count():
+        rclpy.spin_once(node, timeout_sec=0.1)
     node.create_subscription(JointState, f'{arm}/joint_states', answer, 10)
     while len(stamps) < cycles:
         rclpy.spin_once(node, timeout_sec=1.0)

@@ -12,7 +12,7 @@ from threading import Event
 
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
-from harness import Client
+from harness import Client, START_S
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -122,7 +122,7 @@ def run_two_controllers(sim_process, cycles):
     client = Client()
     diagnostics = client.listen(DiagnosticArray, '/diagnostics')
     try:
-        client.spin_until(lambda: all(c.poll() is not None for c in controllers), 120.0)
+        client.spin_until(lambda: all(c.poll() is not None for c in controllers))
         count = len(diagnostics)
         client.spin_until(lambda: len(diagnostics) > count + 1)
         values = {value.key: value.value for status in diagnostics[-1].status
@@ -167,14 +167,14 @@ def test_an_answer_that_comes_while_its_period_runs_is_stale(serve, client):
 
     def held(steps):
         entered.set()
-        assert released.wait(30.0)
+        assert released.wait(START_S)
         advance(steps)
     node.simulation.advance = held
     answer = JointState(name=['robot0_joint1'], position=[0.1])
     answer.header.stamp.nanosec = 10_000_000
     try:
         client.publish('arm/joint_command', answer)
-        assert entered.wait(20.0)
+        assert entered.wait(START_S)
         client.publish('arm/joint_command', answer)
     finally:
         released.set()

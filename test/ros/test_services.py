@@ -10,6 +10,7 @@ import threading
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
+from harness import START_S
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
@@ -128,7 +129,7 @@ def test_a_command_that_came_before_a_call_takes_effect_before_it(serve, client,
 
     def taken_slowly(subscription):
         begun.set()
-        assert goes_on.wait(60.0)
+        assert goes_on.wait(START_S)
         take(subscription)
     node.inbox._take = taken_slowly
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))

@@ -97,7 +97,8 @@ def test_a_mesh_that_takes_too_long_is_rejected_while_all_else_goes_on(
         serve, client, tmp_path, monkeypatch):
     monkeypatch.setattr(sandbox, 'MAX_CPU_S', 1)
     seen, tried = threading.Event(), sandbox._tried
-    monkeypatch.setattr(sandbox, '_tried', lambda *work: tried(*work) if seen.wait(60.0) else '')
+    monkeypatch.setattr(
+        sandbox, '_tried', lambda *work: tried(*work) if seen.wait(START_S) else '')
     (tmp_path / 'm.stl').write_bytes(slow_mesh(100_000))
     (tmp_path / 'o.xml').write_text(MESH)
     node = serve(arena='table')
@@ -198,7 +199,7 @@ def test_yaml_that_is_no_plain_data_is_answered(serve, client):
 def test_a_process_that_ends_does_not_wait_for_the_background(monkeypatch):
     node, going, ended = Plain(executor=None), threading.Event(), []
     monkeypatch.setattr(os, '_exit', ended.append)
-    waiting = in_background(node, lambda: going.wait(60.0))
+    waiting = in_background(node, lambda: going.wait(START_S))
     waiting.send(None)
     assert leave(3, 'others') == 3 and ended == []
     assert leave(3, 'others', THREAD_NAME) == 3 and ended == [3]

@@ -8,6 +8,7 @@ import re
 import sys
 import threading
 
+from harness import START_S
 import numpy as np
 import pytest
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -145,7 +146,7 @@ def test_the_physics_and_other_services_go_on_while_a_robot_is_loaded(
 
     def wait(*work, **limits):
         begun.set()
-        assert seen.wait(60.0)
+        assert seen.wait(START_S)
         tried(*work, **limits)
     monkeypatch.setattr(requested_robot, 'try_to_do', wait)
     node = spawning()

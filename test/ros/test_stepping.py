@@ -32,11 +32,10 @@ def wait(client, seconds):
     client.spin_until(lambda: time.monotonic() > end)
 
 
-def until_next_period(client, ticks, begin_s):
-    """Return how long after an instant the next control period came [s]."""
-    (_, last) = ticks[-1]
-    client.spin_until(lambda: ticks[-1][1] > last)
-    return next(wall_s for wall_s, time_ns in ticks if time_ns > last) - begin_s
+def until_next_period(client, ticks, last_ns, begin_s):
+    """Return how long after an instant the period came that follows a simulation time [s]."""
+    client.spin_until(lambda: ticks[-1][1] > last_ns)
+    return next(wall_s for wall_s, time_ns in ticks if time_ns > last_ns) - begin_s
 
 
 def test_a_node_pauses_at_the_time_that_it_was_started_with(serve, client):
@@ -51,10 +50,10 @@ def test_time_that_passed_in_a_pause_is_not_made_up_for(serve, client):
     client.spin_until(lambda: len(ticks) > 1)
     node.thread.pause(True)
     wait(client, 0.7)
-    begin_s = time.monotonic()
+    last_ns, begin_s = node.simulation.time_ns, time.monotonic()
     node.thread.pause(False)
     # The deadline that the pause swallowed is past; the next one is a whole period from now.
-    assert until_next_period(client, ticks, begin_s) > 0.49
+    assert until_next_period(client, ticks, last_ns, begin_s) > 0.49
 
 
 def test_the_state_after_a_reset_lasts_a_whole_period(serve, client):
@@ -63,10 +62,13 @@ def test_the_state_after_a_reset_lasts_a_whole_period(serve, client):
     seen = len(ticks)
     client.spin_until(lambda: len(ticks) > seen)
     wait(client, 0.3)
+
+    def reset():
+        """Return the simulation time of the state after it: no period comes in between."""
+        node.thread.reset()
+        return node.simulation.time_ns
     begin_s = time.monotonic()
-    node.thread.reset()
-    client.spin_until(lambda: len(ticks) > seen + 1)
-    assert until_next_period(client, ticks, begin_s) > 0.49
+    assert until_next_period(client, ticks, node.thread.call(reset), begin_s) > 0.49
 
 
 @pytest.mark.full

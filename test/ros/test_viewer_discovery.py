@@ -84,6 +84,7 @@ def test_control_modes_are_those_of_the_node_and_are_switched(client, serve):
         sender.send_waiting()
         return all(sender.modes(*part) for part in parts)
     client.spin_until(known)
+    client.spin_until(sender._clients['set_parameters'].service_is_ready)
     assert all({'position', 'velocity', 'effort'} <= set(sender.modes(*part)) for part in parts)
     assert not sender.modes('/left/', 'right/gripper')
     left, right = node.simulation.robots.values()
