@@ -134,4 +134,4 @@ def test_ten_thousand_messages_in_a_second_are_survived(serve, client):
     state = client.state()
     elapsed_s = time.monotonic() - begin
     assert np.isfinite([state.position, state.velocity, state.effort]).all()
-    assert 1 <= sum('must be finite' in line for line in log) <= elapsed_s + 1
+    assert sum('must have' in line for line in log) <= elapsed_s + 1

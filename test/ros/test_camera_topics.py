@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -27,6 +28,7 @@ from std_srvs.srv import Trigger
 from manip_sim.errors import ManipSimError
 from manip_sim.physics.object_spawning import plan_without
 from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.lazy_publishers import Output
 from manip_sim.sensing.images import ImageNoise
 
@@ -332,6 +334,21 @@ def test_diagnostics_tell_rate_and_cost(serve_seen, client):
     assert int(values()['front.left_out']) >= 0
 
 
+def test_rate_and_cost_are_those_of_the_measured_images_since_the_last_look():
+    def shot(exact, took_s):
+        return SimpleNamespace(view=SimpleNamespace(camera='front', exact=exact), took_s=took_s)
+    publishers = SimpleNamespace(view=shot(False, 0.0).view, publish=lambda shot: None)
+    cameras = Cameras(SimpleNamespace(), [publishers])
+    for _ in range(5):
+        cameras._publish(shot(False, 0.02))
+        cameras._publish(shot(True, 5.0))
+    told = cameras.statistics(2.0)
+    assert told['front.rate'] == '2.5'
+    assert 20.0 <= float(told['front.milliseconds']) < 1000.0
+    assert cameras.statistics(2.0) == {
+        'front.rate': '0.0', 'front.milliseconds': '-', 'front.left_out': 0}
+
+
 @pytest.mark.parametrize('parameters, what', [
     ({'cameras': ['eye_in_hand']}, "unknown camera 'eye_in_hand': did you mean "
      "'robot0_eye_in_hand'"),
@@ -386,6 +403,7 @@ HANGS = """
 import atexit, sys, threading
 atexit.register(lambda: threading.Event().wait())
 from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.lazy_publishers import Output
 
 def render(*_, **__):
