@@ -34,7 +34,7 @@ def command(environment):
     def run(*arguments, **variables):
         return subprocess.run(
             [sys.executable, '-m', 'manip_sim.cli', *map(str, arguments)], text=True,
-            capture_output=True, timeout=120, env={**environment, **variables})
+            capture_output=True, timeout=300, env={**environment, **variables})
     return run
 
 

@@ -35,12 +35,13 @@ SLOWLY = ('const draw = requestAnimationFrame; requestAnimationFrame = '
           'callback => setTimeout(() => draw(callback), {})')
 #: A browser on a busy machine without a graphics card is slow [ms].
 PATIENCE_MS = 300_000
-VIEWER = [sys.executable, '-m', 'manip_sim.viewer']
+PROGRAM = ('-m', 'manip_sim.viewer')
+VIEWER = [sys.executable, *PROGRAM]
 
 
-def start_viewer(*arguments):
+def start_viewer(*arguments, program=PROGRAM):
     """Return a viewer on a free port and its address."""
-    process = subprocess.Popen([*VIEWER, '--port', '0', *arguments], text=True,
+    process = subprocess.Popen([sys.executable, *program, '--port', '0', *arguments], text=True,
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     line = process.stdout.readline()
     return process, line.split()[1] if line else ''

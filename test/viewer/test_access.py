@@ -96,7 +96,7 @@ async def first_message(server, path, origin, host='127.0.0.1'):
     async with websockets.connect(
             f'ws://{own(server, host)}{path}', origin=origin, proxy=None,
             subprotocols=[f'viser-v{viser.__version__}']) as opened:
-        return await asyncio.wait_for(opened.recv(), 20.0)
+        return await asyncio.wait_for(opened.recv(), 300.0)
 
 
 def test_the_socket_is_opened_by_the_page_alone(server, capfd):
