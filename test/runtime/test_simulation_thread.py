@@ -350,6 +350,26 @@ def test_lockstep_waits_for_the_parts_of_every_robot(free):
         thread.submit(answers['robot1'], stamp, 'robot1')
 
 
+def test_a_reset_that_comes_with_the_last_command_of_lockstep_leaves_no_period_due(free):
+    thread, resets = free(stepping='lockstep', lockstep_parts={'robot0': ['arm']}), []
+    simulation, wait = thread._simulation, thread._wait
+    with ThreadPoolExecutor(1) as pool:
+        def wait_and_reset():
+            is_due = wait()
+            if is_due and not resets:
+                resets.append(pool.submit(thread.reset))
+                wait_until(lambda: thread._calls)
+            return is_due
+        thread._wait = wait_and_reset
+        thread.start()
+        stamp = thread.call(lambda: simulation.time_ns)
+        thread.submit([simulation.robot.parse.action('arm', [0.0] * 7)], stamp)
+        wait_until(lambda: resets)
+        resets[0].result(timeout=300.0)
+        # That of the start, which comes a period later and waits for the next command.
+        assert thread.call(lambda: simulation.time_ns) == stamp + 10_000_000
+
+
 def test_periods_that_nobody_sees_follow_each_other_at_once_and_what_comes_ends_that(free):
     thread, rounds, seen = free(stepping='free'), [], []
     simulation = thread._simulation
