@@ -165,3 +165,8 @@ def test_lowered_gains_are_within_the_eigenvalues_of_a_step(timestep_s, limited)
     assert 20 < np.count_nonzero(lowered) < 480
     assert (radius(kp, kv, limited) < 1.0 + 1e-9).all()
     assert (radius(stiffness, damping, limited)[lowered] > 1.0 - 1e-9).all()
+    # Lowered ones use three quarters of the range, as the condition of the module has it.
+    explicit, implicit = (timestep_s * kv, 0.0) if limited else (0.0, timestep_s * kv)
+    share = (timestep_s**2 * kp / 2.0 + explicit) / (
+        2.0 * inertia + timestep_s * passive + implicit)
+    np.testing.assert_allclose(share[lowered], 0.75, rtol=1e-9)

@@ -3,6 +3,8 @@
 
 """Tests of what a YAML file says of a robot, a base or an arena, and of what it may not say."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -167,6 +169,19 @@ def test_grippers_of_a_yaml_may_be_files_beside_it(tmp_path):
     robot = described(tmp_path, 'arms: {right: {gripper: hands/hand.xml}}')
     assert robot.default_gripper == {'right': str(tmp_path / 'hands' / 'hand.xml')}
     assert compose_robot(robot).grippers['right'].name == 'hand0_right'
+
+
+@pytest.mark.parametrize('text', [HAND, re.sub(
+    '<geom[^>]*/>', '<inertial pos="0 0 0.01" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>', HAND)],
+    ids=['shapes', 'no shapes'])
+def test_a_hand_alone_is_fixed_five_centimetres_above_the_floor(tmp_path, text):
+    model = compose(str(write(tmp_path / 'hand.xml', text))).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    lowest = min([data.geom_xpos[geom, 2] - model.geom_rbound[geom]
+                  for geom in range(model.ngeom) if model.geom_bodyid[geom]],
+                 default=data.body('robot0_palm').xpos[2])
+    assert 0.05 - 1e-3 < lowest < 0.08
 
 
 @pytest.mark.parametrize(('yaml', 'message'), [

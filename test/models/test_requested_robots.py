@@ -124,7 +124,7 @@ def test_a_text_is_a_robot_and_names_no_file(roots, here):
     assert len(robot.joints) == 2
     text = urdf(f'{roots}/lab_arm/meshes/link.stl')
     robot = load_requested(OneText(text, 'resource_string'), files)
-    assert not robot.compile().nmesh
+    assert robot.naming_prefix == 'robot0_' and not robot.compile().nmesh
     assert 'a text must not name files' in ''.join(robot.inferred)
 
 

@@ -123,9 +123,11 @@ def test_commands_on_their_way_are_the_same_after_restoring(panda, kind):
     anew(panda, 1)
     panda.robot.sensing.set('latency.command', 0.03)
     run(panda, [kind])
-    state = panda.save()
+    state, journal = panda.save(), json.dumps(plain_state(panda)[0])
     expected = run(panda, [kind] * 3, begin=1)
     panda.restore(state)
+    assert run(panda, [kind] * 3, begin=1) == expected
+    restore_plain(panda, json.loads(journal))
     assert run(panda, [kind] * 3, begin=1) == expected
     panda.robot.sensing.set('latency.command', 0.0)
 
