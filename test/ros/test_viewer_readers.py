@@ -116,13 +116,13 @@ def test_malformed_messages_are_logged_once_a_second_and_the_viewer_goes_on(clie
 
 
 #: The viewer with more time for checks of models: a page on a busy machine is slow to show them.
-PATIENT = '''
+PATIENT = """
 import sys
 from manip_sim.models import sandbox
 from manip_sim.viewer.__main__ import main
 sandbox.MAX_WALL_S = 1e4
 sys.exit(main())
-'''
+"""
 
 
 def trials(process):
