@@ -239,3 +239,13 @@ def test_a_change_that_is_rejected_says_what_to_do(name, value, reason, serve, c
     (result,) = client.call(SetParameters, '/manip_sim/set_parameters', request).results
     assert not result.successful
     assert result.reason.startswith(reason)
+
+
+@pytest.mark.full
+def test_a_change_of_several_parameters_changes_none_if_one_value_cannot_be(serve):
+    node = serve(start_paused=True)
+    result = node.set_parameters_atomically([
+        Parameter('real_time_factor', value=2.0), Parameter('control_mode.arm', value='torque')])
+    assert not result.successful
+    assert result.reason.startswith("parameter 'control_mode.arm': unknown value 'torque': ")
+    assert node.thread.real_time_factor == node.get_parameter('real_time_factor').value == 1.0
