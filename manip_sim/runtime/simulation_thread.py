@@ -335,7 +335,7 @@ class SimulationThread:
                     # Commands that came before a call are taken before it.
                     self._inbox.take(_TAKEN_BEFORE_CALLS)
                     self._calls.answer()
-                    continue  # A period that was due may have lost its commands.
+                    due = False  # The period may have lost its commands: look again.
                 if due and not self._paused:
                     self._period(most=self._at_once)
                 elif self._show_again or self._repeats and time.monotonic() >= self._repeat_at:
