@@ -60,16 +60,16 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = _Parser(
         prog='manip_sim', allow_abbrev=False,
         description='List robots, grippers, bases and arenas; describe, check, render and export '
-                    'compositions of them; run policies on tasks; record nodes, and repeat and '
-                    'convert records; topics, parameters and services of nodes. Works without '
-                    'ROS, but for record, topic, param and service.',
+                    'compositions of them; run policies on tasks, and compare the runs; record '
+                    'nodes, and repeat and convert records; topics, parameters and services of '
+                    'nodes. Works without ROS, but for record, topic, param and service.',
         epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
                "The node is another program, 'sim_node'.")
     parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_run,
-                _add_merge, _add_record, _add_replay, _add_convert, _add_ros):
+                _add_merge, _add_compare, _add_record, _add_replay, _add_convert, _add_ros):
         add(commands)
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
@@ -135,6 +135,8 @@ def _conflict(options: argparse.Namespace) -> str | None:
             return '--ros2-control without DIR is for a .urdf'
         if options.name and (options.file is None or options.file.suffix.lower() != '.urdf'):
             return '--name is for a .urdf'
+    if options.command == 'compare':
+        return _conflict_of_comparison(options)
     if options.command != 'render':
         return None
     if options.camera is not None and (options.azimuth, options.elevation) != (None, None):
@@ -142,6 +144,20 @@ def _conflict(options: argparse.Namespace) -> str | None:
     alone = [name for name in ('gripper', 'base', 'arena') if getattr(options, name) is not None]
     if options.robot == 'none' and len(alone) != 1:
         return "with '--robot none' give one of --gripper, --base and --arena to be shown alone"
+    return None
+
+
+def _conflict_of_comparison(options: argparse.Namespace) -> str | None:
+    if len(options.runs) < 2:
+        return 'give at least two runs'
+    for name in ('threshold', 'until'):
+        value = getattr(options, name)
+        if value is not None and not 0.0 <= value <= 1.0:
+            return f'--{name} is a share of episodes from 0 to 1, got {value:g}'
+    if options.until == 0.0:
+        return '--until must be above 0'
+    if options.until is None and options.most is not None:
+        return '--most is for --until'
     return None
 
 
@@ -364,6 +380,37 @@ def _add_merge(commands: Any) -> None:
     parser.add_argument('folders', nargs='+', type=Path, metavar='DIR', help='folders of a run')
     parser.add_argument('--out', required=True, type=Path, metavar='DIR',
                         help='folder for the merged run')
+
+
+def _add_compare(commands: Any) -> None:
+    parser = _command(
+        commands, 'compare', 'compare', 'compare runs with the same seeds, pair by pair',
+        'Shows the success of each run, its difference from the first run with a 95 % interval, '
+        "McNemar's exact test, and the seeds with which only some of them succeed. The runs may "
+        'differ in the policy; compares the seeds that all of them have.',
+        'examples: manip_sim compare before after --threshold 0.05\n'
+        '          manip_sim compare before after --until 0.1 --video videos\n'
+        'The exit code is 1 if a run is worse than the first one by more than the threshold, '
+        'sure at 95 %; 2 if the runs cannot be compared.')
+    parser.add_argument('runs', nargs='+', type=Path, metavar='DIR',
+                        help="folders of 'manip_sim run'; the first one is compared with")
+    parser.add_argument('--threshold', type=number, metavar='P', help='exit with 1 if the whole '
+                        'interval of a difference is below -P, such as 0.05')
+    parser.add_argument('--until', type=number, metavar='WIDTH', help='add seeds to all runs '
+                        'until the intervals of the differences are this narrow, such as 0.1')
+    parser.add_argument('--most', type=count, metavar='N',
+                        help='number of seeds after which --until adds none (default: 10000)')
+    parser.add_argument('--across', action='append', default=[], metavar='OPTION', help='compare '
+                        'runs that differ in this too, such as latency; may be repeated')
+    parser.add_argument('--video', type=Path, metavar='FOLDER', help='show the episodes of the '
+                        'first ten seeds that differ beside each other, in FOLDER/SEED.mp4, '
+                        'where the runs have records')
+    parser.add_argument('--camera', default='frontview', metavar='NAME',
+                        help='of the videos (default: frontview)')
+    parser.add_argument('--json', action='store_true', help='print JSON')
+    parser.add_argument('--worlds', type=count, metavar='N', help='as for run, with --until')
+    parser.add_argument('--policy-limit', type=positive, metavar='SECONDS',
+                        help='as for run, with --until')
 
 
 def _add_ros(commands: Any) -> None:

@@ -17,11 +17,12 @@ import os
 import sys
 
 from manip_sim.cli.command_line import parse
+from manip_sim.cli.output import UsageError
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line
 from manip_sim.startup import use_one_blas_thread
 
-PROBLEM = 1
+PROBLEM, WRONG_USE = 1, 2
 
 
 def run() -> int:
@@ -57,6 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = options.verb or importlib.import_module(f'manip_sim.cli.{options.module}')
         gc.enable()
         text, code = command.run(options)
+    except UsageError as error:
+        return _fail(str(error), WRONG_USE)
     except ManipSimError as error:
         return _fail(str(error))
     except OSError as error:
@@ -69,7 +72,7 @@ def _choose_renderer(command: str) -> None:
     if command == 'render':
         if sys.platform == 'linux':
             os.environ.setdefault('MUJOCO_GL', 'egl')
-    elif command != 'run' and 'mujoco' not in sys.modules:
+    elif command not in ('run', 'compare') and 'mujoco' not in sys.modules:
         os.environ['MUJOCO_GL'] = 'disable'
 
 
@@ -90,6 +93,6 @@ def _report(text: str = '') -> int:
     return 0
 
 
-def _fail(message: str) -> int:
+def _fail(message: str, code: int = PROBLEM) -> int:
     print(f'manip_sim: {one_line(message, 2000)}', file=sys.stderr)
-    return PROBLEM
+    return code

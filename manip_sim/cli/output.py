@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Write a file as a whole or not at all."""
+"""Write a file as a whole or not at all; the error that is wrong use."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from pathlib import Path
 import tempfile
 
 from manip_sim.errors import ManipSimError
+
+
+class UsageError(ManipSimError):
+    """What a command was given cannot be used; exit code 2, as for a wrong command line."""
 
 
 def check_folder(file: Path) -> None:

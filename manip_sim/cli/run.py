@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 import contextlib
 import importlib.util
 import itertools
@@ -23,7 +23,7 @@ from manip_sim.experiments import (
 from manip_sim.experiments.on_ray import run_on_ray
 from manip_sim.experiments.policies import ROS
 from manip_sim.experiments.processes import run_in_processes
-from manip_sim.experiments.run_folder import read_json, RECORDS, RUN, Shard
+from manip_sim.experiments.run_folder import read_run, RECORDS, Shard
 from manip_sim.experiments.summary import Row
 from manip_sim.interface.parameter_files import read_parameters
 from manip_sim.models.randomization import Randomization
@@ -137,6 +137,23 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
             'randomization': Randomization(options.randomization)}, options.noise)
     records = out / RECORDS if options.record else None
     experiment = Experiment(setting, options.policy, records, options.policy_limit)
+    return run_seeds(experiment, out, seeds, options, (number, count))
+
+
+def run_seeds(experiment: Experiment, out: Path, seeds: Sequence[int],
+              options: argparse.Namespace, shard_of: tuple[int, int] = (1, 1)
+              ) -> dict[str, Any] | None:
+    """
+    Run the seeds that a folder does not have yet.
+
+    :param experiment: what is run
+    :param out: folder of the run
+    :param seeds: of the whole run
+    :param options: ``worlds``, ``engine``, ``address``, ``again`` and ``retry_errors``
+    :param shard_of: number and count of the shard
+    :returns: the summary, or None after an interruption
+    """
+    ros = experiment.policy.startswith(ROS)
     # What cannot be used is said here, before anything is written.
     folder_before = Path.cwd()
     try:
@@ -144,7 +161,7 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
     finally:
         os.chdir(folder_before)  # A policy may have left it.
     folder = RunFolder(out, experiment.description, seeds, period_s, options.again)
-    with folder.shard(number, count, options.retry_errors) as shard:
+    with folder.shard(*shard_of, options.retry_errors) as shard:
         if options.engine == 'ray':
             rows = run_on_ray(experiment, shard.left, options.address, options.worlds)
         else:
@@ -194,15 +211,12 @@ def _progress(shard: Shard) -> Any:
 
 
 def _merge(options: argparse.Namespace) -> tuple[str, int]:
-    first = _description(options.folders[0])
-    first.pop('seeds')
-    period_s = first.pop('period_s')
+    first = read_run(options.folders[0])
     runs = []
     for path in options.folders:  # A RunFolder would be made where there is none.
-        seeds = parse_seeds(_description(path)['seeds'])
-        runs.append(RunFolder(path, first, seeds, period_s))
+        runs.append(RunFolder(path, first.description, read_run(path).seeds, first.period_s))
     seeds = [*dict.fromkeys(seed for folder in runs for seed in folder.seeds)]
-    target = RunFolder(options.out, first, seeds, period_s)
+    target = RunFolder(options.out, first.description, seeds, first.period_s)
     given: dict[int, Path] = {}
     with target.shard(1, 1) as shard:
         left = set(shard.left)
@@ -215,12 +229,6 @@ def _merge(options: argparse.Namespace) -> tuple[str, int]:
                 if seed in left:
                     shard.add(row)
     return _summary_text(target.finish())
-
-
-def _description(folder: Path) -> dict[str, Any]:
-    if not (folder / RUN).is_file():
-        raise ModelError(f'{folder} is not the folder of a run: it has no {RUN}')
-    return read_json(folder / RUN)
 
 
 def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:

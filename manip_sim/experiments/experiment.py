@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.errors import ManipSimError
+from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.experiments.policies import (
     failing_as, LIMIT_S, load_policy, LOCAL_LIMIT_S, policy_content, PolicyFailure, ROS)
 from manip_sim.experiments.summary import Row
@@ -43,6 +43,32 @@ class Experiment:
     policy: str
     records: Path | None = None
     limit_s: float | None = None
+
+    @classmethod
+    def of(cls, description: Mapping[str, Any], records: Path | None = None,
+           limit_s: float | None = None) -> Experiment:
+        """
+        Return the experiment of a description.
+
+        :param description: as :attr:`description` returns it
+        :param records: folder for a record of each episode; None for no records
+        :param limit_s: how long an answer of the policy may take, wall time [s]; None for the
+            default
+        :raises ModelError: if something in it is missing or cannot be used
+        """
+        try:
+            late = {key.removesuffix('_s'): value
+                    for key, value in description['latency'].items()}
+            size = description['image_size']
+            setting = Setting(
+                description['task'], description['robot'], description['gripper'],
+                description['action'], description['control_hz'], late,
+                tuple(description['cameras']), None if size is None else (size[0], size[1]),
+                description['composition'], description.get('noise', {}))
+            return cls(setting, description['policy'], records, limit_s)
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
+            raise ModelError(f'the description of a run cannot be used: {type(error).__name__}: '
+                             f'{error}') from error
 
     @property
     def policy_limit_s(self) -> float:

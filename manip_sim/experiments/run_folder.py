@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack
+from dataclasses import dataclass
 import fcntl
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -122,16 +124,9 @@ class RunFolder:
         """
         Return the rows of all shards so far, by seed, in the order of the seeds.
 
-        :raises ModelError: if two shards have the same seed
+        :raises ModelError: if two shards have the same seed, or a file is damaged
         """
-        found: dict[int, Row] = {}
-        for file in sorted(self.path.glob('rows-*.jsonl')):
-            with file.open() as opened:
-                for seed, row in read_rows(opened).items():
-                    if seed in found:
-                        raise ModelError(f'{self.path}: two shards have the seed {seed}')
-                    found[seed] = row
-        return {seed: found[seed] for seed in self._seeds if seed in found}
+        return _rows_in(self.path, self._seeds)
 
     def finish(self) -> dict[str, Any]:
         """
@@ -184,6 +179,67 @@ class Shard:
         os.fsync(self._file.fileno())
 
 
+@dataclass(frozen=True)
+class StoredRun:
+    """
+    A run as it lies in its folder, complete or not.
+
+    :ivar path: of the folder
+    :ivar description: what the rows depend on, as :attr:`Experiment.description` has it
+    :ivar seeds: of the whole run
+    :ivar period_s: length of a control period [s]
+    :ivar rows: those that are there, by seed, in the order of the seeds
+    """
+
+    path: Path
+    description: Mapping[str, Any]
+    seeds: tuple[int, ...]
+    period_s: float
+    rows: Mapping[int, Row]
+
+    @property
+    def records(self) -> Path | None:
+        """The folder of the records; None if there are none."""
+        folder = self.path / RECORDS
+        return folder if folder.is_dir() else None
+
+
+def read_run(path: Path) -> StoredRun:
+    """
+    Read the folder of a run, and change nothing in it.
+
+    :param path: of the folder
+    :raises ModelError: if it is not the folder of a run, or a file in it is damaged
+    """
+    file = path / RUN
+    if not file.is_file():
+        raise ModelError(f'{path} is not the folder of a run: it has no {RUN}')
+    description = read_json(file)
+    text, period_s = description.pop('seeds', None), description.pop('period_s', None)
+    if not isinstance(text, str) or not isinstance(period_s, float) or not (
+            0.0 < period_s < math.inf):
+        raise ModelError(f'{file} does not belong to a run: it needs the seeds and the length of '
+                         'a control period')
+    seeds = parse_seeds(text)
+    return StoredRun(path, description, tuple(seeds), period_s, _rows_in(path, seeds))
+
+
+def _rows_in(folder: Path, seeds: Iterable[int]) -> dict[int, Row]:
+    """Return the rows of all shards by seed, in the order of some seeds."""
+    found: dict[int, Row] = {}
+    for file in sorted(folder.glob('rows-*.jsonl')):
+        with file.open() as opened:
+            try:
+                rows = read_rows(opened)
+            except (ModelError, ValueError) as error:
+                raise ModelError(f'{file}: {error}') from error
+        for seed, row in rows.items():
+            if seed in found:
+                raise ModelError(f'{folder}: two shards have the seed {seed}')
+            found[seed] = row
+    return {seed: found[seed] for seed in seeds if seed in found}
+
+
 def read_rows(lines: Iterable[str]) -> dict[int, Row]:
     """
     Return rows by seed; of several of a seed, the last one.
@@ -197,7 +253,7 @@ def read_rows(lines: Iterable[str]) -> dict[int, Row]:
             break
         try:
             row = Row.of(json.loads(line))
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, AttributeError) as error:
             raise ModelError(f'line {number} is not a row: {line[:60]!r}') from error
         found[row.seed] = row
     return found

@@ -13,7 +13,7 @@ import statistics
 from typing import Any
 
 #: Of the normal distribution, for 95 %.
-_Z = 1.959964
+Z_95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,15 @@ class Row:
         Return the row of some columns.
 
         :param columns: as :meth:`as_dict` returns them
+        :raises TypeError: if one is missing or unknown, or has another type
         """
-        return cls(**{'returned' if key == 'return' else key: value
-                      for key, value in columns.items()})
+        row = cls(**{'returned' if key == 'return' else key: value
+                     for key, value in columns.items()})
+        for name, kind in (('seed', int), ('success', bool), ('returned', float),
+                           ('periods', int), ('digest', str), ('error', str)):
+            if type(getattr(row, name)) is not kind:
+                raise TypeError(f'{name} must be {kind.__name__}')
+        return row
 
 
 def wilson_interval(successes: int, count: int) -> tuple[float, float]:
@@ -59,9 +65,9 @@ def wilson_interval(successes: int, count: int) -> tuple[float, float]:
     :param successes: of ``count``
     :param count: number of episodes, from 1
     """
-    share, z2 = successes / count, _Z * _Z
+    share, z2 = successes / count, Z_95 * Z_95
     middle = (share + z2 / (2.0 * count)) / (1.0 + z2 / count)
-    half = _Z / (1.0 + z2 / count) * math.sqrt(
+    half = Z_95 / (1.0 + z2 / count) * math.sqrt(
         share * (1.0 - share) / count + z2 / (4.0 * count * count))
     # At the ends, rounding must not leave a little of what is all or nothing.
     return (max(middle - half, 0.0) if successes else 0.0,

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 import json
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from manip_sim.errors import RecordError
 from manip_sim.records.episode_arrays import Columns, Frames
+from manip_sim.records.video import VideoFile
 
 _DATA = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
 _VIDEO = 'videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4'
@@ -23,8 +24,6 @@ _CHUNK, _DATA_MB, _VIDEO_MB = 1000, 100, 200
 _QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
 #: Pixels between two that count in the statistics of images.
 _STRIDE = 4
-#: H.264 with a key frame every other image, as LeRobot reads images in any order.
-_CODEC, _OPTIONS, _PIXELS = 'libx264', {'crf': '18', 'g': '2', 'bf': '0'}, 'yuv420p'
 
 
 def write_lerobot(episodes: Iterable[Frames], folder: Path) -> int:
@@ -58,7 +57,7 @@ class _Writer:
         self._features: dict[str, Any] = {}
         self._statistics: dict[str, list[NDArray[Any]]] = {}
         self._images: dict[str, _ImageStatistics] = {}
-        self._videos: dict[str, _Video] = {}
+        self._videos: dict[str, VideoFile] = {}
         self._total, self._fps = 0, 0
         self._robot = ''
         self._tables: list[Any] = []
@@ -138,7 +137,7 @@ class _Writer:
             if video is not None:
                 video.close()
             path = self._folder / _place(_VIDEO, number, video_key=key)
-            video = self._videos[key] = _Video(
+            video = self._videos[key] = VideoFile(
                 path, number, self._fps, self._features[key]['shape'])
         statistics = self._images.setdefault(key, _ImageStatistics())
         begin, first = video.frames / self._fps, video.frames
@@ -282,51 +281,3 @@ class _ImageStatistics:
             levels[min(int(np.searchsorted(row, q)), 255)] for row in below]) for q in _QUANTILES)
         return {**{name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items()},
                 'count': [self._count]}
-
-
-class _Video:
-    """
-    A video file with several episodes, each of which begins with a key frame.
-
-    :param path: of the file; its folder is created
-    :param number: of the file, from 0
-    :param fps: images in a second
-    :param shape: of the images, (height, width, 3), both even
-    """
-
-    def __init__(self, path: Path, number: int, fps: int, shape: Sequence[int]) -> None:
-        import av
-        height, width, _ = shape
-        if height % 2 or width % 2:
-            raise RecordError(f'images of {width} x {height} pixels cannot be written as video, '
-                              'both must be even')
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self.number, self.frames = number, 0
-        self._path = path
-        self._container: Any = av.open(str(path), 'w')
-        self._stream: Any = self._container.add_stream(_CODEC, rate=fps, options=_OPTIONS)
-        self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, _PIXELS
-        self.info = {'video.height': height, 'video.width': width, 'video.codec': 'h264',
-                     'video.pix_fmt': _PIXELS, 'video.is_depth_map': False, 'video.fps': fps,
-                     'video.channels': 3, 'has_audio': False}
-
-    def add(self, image: NDArray[np.uint8], is_first: bool) -> None:
-        """Add an image; the first one of an episode becomes a key frame."""
-        import av
-        from av.video.frame import PictureType
-        frame = av.VideoFrame.from_ndarray(image, format='rgb24')
-        frame.pts = self.frames
-        if is_first:
-            frame.pict_type = PictureType.I
-        self.frames += 1
-        self._container.mux(self._stream.encode(frame))
-
-    @property
-    def is_large(self) -> bool:
-        """True if the next episode should begin another file."""
-        return self._path.stat().st_size > _VIDEO_MB * 2**20 * 0.9
-
-    def close(self) -> None:
-        """Complete the file."""
-        self._container.mux(self._stream.encode())
-        self._container.close()

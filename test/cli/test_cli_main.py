@@ -15,7 +15,8 @@ import pytest
 import manip_sim
 from manip_sim.cli.command_line import COMPOSITION
 
-COMMANDS = ('list', 'describe', 'export', 'render', 'check', 'record', 'replay', 'convert')
+COMMANDS = ('list', 'describe', 'export', 'render', 'check', 'compare', 'record', 'replay',
+            'convert')
 #: Raises what a class of another package may raise, in place of a command.
 FAILING = """
 import sys
@@ -47,7 +48,7 @@ def test_help_of_each_command_tells_all_options_and_exit_codes(name, here, monke
     # Each line is as long as the next word allows.
     for line, following in zip(description, description[1:]):
         assert len(line) <= 78 < len(line) + 1 + len(following.split()[0])
-    composes = name not in ('list', 'record', 'replay', 'convert')
+    composes = name not in ('list', 'compare', 'record', 'replay', 'convert')
     for option in COMPOSITION:
         assert (f'--{option.replace("_", "-")}' in text) == composes
 

@@ -228,3 +228,11 @@ class NeedsArguments:
 
 
 NUMBER = 7
+
+
+class StopsInTheThirdPeriod(Towards):
+    """Does nothing from the third action on."""
+
+    def act(self, observation):
+        found = super().act(observation)
+        return found if self.periods < 3 else 0.0 * found
