@@ -157,10 +157,12 @@ def run_seeds(experiment: Experiment, out: Path, seeds: Sequence[int],
     # What cannot be used is said here, before anything is written.
     folder_before = Path.cwd()
     try:
-        period_s = Worker(experiment).period_s
+        worker = Worker(experiment)
+        period_s, interface = worker.period_s, worker.interface
     finally:
         os.chdir(folder_before)  # A policy may have left it.
     folder = RunFolder(out, experiment.description, seeds, period_s, options.again)
+    folder.write_interface(interface)
     with folder.shard(*shard_of, options.retry_errors) as shard:
         if options.engine == 'ray':
             rows = run_on_ray(experiment, shard.left, options.address, options.worlds)
@@ -231,6 +233,14 @@ def _merge(options: argparse.Namespace) -> tuple[str, int]:
     return _summary_text(target.finish())
 
 
+def _answers(summary: dict[str, Any]) -> str:
+    """Return how long the policy takes, and whether that is longer than a control period."""
+    mean_s, longest_s = (summary['answer_time_s'][kind] or 0.0 for kind in ('mean', 'max'))
+    period_s = summary['period_s']
+    late = '' if longest_s <= period_s else f'; a control period is {1e3 * period_s:g} ms'
+    return f'after {1e3 * mean_s:.3g} ms of wall time, {1e3 * longest_s:.3g} ms at most{late}'
+
+
 def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
     count, late = summary['episodes'], summary['latency']
     low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])
@@ -249,7 +259,7 @@ def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
                     f'{100.0 * (summary["success_rate"] or 0.0):.1f} %, 95 % interval {low} to '
                     f'{high} %'),
         ('median time', '-' if time_s is None else f'{time_s:.2f} s'),
-        ('mean return', f'{summary["mean_return"] or 0.0:.2f}')]
+        ('mean return', f'{summary["mean_return"] or 0.0:.2f}'), ('answers', _answers(summary))]
     rows += [('failed', f'{number} x {error}') for error, number in summary['errors'].items()]
     return (table('Run', ('what', 'value'), rows, terminal_width()),
             int(bool(summary['errors'])))

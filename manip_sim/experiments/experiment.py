@@ -12,6 +12,8 @@ import functools
 from pathlib import Path
 import platform
 import signal
+import statistics
+import time
 from typing import Any
 
 import mujoco
@@ -25,6 +27,7 @@ from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
 from manip_sim.tasks import Episode, Latency, read_description, Setting
 from manip_sim.tasks.expert import Expert, Policy
+from manip_sim.tasks.policy_interface import interface_of
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,11 @@ class Worker:
         """Length of a control period [s]."""
         return self._episode.period_s
 
+    @property
+    def interface(self) -> dict[str, Any]:
+        """What the policy gets and gives, as JSON can hold it."""
+        return interface_of(self._episode)
+
     def run(self, seed: int) -> Row:
         """
         Return the row of a seed; what a policy raises is in the row.
@@ -131,7 +139,8 @@ class Worker:
         :raises RecordError: if a record cannot be written
         """
         episode, recorder = self._episode, self._recorder(seed)
-        total, error = 0.0, ''
+        total, error, answers_s = 0.0, '', list[float]()
+        begin_s = time.perf_counter()
         episode.reset(seed)
         recorded = recorder is not None
         observed = recorded or not isinstance(self._policy, Expert)
@@ -141,18 +150,22 @@ class Worker:
         try:
             self._reset_policy(seed)
             while not episode.over:
+                asked_s = time.perf_counter()
                 action = self._act(observation)
+                answers_s.append(time.perf_counter() - asked_s)
                 episode.step(action)
                 reward = episode.reward
                 total += reward
                 if recorded or observed and not episode.over:
                     observation = episode.observation
                 if recorder is not None:
-                    recorder.period(action, reward, observation=observation)
+                    recorder.period(action, reward, observation=observation,
+                                    answer_s=answers_s[-1])
         except ManipSimError as failure:
             error = one_line(str(failure), 300)
         row = Row(seed, not error and episode.success, total, episode.periods, episode.digest,
-                  error)
+                  error, time.perf_counter() - begin_s,
+                  statistics.fmean(answers_s) if answers_s else 0.0, max(answers_s, default=0.0))
         if recorder is not None:
             recorder.end(row.success, row.digest, error)
             recorder.close()

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 import contextlib
 import hashlib
 import importlib
@@ -28,6 +28,8 @@ from manip_sim.quoting import one_line, quoted
 from manip_sim.tasks import Episode
 from manip_sim.tasks.expert import Policy
 from manip_sim.tasks.observation import IMAGE, Observation
+from manip_sim.tasks.policy_interface import (
+    check_interface, interface_of, read_interface, SUFFIX)
 
 EXPERT = 'expert'
 #: Before the namespace of a node.
@@ -56,11 +58,27 @@ def policy_content(name: str) -> str | None:
     """
     if name == EXPERT or name.startswith(ROS):
         return None
-    where = name if os.path.isfile(name) else name.rpartition(':')[0]
-    file = Path(where) if os.path.isfile(where) else _source(where, [Path(), *sys.path])
+    file = _policy_file(name)
     # Sorted by content: other machines have them in other folders.
     digests = sorted(map(_digest, set() if file is None else _files(file.resolve())))
     return hashlib.sha256(b''.join(digests)).hexdigest()
+
+
+def _policy_file(name: str) -> Path | None:
+    """Return the file of a policy, or None if it cannot be found."""
+    where = name if os.path.isfile(name) else name.rpartition(':')[0]
+    return Path(where) if os.path.isfile(where) else _source(where, [Path(), *sys.path])
+
+
+def _checked_interface(name: str, episode: Episode) -> Mapping[str, Any]:
+    """Return what the file beside a policy says, if there is one, after checking the episode."""
+    file = _policy_file(name)
+    beside = None if file is None else file.with_name(file.name + SUFFIX)
+    if beside is None or not beside.is_file():
+        return {}
+    expected = read_interface(beside)
+    check_interface(expected, interface_of(episode), str(beside))
+    return expected
 
 
 def _digest(path: Path) -> bytes:
@@ -168,11 +186,12 @@ def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy
         except ImportError as error:
             raise ModelError(f'policy {quoted(name)} needs ROS 2: {error}') from error
         return RosPolicy(name.removeprefix(ROS), episode, limit_s)
+    keys = _checked_interface(name, episode).get('observation')
     suffix = Path(name).suffix.lower()
     if suffix in ('.pt', '.pth', '.onnx'):
         if not Path(name).is_file():
             raise ModelError(f'policy {quoted(name)}: there is no such file')
-        act = (_onnx if suffix == '.onnx' else _torch_script)(name)
+        act = (_onnx if suffix == '.onnx' else _torch_script)(name, keys)
         return _Function(act)
     where, colon, attribute = name.rpartition(':')
     if not (colon and where and attribute):
@@ -240,25 +259,28 @@ class _Function:
         self._reset()
 
 
-def flat(observation: Observation) -> FloatArray:
+def flat(observation: Observation, keys: Collection[str] | None = None) -> FloatArray:
     """
     Return all of an observation but its images in one array, shape (n,), float64.
 
     The order is that of the sorted keys, as gymnasium's ``FlattenObservation`` has it.
+
+    :param keys: of the part that is returned; None for all of it
     """
     return np.concatenate([observation[key].ravel() for key in sorted(observation)
-                           if not key.startswith(IMAGE)])
+                           if not key.startswith(IMAGE) and (keys is None or key in keys)])
 
 
-def _inputs(observation: Observation, names: list[str]) -> dict[str, Any]:
+def _inputs(observation: Observation, names: list[str], keys: Collection[str] | None
+            ) -> dict[str, Any]:
     """Return what a network takes, with a leading axis of 1, numbers as float32."""
     if len(names) == 1 and names[0] not in observation:
-        return {names[0]: flat(observation)[None].astype(np.float32)}
+        return {names[0]: flat(observation, keys)[None].astype(np.float32)}
     return {key: (value if value.dtype == np.uint8 else value.astype(np.float32))[None]
             for key, value in observation.items() if key in names}
 
 
-def _onnx(file: str) -> Callable[[Observation], FloatArray]:
+def _onnx(file: str, keys: Collection[str] | None) -> Callable[[Observation], FloatArray]:
     try:
         import onnxruntime
     except ImportError as error:
@@ -272,10 +294,11 @@ def _onnx(file: str) -> Callable[[Observation], FloatArray]:
         raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
     names = [found.name for found in session.get_inputs()]
     return lambda observation: np.asarray(
-        session.run(None, _inputs(observation, names))[0], dtype=float).ravel()
+        session.run(None, _inputs(observation, names, keys))[0], dtype=float).ravel()
 
 
-def _torch_script(file: str) -> Callable[[Observation], FloatArray]:
+def _torch_script(file: str, keys: Collection[str] | None
+                  ) -> Callable[[Observation], FloatArray]:
     try:
         import torch
     except ImportError as error:
@@ -293,7 +316,7 @@ def _torch_script(file: str) -> Callable[[Observation], FloatArray]:
     def act(observation: Observation) -> FloatArray:
         names = list(observation) if takes_dict else ['']
         given = {key: torch.from_numpy(value)
-                 for key, value in _inputs(observation, names).items()}
+                 for key, value in _inputs(observation, names, keys).items()}
         with torch.no_grad():
             found = module(given if takes_dict else given[''])
         return np.asarray(found.numpy(), dtype=float).ravel()

@@ -17,11 +17,12 @@ from typing import Any
 
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.experiments.seeds import parse_seeds
-from manip_sim.experiments.summary import Row, summarize
+from manip_sim.experiments.summary import Row, summarize, TIMES
 from manip_sim.quoting import shown
 
 #: Files in the folder; the first says what the run is. The last is a folder.
 RUN, EPISODES, SUMMARY, RECORDS = 'run.json', 'episodes.parquet', 'summary.json', 'records'
+INTERFACE = 'interface.json'
 _ROWS = 'rows-{}-of-{}.jsonl'
 
 
@@ -100,6 +101,14 @@ class RunFolder:
 
     def _write_run(self) -> None:
         _replace(self.path / RUN, json.dumps(self._run, indent=2).encode())
+
+    def write_interface(self, interface: Mapping[str, Any]) -> None:
+        """
+        Write what the policy gets and gives, a file that can be put beside a policy.
+
+        :param interface: as ``manip_sim.tasks.policy_interface.interface_of`` returns it
+        """
+        _replace(self.path / INTERFACE, json.dumps(interface, indent=1).encode())
 
     @contextmanager
     def shard(self, number: int, count: int, retry_errors: bool = False) -> Iterator[Shard]:
@@ -300,7 +309,8 @@ def write_table(file: Path, rows: Iterable[Row]) -> None:
                             ) from error
     schema = pyarrow.schema([
         ('seed', pyarrow.int64()), ('success', pyarrow.bool_()), ('return', pyarrow.float64()),
-        ('periods', pyarrow.int64()), ('digest', pyarrow.string()), ('error', pyarrow.string())])
+        ('periods', pyarrow.int64()), ('digest', pyarrow.string()), ('error', pyarrow.string()),
+        *((name, pyarrow.float64()) for name in TIMES)])
     part = file.with_name(f'.{file.name}.{os.getpid()}')
     parquet.write_table(pyarrow.Table.from_pylist([row.as_dict() for row in rows], schema), part)
     part.replace(file)

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 import math
 import statistics
 from typing import Any
 
+#: Columns of wall times.
+TIMES = ('wall_time_s', 'answer_mean_s', 'answer_max_s')
 #: Of the normal distribution, for 95 %.
 Z_95 = 1.959964
 
@@ -27,6 +29,10 @@ class Row:
     :ivar periods: number of its control periods
     :ivar digest: of its final state
     :ivar error: why it ended early, such as what the policy raised; empty if it did not
+    :ivar wall_time_s: how long it took, wall time [s]; this and what follows is another one each
+        time, so that rows are equal without it
+    :ivar answer_mean_s: mean of the wall times of the policy's answers [s]
+    :ivar answer_max_s: longest of them [s]
     """
 
     seed: int
@@ -35,6 +41,9 @@ class Row:
     periods: int
     digest: str
     error: str = ''
+    wall_time_s: float = field(default=0.0, compare=False)
+    answer_mean_s: float = field(default=0.0, compare=False)
+    answer_max_s: float = field(default=0.0, compare=False)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the columns of the row."""
@@ -52,7 +61,8 @@ class Row:
         row = cls(**{'returned' if key == 'return' else key: value
                      for key, value in columns.items()})
         for name, kind in (('seed', int), ('success', bool), ('returned', float),
-                           ('periods', int), ('digest', str), ('error', str)):
+                           ('periods', int), ('digest', str), ('error', str),
+                           *((name, float) for name in TIMES)):
             if type(getattr(row, name)) is not kind:
                 raise TypeError(f'{name} must be {kind.__name__}')
         return row
@@ -92,5 +102,9 @@ def summarize(rows: Iterable[Row], seeds: int, period_s: float) -> dict[str, Any
         'success_rate': successes / len(found) if found else None,
         'success_rate_95': [low, high],
         'mean_return': statistics.fmean(row.returned for row in found) if found else None,
+        'wall_time_s': sum(row.wall_time_s for row in found),
+        'answer_time_s': {
+            'mean': statistics.fmean(row.answer_mean_s for row in found) if found else None,
+            'max': max((row.answer_max_s for row in found), default=None)},
         'median_time_of_success_s': statistics.median(times_s) if times_s else None,
         'errors': dict(Counter(row.error for row in found if row.error).most_common(20))}

@@ -38,8 +38,9 @@ EPISODE, RESULT = 'manip_sim/episode', 'manip_sim/result'
 NODE = 'manip_sim/node'
 #: Name of the attachment with the model.
 MODEL = 'model.mjz'
-ACTION, STATE, GOAL, REWARD, SUCCESS, DIGEST = (
-    f'/episode/{name}' for name in ('action', 'state', 'goal', 'reward', 'success', 'digest'))
+ACTION, STATE, GOAL, REWARD, SUCCESS, DIGEST, ANSWER = (
+    f'/episode/{name}' for name in ('action', 'state', 'goal', 'reward', 'success', 'digest',
+                                    'answer_time'))
 #: What :data:`STATE` holds, one after the other: what it takes to draw all bodies.
 STATE_PARTS = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
                   | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
@@ -115,7 +116,7 @@ class EpisodeRecorder:
     def period(self, action: ArrayLike | None = None, reward: float | None = None,
                success: bool | None = None,
                images: Mapping[str, NDArray[np.uint8]] | None = None,
-               observation: Observation | None = None) -> None:
+               observation: Observation | None = None, answer_s: float | None = None) -> None:
         """
         Record a control period, after it.
 
@@ -124,10 +125,13 @@ class EpisodeRecorder:
         :param success: whether the task is done; None to compute it
         :param images: by camera, shape (h, w, 3); None for those of the observation
         :param observation: after the period; None to read it
+        :param answer_s: wall time that the policy took for the action [s]; None if it is unknown
         :raises RecordError: if the file cannot be written
         """
         if action is not None:
             self._topics.write_action(np.asarray(action, dtype=np.float64))
+        if answer_s is not None:
+            self._topics.write_value(ANSWER, float(answer_s))
         self._topics.write(observation, images)
         reward = self._episode.reward if reward is None else reward
         self._return += reward

@@ -16,6 +16,7 @@ from manip_sim.tasks.episode import Episode, start
 from manip_sim.tasks.episode_actions import ACTIONS, PoseActions
 from manip_sim.tasks.expert import Expert
 from manip_sim.tasks.latency import Latency
+from manip_sim.tasks.policy_interface import interface_of
 from manip_sim.tasks.setting import Setting
 from manip_sim.tasks.task import create_task, read_description, Task, TASKS
 
@@ -26,4 +27,4 @@ def task_names() -> list[str]:
 
 
 __all__ = ['ACTIONS', 'Episode', 'Expert', 'Latency', 'PoseActions', 'Setting', 'Task',
-           'create_task', 'read_description', 'start', 'task_names']
+           'create_task', 'interface_of', 'read_description', 'start', 'task_names']

@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -17,6 +18,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.clamping import finite_command_numbers
 from manip_sim.control.cartesian.kinematic_chains import find_chains, KinematicChain
 from manip_sim.control.commands import Command
+from manip_sim.control.modes import MODES
 from manip_sim.errors import UnknownNameError
 from manip_sim.quaternion import rotation_vector
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -27,6 +29,9 @@ ACTIONS = ('osc_pose', 'joint_position', 'joint_velocity', 'joint_effort')
 STEP_M, TURN_RAD = 0.05, 0.5
 #: The six numbers of an end effector: along and about the axes.
 _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
+#: Unit of the number of a gripper: from open to closed is 2.
+_STROKE = 'half stroke'
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,7 @@ class Actions(ABC):
     """
 
     def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
         self.arms: list[ArmAction] = []
         self.size = 0
         for robot in simulation.robots.values():
@@ -88,6 +94,16 @@ class Actions(ABC):
         return [name for item in self.arms for name in (
             *item.names, *[f'{item.robot.name}/{item.arm}/gripper'] * (
                 item.gripper.stop - item.gripper.start))]
+
+    @abstractmethod
+    def _units_of(self, item: ArmAction) -> Sequence[str]:
+        """Return the units of the goals of an arm."""
+
+    @property
+    def units(self) -> list[str]:
+        """Units of the numbers of an action, in order; ``0.05 m`` if 1 is 0.05 m."""
+        return [unit for item in self.arms for unit in (
+            *self._units_of(item), *[_STROKE] * (item.gripper.stop - item.gripper.start))]
 
     @property
     def bounds(self) -> FloatArray:
@@ -122,12 +138,11 @@ class PoseActions(Actions):
     :param simulation: whose robots they move
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        super().__init__(simulation)
-        self._simulation = simulation
-
     def _names_of(self, robot: SimulatedRobot, arm: str) -> Sequence[str]:
         return [f'{robot.name}/{arm}/{axis}' for axis in _AXES]
+
+    def _units_of(self, item: ArmAction) -> Sequence[str]:
+        return [*[f'{STEP_M:g} m'] * 3, *[f'{TURN_RAD:g} rad'] * 3]
 
     def _commands(self, item: ArmAction, goals: FloatArray) -> Iterable[Command]:
         return [item.robot.parse_cartesian.action(item.arm, goals)]
@@ -173,6 +188,11 @@ class JointActions(Actions):
 
     def _names_of(self, robot: SimulatedRobot, arm: str) -> Sequence[str]:
         return [robot.joints.names[index] for index in robot.joints.indices_of(arm)]
+
+    def _units_of(self, item: ArmAction) -> Sequence[str]:
+        model = self._simulation.model
+        return [MODES[self.mode].units[int(model.joint(name).type[0]) == _SLIDE]
+                for name in item.names]
 
     def _commands(self, item: ArmAction, goals: FloatArray) -> Iterable[Command]:
         return item.robot.parse.joint_command(item.names, **{self.mode: goals}, part=item.arm)

@@ -236,3 +236,11 @@ class StopsInTheThirdPeriod(Towards):
     def act(self, observation):
         found = super().act(observation)
         return found if self.periods < 3 else 0.0 * found
+
+
+class Thinks(Towards):
+    """Takes 10 ms for an answer, and 40 ms for the second one."""
+
+    def act(self, observation):
+        time.sleep(0.04 if self.periods == 1 else 0.01)
+        return super().act(observation)

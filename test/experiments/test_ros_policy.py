@@ -23,6 +23,7 @@ from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
 from manip_sim.experiments import Experiment, Worker  # noqa: E402
 from manip_sim.experiments.ros_policy import RosPolicy  # noqa: E402
+from manip_sim.experiments.summary import TIMES  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 from manip_sim.tasks import create_task, Episode, Setting  # noqa: E402
 from manip_sim.testing.domains import reserve_domain  # noqa: E402
@@ -53,7 +54,8 @@ def node(monkeypatch):
 
 def run(out, policy, *more, seeds='0:3'):
     code = main(['run', 'reach', '--policy', policy, '--seeds', seeds, '--out', str(out), *more])
-    return code, parquet.read_table(out / 'episodes.parquet').to_pylist()
+    table = parquet.read_table(out / 'episodes.parquet')
+    return code, table.drop_columns(list(TIMES)).to_pylist()
 
 
 def rows_of(policy, limit_s=10.0, seeds=range(3)):

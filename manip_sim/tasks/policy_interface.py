@@ -1,0 +1,145 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Names, order, units and rate of what a policy gets and gives, as plain data for a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from manip_sim.errors import describe_choices, ModelError
+from manip_sim.quoting import quoted, shown
+from manip_sim.tasks.episode import Episode
+from manip_sim.tasks.observation import IMAGE
+
+FORMAT = 1
+#: After the name of a policy's file.
+SUFFIX = '.interface.json'
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+_POSE = (('x', 'm'), ('y', 'm'), ('z', 'm'), ('qx', ''), ('qy', ''), ('qz', ''), ('qw', ''))
+#: By key, names and units of the numbers of a row.
+_COLUMNS = {
+    'eef_pose': _POSE, 'object_pose': _POSE,
+    'eef_twist': (*((f'v{axis}', 'm/s') for axis in 'xyz'),
+                  *((f'w{axis}', 'rad/s') for axis in 'xyz')),
+    'external_wrench': (*((f'f{axis}', 'N') for axis in 'xyz'),
+                        *((f't{axis}', 'N m') for axis in 'xyz'))}
+#: By key, the units of hinges and of slide joints.
+_OF_JOINTS = {'joint_position': ('rad', 'm'), 'joint_velocity': ('rad/s', 'm/s'),
+              'joint_effort': ('N m', 'N')}
+#: What a file may hold, by the key of its part.
+_KNOWN: Mapping[str, tuple[str, ...]] = {
+    '': ('format', 'control_hz', 'action', 'observation'),
+    'action': ('kind', 'names', 'units', 'bounds'),
+    'observation': ('shape', 'dtype', 'names', 'columns', 'units')}
+
+
+def interface_of(episode: Episode) -> dict[str, Any]:
+    """
+    Return what a policy gets and gives in an episode, as JSON can hold it.
+
+    ``control_hz`` is the number of actions in a second. ``action`` has ``kind``, ``names``,
+    ``units`` and ``bounds`` of the numbers in their order; the unit ``0.05 m`` means that 1 is
+    0.05 m. ``observation`` has by key ``shape`` and ``dtype`` of an array, ``names`` along its
+    first axis, ``columns`` along its second axis, and ``units`` along its last axis.
+
+    :param episode: any
+    """
+    actions, names = episode.actions, episode.observer.names
+    observed: dict[str, Any] = {}
+    for key, value in episode.observation.items():
+        found = observed[key] = {'shape': list(value.shape), 'dtype': str(value.dtype)}
+        if key in names:
+            found['names'] = list(names[key])
+        if key in _COLUMNS:
+            found['columns'], found['units'] = map(list, zip(*_COLUMNS[key]))
+        elif key in _OF_JOINTS:
+            model = episode.simulation.model
+            found['units'] = [
+                _OF_JOINTS[key][int(model.joint(name).type[0]) == _SLIDE] for name in names[key]]
+        elif key.startswith(IMAGE):
+            found['columns'], found['units'] = ['y', 'x'], ['red', 'green', 'blue']
+    return {'format': FORMAT, 'control_hz': 1.0 / episode.period_s,
+            'action': {'kind': episode.kind, 'names': actions.names, 'units': actions.units,
+                       'bounds': actions.bounds.tolist()},
+            'observation': observed}
+
+
+def read_interface(file: Path) -> dict[str, Any]:
+    """
+    Read the file beside a policy.
+
+    :param file: JSON as of :func:`interface_of`, of which parts may be missing
+    :raises ModelError: if it cannot be read, or holds something else
+    """
+    try:
+        found = json.loads(file.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise ModelError(f'{file} cannot be read: {error}') from error
+    _check_keys(found, '', file)
+    if found.get('format', FORMAT) != FORMAT:
+        raise ModelError(f'{file} has the format {shown(found["format"])}, not {FORMAT}')
+    if 'action' in found:
+        _check_keys(found['action'], 'action', file)
+    observed = found.get('observation', {})
+    if not isinstance(observed, dict):
+        raise ModelError(f'{file}: observation must be an object, by key')
+    for described in observed.values():
+        _check_keys(described, 'observation', file)
+    return dict(found)
+
+
+def _check_keys(found: Any, part: str, file: Path) -> None:
+    if not isinstance(found, dict):
+        raise ModelError(f'{file}: {part or "an interface"} must be an object')
+    for key in found:
+        if key not in _KNOWN[part]:
+            raise ModelError(f'{file}: unknown key {quoted(key)}: '
+                             + describe_choices(key, _KNOWN[part]))
+
+
+def check_interface(expected: Mapping[str, Any], actual: Mapping[str, Any], where: str) -> None:
+    """
+    Reject a policy in episodes that have another rate, order or unit than it was made for.
+
+    :param expected: of the policy, as :func:`read_interface` returns it; what is missing may be
+        anything, and episodes may observe more
+    :param actual: of the episodes, as :func:`interface_of` returns it
+    :param where: of the former, for the message
+    :raises ModelError: with the first difference
+    """
+    for what, wanted, found in _values(expected, actual):
+        if isinstance(wanted, list) and isinstance(found, list) and len(wanted) == len(found):
+            for index, (one, other) in enumerate(zip(wanted, found)):
+                _compare(f'{what}, number {index}', one, other, where)
+        _compare(what, wanted, found, where)
+
+
+def _values(expected: Mapping[str, Any], actual: Mapping[str, Any]
+            ) -> Iterator[tuple[str, Any, Any]]:
+    """Yield what is compared, with what is expected and what is there."""
+    if 'control_hz' in expected:
+        yield 'control_hz', expected['control_hz'], actual['control_hz']
+    for key, wanted in expected.get('action', {}).items():
+        yield f'{key} of actions', wanted, actual['action'][key]
+    for name, described in expected.get('observation', {}).items():
+        found = actual['observation'].get(name)
+        if found is None:
+            yield f'observation {quoted(name)}', 'there', 'not there'
+        else:
+            for key, wanted in described.items():
+                yield f'{key} of {name}', wanted, found.get(key)
+
+
+def _compare(what: str, wanted: Any, found: Any, where: str) -> None:
+    same = wanted == found or (
+        isinstance(wanted, (int, float)) and isinstance(found, (int, float))
+        and abs(wanted - found) <= 1e-6 * abs(found))
+    if not same:
+        raise ModelError(f'{where}: the policy was made for other episodes: {what}: it needs '
+                         f'{shown(wanted, 100)}, this is {shown(found, 100)}')
