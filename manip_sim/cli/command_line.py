@@ -346,6 +346,18 @@ def _add_run(commands: Any) -> None:
         parser.add_argument(option, type=number, metavar='SECONDS',
                             help=f'standard deviation of {what}, drawn from the seed (default: '
                             '0)')
+    parser.add_argument('--answer-time', metavar='SECONDS[,...]', help='let the policy think so '
+                        'long in simulated time, with nothing commanded meanwhile; measured: as '
+                        'long as it takes; several values make several runs, in '
+                        'DIR/answer_time_SECONDS')
+    parser.add_argument('--answer-time-jitter', type=number, metavar='SECONDS',
+                        help='standard deviation of --answer-time, drawn from the seed (default: '
+                        '0)')
+    parser.add_argument('--chunk-hz', type=positive, metavar='HZ', help='rate of the actions of '
+                        'a chunk, shape (actions, n), that the policy returns (default: '
+                        '--control-hz)')
+    parser.add_argument('--ask-ahead', type=whole, metavar='N', help='ask the policy again when N '
+                        'actions of the chunk are left (default: 0)')
     parser.add_argument('--noise', action='append', metavar='NOISE', help='noise on what is '
                         "observed: a profile ('franka', 'ur', 'ideal'), whose latency applies "
                         'unless --latency and the like are given, a parameter file of the node, '

@@ -30,10 +30,15 @@ from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
 from manip_sim.startup import processors
-from manip_sim.tasks import Latency, Setting
+from manip_sim.tasks import AnswerTime, Latency, Setting
+from manip_sim.tasks.late_answers import MEASURED
 
 #: Files of noise in the package, ``config/noise_NAME.yaml``.
 _PROFILES = ('franka', 'ideal', 'ur')
+#: Of what a sweep varies: begin of the names of folders, and head of the column.
+_FOLDERS = {'command': 'latency', 'state': 'latency', 'answer': 'answer_time'}
+_HEADS = {'command': 'latency of a command', 'state': 'latency of a state',
+          'answer': 'answer time'}
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
@@ -51,25 +56,56 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         if getattr(options, option) is not None:
             late[key] = getattr(options, option)
     options.noise, options.late = noise, late
-    commands, states = (given if given is not None else [late[key]] for given, key in (
-        (options.latency, 'command'), (options.state_latency, 'state')))
-    if len(commands) == 1 and len(states) == 1:
-        summary = _run_one(options, commands[0], states[0], options.out)
-        return _interrupted(options) if summary is None else _summary_text(summary)
-    if len(commands) > 1 and len(states) > 1:
-        raise ModelError('only one of --latency and --state-latency can have several values')
-    if len({*commands}) < len(commands) or len({*states}) < len(states):
+    options.timing = {key: value for key, value in (
+        ('jitter', options.answer_time_jitter), ('chunk_hz', options.chunk_hz),
+        ('ask_ahead', options.ask_ahead)) if value is not None}
+    sweeps: dict[str, list[Any]] = {
+        'command': _or_one(options.latency, late['command']),
+        'state': _or_one(options.state_latency, late['state']),
+        'answer': _answer_times(options.answer_time)}
+    cases = [dict(zip(sweeps, values)) for values in itertools.product(*sweeps.values())]
+    several = [kind for kind, values in sweeps.items() if len(values) > 1]
+    if len(several) > 1:
+        raise ModelError('only one of --latency, --state-latency and --answer-time can have '
+                         'several values')
+    if any(len({*values}) < len(values) for values in sweeps.values()):
         raise ModelError('the latencies must differ')
-    for late_s in (*commands, *states):
-        Latency.of(late_s)  # Before the first of them is run.
+    for case in cases:  # Before the first of them is run.
+        Latency.of({'command': case['command'], 'state': case['state']})
+        AnswerTime.of({**options.timing, 'time': case['answer']})
+    if not several:
+        summary = _run_one(options, cases[0], options.out)
+        return _interrupted(options) if summary is None else _summary_text(summary)
+    (kind,) = several
     found = []
-    for command_s, state_s in itertools.product(commands, states):
-        late_s = command_s if len(commands) > 1 else state_s
-        summary = _run_one(options, command_s, state_s, options.out / f'latency_{late_s:g}')
+    for case in cases:
+        late_s = case[kind]
+        text = late_s if isinstance(late_s, str) else f'{late_s:g}'
+        summary = _run_one(options, case, options.out / f'{_FOLDERS[kind]}_{text}')
         if summary is None:
             return _interrupted(options)
         found.append((late_s, summary))
-    return _sweep_text(found, 'command' if len(commands) > 1 else 'state')
+    return _sweep_text(found, kind)
+
+
+def _or_one(given: list[float] | None, default: float) -> list[float]:
+    return [default] if given is None else given
+
+
+def _answer_times(given: str | None) -> list[float | str]:
+    """
+    Return the values of --answer-time.
+
+    :raises ModelError: if one is neither a number nor ``measured``
+    """
+    found: list[float | str] = []
+    for text in (given or '0').split(','):
+        try:
+            found.append(text if text == MEASURED else float(text))
+        except ValueError as error:
+            raise ModelError(f"--answer-time must be seconds or '{MEASURED}', got "
+                             f'{quoted(text)}') from error
+    return found
 
 
 def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, float]]:
@@ -101,24 +137,25 @@ def _interrupted(options: argparse.Namespace) -> tuple[str, int]:
     return f'{options.out}: interrupted; run the same command again to continue', 130
 
 
-def _sweep_text(found: list[tuple[float, dict[str, Any]]], kind: str) -> tuple[str, int]:
+def _sweep_text(found: list[tuple[Any, dict[str, Any]]], kind: str) -> tuple[str, int]:
     """Return the table of runs with several latencies, and the exit code."""
     rows = []
     for late_s, summary in found:
         low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])
         time_s = summary['median_time_of_success_s']
-        rows.append((f'{late_s:g} s', f'{summary["successes"]} of {summary["episodes"]}',
+        late = late_s if isinstance(late_s, str) else f'{late_s:g} s'
+        rows.append((late, f'{summary["successes"]} of {summary["episodes"]}',
                      f'{low} to {high} %', '-' if time_s is None else f'{time_s:.2f} s',
                      str(sum(summary['errors'].values()))))
     title = f'{found[0][1]["task"]}, {found[0][1]["policy"]}'
-    heads = f'latency of a {kind}', 'success', '95 % interval', 'median time', 'failed'
+    heads = _HEADS[kind], 'success', '95 % interval', 'median time', 'failed'
     return (table(title, heads, rows, terminal_width()),
             int(any(summary['errors'] for _, summary in found)))
 
 
-def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out: Path
+def _run_one(options: argparse.Namespace, case: dict[str, Any], out: Path
              ) -> dict[str, Any] | None:
-    """Run all seeds with a latency; return the summary, or None after an interruption."""
+    """Run all seeds with latencies and an answer time; return None after an interruption."""
     seeds = parse_seeds(options.seeds)
     number, count = parse_shard(options.shard)
     if options.address is not None and options.engine != 'ray':
@@ -129,12 +166,13 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
     if ros and (options.engine == 'ray' or options.worlds not in (None, 1)):
         raise ModelError('a ROS node acts in one episode at a time: it needs --worlds 1, and no '
                          '--engine ray')
-    latency = {**options.late, 'command': command_s, 'state': state_s}
+    latency = {**options.late, 'command': case['command'], 'state': case['state']}
     setting = Setting(
         options.task, options.robot, options.gripper, options.action, options.control_hz,
         latency, tuple(options.cameras or ()), options.image_size,
         {} if options.randomization is None else {
-            'randomization': Randomization(options.randomization)}, options.noise)
+            'randomization': Randomization(options.randomization)}, options.noise,
+        {**options.timing, 'time': case['answer']})
     records = out / RECORDS if options.record else None
     experiment = Experiment(setting, options.policy, records, options.policy_limit)
     return run_seeds(experiment, out, seeds, options, (number, count))
@@ -233,6 +271,16 @@ def _merge(options: argparse.Namespace) -> tuple[str, int]:
     return _summary_text(target.finish())
 
 
+def _thinks(time: dict[str, Any]) -> str:
+    """Return how long the policy thinks in simulated time."""
+    found = 'as long as it takes' if time['measured'] else f'{time["mean_s"]:g} s'
+    if time['jitter_s']:
+        found += f' +- {time["jitter_s"]:g} s'
+    if time['chunk_hz'] is not None:
+        found += f', chunks at {time["chunk_hz"]:g} Hz'
+    return found + (f', asked {time["ask_ahead"]} actions ahead' if time['ask_ahead'] else '')
+
+
 def _answers(summary: dict[str, Any]) -> str:
     """Return how long the policy takes, and whether that is longer than a control period."""
     mean_s, longest_s = (summary['answer_time_s'][kind] or 0.0 for kind in ('mean', 'max'))
@@ -252,6 +300,7 @@ def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
             f'{kind} {late[f"{kind}_s"]:g} s' + (
                 f' +- {jitter:g} s' if (jitter := late.get(f'{kind}_jitter_s')) else '')
             for kind in ('command', 'state'))),
+        *((('thinks', _thinks(summary['answer_time'])),) if 'answer_time' in summary else ()),
         *((('noise', ', '.join(f'{name} {value:g}' for name, value in noise.items())),)
           if (noise := summary.get('noise')) else ()),
         ('episodes', f'{count} of {summary["of"]}'),

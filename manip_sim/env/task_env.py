@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import inspect
 import os
 import sys
+import time
 from types import MappingProxyType
 from typing import Any
 
@@ -19,9 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 from manip_sim.errors import DivergenceError, UnknownNameError
 from manip_sim.models.composing import compose, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.tasks import Episode, Setting, Task
+from manip_sim.tasks.late_answers import AnswerTimeLike, NO_ANSWER_TIME
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation
 from manip_sim.tasks.pictures import CameraLike, Pictures
+from manip_sim.validation import whole_number
 
 #: Seeds that are drawn are below this.
 SEEDS = 2**31
@@ -53,6 +56,12 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
     :param render_size: its width and height [pixels]
     :param noise: of what is observed, by the names of the node's parameters, such as
         ``noise.joint_position``
+    :param answer_time: how long the policy thinks in simulated time [s], as for
+        ``manip_sim.tasks.AnswerTime.of``: a step lasts until the policy is asked again, and its
+        reward is the sum of those of its control periods; ``measured`` is the wall time between
+        two steps
+    :param chunk: number of actions that :meth:`step` takes at once, shape (chunk, n); None for one
+        action, shape (n,)
     :param composition: what else ``compose`` takes, such as ``timestep_s``
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar episode: the episode, with its simulation
@@ -68,20 +77,23 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
                  image_size: tuple[int, int] | None = None, render_mode: str | None = None,
                  render_camera: str = 'frontview', render_size: tuple[int, int] = (480, 360),
                  noise: Mapping[str, float] = MappingProxyType({}),
+                 answer_time: AnswerTimeLike = NO_ANSWER_TIME, chunk: int | None = None,
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         check_keywords(composition, TaskEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
-                          image_size, composition, noise)
+                          image_size, composition, noise, answer_time)
         self.episode = setting.create_episode()
+        self._answers = setting.create_answers(self.episode)
+        self._asked_s = 0.0
         self.metadata = {**self.metadata, 'render_fps': control_hz}
         self.render_mode = render_mode
         self._view = render_camera, render_size
         self._film: Pictures | None = None
         self._window: Any = None
         self._begun = False
-        self.action_space = action_space(self.episode)
+        self.action_space = action_space(self.episode, chunk)
         self.observation_space = observation_space(self.episode.observation)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -97,14 +109,17 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         super().reset(seed=seed)
         own = int(self.np_random.integers(SEEDS)) if seed is None else seed
         self.episode.reset(own)
+        self._answers.reset(own)
         self._begun = True
         self._show()
-        return self.episode.observation, {'seed': own, **self._info(True)}
+        observation = self.episode.observation
+        self._asked_s = time.perf_counter()
+        return observation, {'seed': own, **self._info(True)}
 
     def step(self, action: ArrayLike
              ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """
-        Take an action and advance by one control period.
+        Take an action and advance by one control period, or until the policy is asked again.
 
         :param action: of :attr:`action_space`; numbers beyond it are clamped
         :raises gymnasium.error.ResetNeeded: if no episode has begun
@@ -112,15 +127,22 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         """
         if not self._begun:
             raise gymnasium.error.ResetNeeded('call reset() before step()')
+        self._answers.answer(action, time.perf_counter() - self._asked_s)
+        reward = 0.0
         try:
-            self.episode.step(action)
+            while True:
+                self._answers.advance()
+                self._show()
+                reward += self.episode.reward
+                if self._answers.asks or self.episode.over:
+                    break
         except DivergenceError as error:
             return (self.episode.observation, 0.0, False, True,
                     {'diverged': str(error), **self._info(True)})
-        self._show()
         terminated, truncated = self.episode.success, self.episode.time_is_up
-        return (self.episode.observation, self.episode.reward, terminated, truncated,
-                self._info(terminated or truncated))
+        observation, info = self.episode.observation, self._info(terminated or truncated)
+        self._asked_s = time.perf_counter()
+        return observation, reward, terminated, truncated, info
 
     def _info(self, with_digest: bool) -> dict[str, Any]:
         digest = {'digest': self.episode.digest} if with_digest else {}
@@ -191,9 +213,17 @@ def check_options(options: Mapping[str, Any] | None) -> None:
         raise UnknownNameError('option of reset', key, ())
 
 
-def action_space(episode: Episode) -> gymnasium.spaces.Box:
-    """Return the space of an episode's actions, in their units."""
+def action_space(episode: Episode, chunk: int | None = None) -> gymnasium.spaces.Box:
+    """
+    Return the space of an episode's actions, in their units.
+
+    :param chunk: number of actions at once; None for one, without an axis for it
+    :raises ModelError: if it is no whole number above 0
+    """
     low, high = episode.actions.bounds.T
+    if chunk is not None:
+        rows = whole_number(chunk, 1, 'chunk'), 1
+        low, high = np.tile(low, rows), np.tile(high, rows)
     return gymnasium.spaces.Box(low, high, dtype=np.float64)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
+import time
 from types import MappingProxyType
 from typing import Any
 
@@ -20,6 +21,7 @@ from manip_sim.env.task_env import (
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.tasks import Episode, Setting, Task
+from manip_sim.tasks.late_answers import AnswerTimeLike, NO_ANSWER_TIME
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation
 from manip_sim.tasks.pictures import CameraLike, Pictures
@@ -52,6 +54,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
     :param render_size: its width and height [pixels]
     :param noise: of what is observed, by the names of the node's parameters, such as
         ``noise.joint_position``
+    :param answer_time: how long the policy thinks in simulated time [s]; ``measured`` is the wall
+        time between two steps, for all of them
+    :param chunk: number of actions that :meth:`step` takes at once of each, shape (num_envs,
+        chunk, n)
     :param composition: what else ``compose`` takes
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar worlds: the worlds, one for each episode
@@ -68,17 +74,20 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                  render_mode: str | None = None, render_camera: str = 'frontview',
                  render_size: tuple[int, int] = (480, 360), threads: int | None = None,
                  noise: Mapping[str, float] = MappingProxyType({}),
+                 answer_time: AnswerTimeLike = NO_ANSWER_TIME, chunk: int | None = None,
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         check_keywords(composition, TaskVectorEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
-                          image_size, composition, noise)
+                          image_size, composition, noise, answer_time)
         made = setting.create_task()
         self.worlds = Worlds(made.world, whole_number(num_envs, 1, 'num_envs'), threads)
         pictures = setting.create_pictures(self.worlds.simulations[0], made)
         self._episodes = [setting.create_episode(made, simulation, pictures)
                           for simulation in self.worlds.simulations]
+        self._answers = [setting.create_answers(episode) for episode in self._episodes]
+        self._asked_s = 0.0
         self.num_envs = len(self._episodes)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, 'render_fps': control_hz}
@@ -89,7 +98,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         self._begun = np.zeros(self.num_envs, dtype=bool)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         first = self._episodes[0]
-        self.single_action_space = action_space(first)
+        self.single_action_space = action_space(first, chunk)
         self.single_observation_space = observation_space(first.observation)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -119,7 +128,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         infos: dict[str, Any] = {}
         for index, own in enumerate(seeds):
             infos = self._add_info(infos, self._begin(index, own), index)
-        return self._observation(), infos
+        observation = self._observation()
+        self._asked_s = time.perf_counter()
+        return observation, infos
 
     def _begin(self, index: int, seed: int | None) -> dict[str, Any]:
         if seed is not None:
@@ -127,6 +138,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         own = int(self._randoms[index].integers(SEEDS)) if seed is None else int(seed)
         episode = self._episodes[index]
         episode.reset(own)
+        self._answers[index].reset(own)
         self._begun[index], self._ended[index] = True, False
         return {'seed': own, 'success': episode.success, 'digest': episode.digest}
 
@@ -134,7 +146,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         """
         Take an action in each environment and advance by one control period.
 
-        :param actions: shape (num_envs, n); numbers beyond the space are clamped
+        With an answer time or chunks, each advances until its policy is asked again.
+
+        :param actions: shape (num_envs, n), or (num_envs, chunk, n); numbers beyond the space are
+            clamped
         :raises gymnasium.error.ResetNeeded: if no episode has begun
         :raises CommandError: if an action cannot be used, naming its row; then nothing changes
         """
@@ -142,8 +157,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
             raise gymnasium.error.ResetNeeded('call reset() before step()')
         acting = ~self._ended
         self._take(actions, acting)
-        self._advance(acting)
-        rewards, infos = np.zeros(self.num_envs), dict[str, Any]()
+        rewards, infos = self._advance(acting), dict[str, Any]()
         terminated, truncated = (np.zeros(self.num_envs, dtype=bool) for _ in range(2))
         for index, episode in enumerate(self._episodes):
             if not acting[index]:
@@ -152,20 +166,37 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                 diverged = episode.simulation.diverged
                 terminated[index] = diverged is None and episode.success
                 truncated[index] = diverged is not None or episode.time_is_up
-                rewards[index] = 0.0 if diverged is not None else episode.reward
                 info = {} if diverged is None else {'diverged': diverged}
                 info['success'] = episode.success
                 self._ended[index] = terminated[index] or truncated[index]
                 if self._ended[index]:
                     info['digest'] = episode.digest
             infos = self._add_info(infos, info, index)
-        return self._observation(), rewards, terminated, truncated, infos
+        observation = self._observation()
+        self._asked_s = time.perf_counter()
+        return observation, rewards, terminated, truncated, infos
 
-    def _advance(self, acting: NDArray[np.bool_]) -> None:
+    def _advance(self, acting: NDArray[np.bool_]) -> NDArray[Any]:
+        """Run some worlds until their policies are asked, and return the sums of rewards."""
+        rewards, running = np.zeros(self.num_envs), acting.copy()
+        while running.any():
+            self._run_period(running)
+            for index in np.flatnonzero(running):
+                episode = self._episodes[index]
+                if episode.simulation.diverged is not None:
+                    rewards[index], running[index] = 0.0, False
+                    continue
+                rewards[index] += episode.reward
+                running[index] = not (self._answers[index].asks or episode.over)
+        return rewards
+
+    def _run_period(self, running: NDArray[np.bool_]) -> None:
         """Run a control period in some worlds, which all divide it alike."""
-        periods = [self._episodes[index].period() for index in np.flatnonzero(acting)]
-        for steps, *_ in zip_longest(*periods):  # It runs all of them to their ends.
-            self.worlds.advance(steps, where=acting)
+        indices = np.flatnonzero(running)
+        for index in indices:
+            self._answers[index].begin_period()
+        for steps, *_ in zip_longest(*(self._episodes[index].period() for index in indices)):
+            self.worlds.advance(steps, where=running)  # It runs all of them to their ends.
 
     def _take(self, actions: ArrayLike, acting: NDArray[np.bool_]) -> None:
         try:
@@ -175,11 +206,13 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         shape = self.action_space.shape
         if numbers.shape != shape:
             raise CommandError(f'actions must have the shape {shape}, got {numbers.shape}')
-        for index in np.flatnonzero(~np.isfinite(numbers).all(axis=1) & acting)[:1]:
+        axes = tuple(range(1, numbers.ndim))
+        for index in np.flatnonzero(~np.isfinite(numbers).all(axis=axes) & acting)[:1]:
             raise CommandError(f'the action of environment {index} must be finite, got '
                                f'{numbers[index].tolist()!r:.120}')
+        took_s = time.perf_counter() - self._asked_s
         for index in np.flatnonzero(acting):
-            self._episodes[index].take(numbers[index])
+            self._answers[index].answer(numbers[index], took_s)
 
     def _observation(self) -> Observation:
         each = [episode.observation for episode in self._episodes]

@@ -27,6 +27,7 @@ from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
 from manip_sim.tasks import Episode, Latency, read_description, Setting
 from manip_sim.tasks.expert import Expert, Policy
+from manip_sim.tasks.late_answers import AnswerTime
 from manip_sim.tasks.policy_interface import interface_of
 
 
@@ -67,7 +68,8 @@ class Experiment:
                 description['task'], description['robot'], description['gripper'],
                 description['action'], description['control_hz'], late,
                 tuple(description['cameras']), None if size is None else (size[0], size[1]),
-                description['composition'], description.get('noise', {}))
+                description['composition'], description.get('noise', {}),
+                AnswerTime(**description.get('answer_time', {})))
             return cls(setting, description['policy'], records, limit_s)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
             raise ModelError(f'the description of a run cannot be used: {type(error).__name__}: '
@@ -87,6 +89,7 @@ class Experiment:
         It is that of the first call, also in copies: it takes long with large files.
         """
         setting, late = self.setting, self.setting.latency
+        answer_time = AnswerTime.of(setting.answer_time)
         assert isinstance(late, Latency)
         described = read_description(setting.task) if isinstance(setting.task, str) else None
         return {
@@ -97,6 +100,7 @@ class Experiment:
             'image_size': _plain(setting.image_size),
             'composition': _plain(setting.plain_composition),
             **({'noise': dict(setting.noise)} if setting.noise else {}),
+            **({} if answer_time.is_none else {'answer_time': answer_time.as_dict()}),
             'policy': self.policy, 'policy_content': policy_content(self.policy),
             'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                          'numpy': np.__version__, 'python': platform.python_version()}}
@@ -115,6 +119,8 @@ class Worker:
     def __init__(self, experiment: Experiment, ends_with_policy: bool = False) -> None:
         self._experiment = experiment
         self._episode: Episode = experiment.setting.create_episode()
+        self._answers = experiment.setting.create_answers(self._episode)
+        self._are_late = not AnswerTime.of(experiment.setting.answer_time).is_none
         limit_s = experiment.policy_limit_s
         self._alarm_s = (
             limit_s if ends_with_policy and not experiment.policy.startswith(ROS) else 0.0)
@@ -138,10 +144,11 @@ class Worker:
         :param seed: of the episode
         :raises RecordError: if a record cannot be written
         """
-        episode, recorder = self._episode, self._recorder(seed)
+        episode, answers, recorder = self._episode, self._answers, self._recorder(seed)
         total, error, answers_s = 0.0, '', list[float]()
         begin_s = time.perf_counter()
         episode.reset(seed)
+        answers.reset(seed)
         recorded = recorder is not None
         observed = recorded or not isinstance(self._policy, Expert)
         observation = episode.observation if observed else None
@@ -150,17 +157,26 @@ class Worker:
         try:
             self._reset_policy(seed)
             while not episode.over:
-                asked_s = time.perf_counter()
-                action = self._act(observation)
-                answers_s.append(time.perf_counter() - asked_s)
-                episode.step(action)
+                asks = answers.asks
+                if asks:
+                    asked_s = time.perf_counter()
+                    answer = self._act(observation)
+                    answers_s.append(time.perf_counter() - asked_s)
+                    answers.answer(answer, answers_s[-1])
+                if recorder is None:
+                    answers.advance()
+                else:
+                    due = answers.begin_period()
+                    if self._are_late:
+                        recorder.taken(due)
+                    episode.advance()
                 reward = episode.reward
                 total += reward
-                if recorded or observed and not episode.over:
+                if recorded or observed and answers.asks and not episode.over:
                     observation = episode.observation
                 if recorder is not None:
-                    recorder.period(action, reward, observation=observation,
-                                    answer_s=answers_s[-1])
+                    recorder.period(due[-1][1] if due else None, reward, observation=observation,
+                                    answer_s=answers_s[-1] if asks else None)
         except ManipSimError as failure:
             error = one_line(str(failure), 300)
         row = Row(seed, not error and episode.success, total, episode.periods, episode.digest,

@@ -280,6 +280,13 @@ def _inputs(observation: Observation, names: list[str], keys: Collection[str] | 
             for key, value in observation.items() if key in names}
 
 
+def _answer(output: Any) -> FloatArray:
+    """Return the action of a network, shape (n,); if it has three axes, a chunk, (actions, n)."""
+    numbers = np.asarray(output, dtype=float)
+    return numbers.reshape(numbers.shape[1:]) if numbers.ndim == 3 and len(numbers) == 1 else (
+        numbers.ravel())
+
+
 def _onnx(file: str, keys: Collection[str] | None) -> Callable[[Observation], FloatArray]:
     try:
         import onnxruntime
@@ -293,8 +300,7 @@ def _onnx(file: str, keys: Collection[str] | None) -> Callable[[Observation], Fl
     except Exception as error:
         raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
     names = [found.name for found in session.get_inputs()]
-    return lambda observation: np.asarray(
-        session.run(None, _inputs(observation, names, keys))[0], dtype=float).ravel()
+    return lambda observation: _answer(session.run(None, _inputs(observation, names, keys))[0])
 
 
 def _torch_script(file: str, keys: Collection[str] | None
@@ -319,5 +325,5 @@ def _torch_script(file: str, keys: Collection[str] | None
                  for key, value in _inputs(observation, names, keys).items()}
         with torch.no_grad():
             found = module(given if takes_dict else given[''])
-        return np.asarray(found.numpy(), dtype=float).ravel()
+        return _answer(found.numpy())
     return act

@@ -22,7 +22,7 @@ from manip_sim.errors import RecordError
 from manip_sim.models.regular_files import opened
 from manip_sim.quoting import one_line, quoted
 from manip_sim.records.definitions import decoder, full_name
-from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE
+from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE, TAKEN
 from manip_sim.records.untrusted_records import (
     BoundedFile, check_about, check_name, check_topic, CutOff, MAX_BYTES, MAX_RECORD,
     MESSAGE_BYTES, unpacked)
@@ -158,6 +158,24 @@ class RecordedEpisode(Recorded):
     def actions(self) -> FloatArray:
         """The action of each control period, shape (periods, n)."""
         return self.arrays(ACTION)
+
+    @property
+    def taken(self) -> dict[int, list[tuple[int, FloatArray]]] | None:
+        """
+        Actions of late answers by control period from 0, each with the steps until its effect.
+
+        It is None if each period has the action that took effect at its beginning.
+        """
+        if 'answer_time' not in self.json('settings'):
+            return None
+        begins = {time_ns: period for period, (time_ns, _) in enumerate(
+            self.messages.get(STATE, ()))}
+        found: dict[int, list[tuple[int, FloatArray]]] = {}
+        for (time_ns, _), numbers in zip(self.messages.get(TAKEN, ()), self.arrays(TAKEN)):
+            if time_ns not in begins or not (len(numbers) and 0 <= numbers[0] < 2**31):
+                raise RecordError(f'{TAKEN} has what is no action of a control period')
+            found.setdefault(begins[time_ns], []).append((int(numbers[0]), numbers[1:]))
+        return found
 
     @property
     def states(self) -> FloatArray:

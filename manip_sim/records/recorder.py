@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 import json
 from pathlib import Path
@@ -41,6 +41,8 @@ MODEL = 'model.mjz'
 ACTION, STATE, GOAL, REWARD, SUCCESS, DIGEST, ANSWER = (
     f'/episode/{name}' for name in ('action', 'state', 'goal', 'reward', 'success', 'digest',
                                     'answer_time'))
+#: The number of steps until the effect of an action, and the action; before its control period.
+TAKEN = '/episode/taken'
 #: What :data:`STATE` holds, one after the other: what it takes to draw all bodies.
 STATE_PARTS = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
                   | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
@@ -113,6 +115,16 @@ class EpisodeRecorder:
         self._topics.write(observation, images)
         self._digest()
 
+    def taken(self, actions: Iterable[tuple[int, FloatArray]]) -> None:
+        """
+        Record actions that take effect within the next control period, before it.
+
+        :param actions: each with the number of timesteps until its effect
+        :raises RecordError: if the file cannot be written
+        """
+        for steps, action in actions:
+            self._topics.write_numbers(TAKEN, 'steps, action', np.array([steps, *action]))
+
     def period(self, action: ArrayLike | None = None, reward: float | None = None,
                success: bool | None = None,
                images: Mapping[str, NDArray[np.uint8]] | None = None,
@@ -129,7 +141,7 @@ class EpisodeRecorder:
         :raises RecordError: if the file cannot be written
         """
         if action is not None:
-            self._topics.write_action(np.asarray(action, dtype=np.float64))
+            self._topics.write_numbers(ACTION, 'action', np.asarray(action, dtype=np.float64))
         if answer_s is not None:
             self._topics.write_value(ANSWER, float(answer_s))
         self._topics.write(observation, images)
@@ -243,9 +255,9 @@ class _Topics:
             yield (Scope(''), f'objects/{name}/pose', _POSE, _pose, seen['object_pose'][index],
                    partial(simulation.entities.pose, simulation.data, name))
 
-    def write_action(self, action: FloatArray) -> None:
-        """Write an action, shape (n,)."""
-        self._write(ACTION, _ARRAY, _array('action'), action)
+    def write_numbers(self, topic: str, label: str, numbers: FloatArray) -> None:
+        """Write an array, shape (n,)."""
+        self._write(topic, _ARRAY, _array(label), numbers)
 
     def _write(self, topic: str, kind: str, make: _Make, numbers: FloatArray) -> None:
         if topic not in self._patched:

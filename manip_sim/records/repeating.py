@@ -68,8 +68,8 @@ class Replay:
         :param recorded: the episode
         :raises RecordError: if it cannot be repeated here
         """
-        actions, states = recorded.actions, recorded.states
-        if len(states) == 0 or len(states) > 1 and len(actions) == 0:
+        actions, states, taken = recorded.actions, recorded.states, recorded.taken
+        if len(states) == 0 or taken is None and len(states) > 1 and len(actions) == 0:
             raise RecordError(f'episode {recorded.number} has no actions that could be repeated')
         if len(states) < len(actions):
             raise RecordError(f'episode {recorded.number} has {len(actions)} actions and '
@@ -79,7 +79,11 @@ class Replay:
         try:
             for period in range(len(states)):
                 if period:
-                    episode.step(actions[period - 1])
+                    due = [(0, actions[period - 1])] if taken is None else (
+                        taken.get(period - 1, []))
+                    for steps, action in due:
+                        episode.take(action, steps)
+                    episode.advance()
                 what = _difference(episode, states[period], digests.get(period))
                 if what is not None and found is None:
                     found = period, what

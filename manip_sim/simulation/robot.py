@@ -172,12 +172,15 @@ class SimulatedRobot:
         return (self.joints.resting and not self.reflexes.armed and not self._late
                 and not self.grippers_move)
 
-    def apply(self, *commands: Command, period_s: float | None = None) -> None:
+    def apply(self, *commands: Command, period_s: float | None = None, delay_steps: int = 0
+              ) -> None:
         """
         Let validated commands take effect with the next control period.
 
         :param commands: made by :attr:`parse` or :attr:`parse_cartesian`
         :param period_s: length of a control period [s]; None for that of the last one
+        :param delay_steps: timesteps after which they take effect, before the latency of
+            commands is added
         :raises CommandError: if a command was made for another robot, or ``period_s`` is no
             finite number above 0; then none takes effect
         """
@@ -186,8 +189,8 @@ class SimulatedRobot:
         if period_s is not None and period_s != self._period_s:
             self._period_s = positive_number(period_s, 'period_s', CommandError)
         for command in commands:
-            if self._late or self.sensing.settings.delays_commands:
-                count = self._clock.control_steps
+            if self._late or delay_steps or self.sensing.settings.delays_commands:
+                count = self._clock.control_steps + delay_steps
                 self._late.add(
                     command, count + self.sensing.delays['command'].steps(count))
             else:

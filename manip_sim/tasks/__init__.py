@@ -15,6 +15,7 @@ from manip_sim.tasks import (  # noqa: F401
 from manip_sim.tasks.episode import Episode, start
 from manip_sim.tasks.episode_actions import ACTIONS, PoseActions
 from manip_sim.tasks.expert import Expert
+from manip_sim.tasks.late_answers import AnswerTime, LateAnswers
 from manip_sim.tasks.latency import Latency
 from manip_sim.tasks.policy_interface import interface_of
 from manip_sim.tasks.setting import Setting
@@ -26,5 +27,6 @@ def task_names() -> list[str]:
     return sorted({*TASKS.names(), *names_in_folders('tasks')})
 
 
-__all__ = ['ACTIONS', 'Episode', 'Expert', 'Latency', 'PoseActions', 'Setting', 'Task',
-           'create_task', 'interface_of', 'read_description', 'start', 'task_names']
+__all__ = ['ACTIONS', 'AnswerTime', 'Episode', 'Expert', 'LateAnswers', 'Latency', 'PoseActions',
+           'Setting', 'Task', 'create_task', 'interface_of', 'read_description', 'start',
+           'task_names']

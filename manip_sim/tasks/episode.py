@@ -80,6 +80,11 @@ class Episode:
         self.observer = Observer(task, simulation, pictures)
         self.periods = 0
 
+    @property
+    def steps(self) -> int:
+        """Number of timesteps of a control period."""
+        return self._steps
+
     def reset(self, seed: int, drawn: Drawn | None = None) -> None:
         """
         Begin the episode of a seed.
@@ -109,15 +114,16 @@ class Episode:
         self.take(action)
         self.advance()
 
-    def take(self, action: ArrayLike) -> None:
+    def take(self, action: ArrayLike, delay_steps: int = 0) -> None:
         """
         Take an action for the next control period, or a later one by the latency of commands.
 
         :param action: as ``actions`` takes it
+        :param delay_steps: timesteps after which it takes effect, before the latency is added
         :raises CommandError: if it cannot be used; then nothing changes
         """
         numbers = finite_command_numbers(action, self.actions.size, 'an action')
-        self.actions.apply(numbers, self.period_s)
+        self.actions.apply(numbers, self.period_s, delay_steps)
 
     def advance(self) -> None:
         """

@@ -110,23 +110,26 @@ class Actions(ABC):
         """Lowest and highest value of each number, shape (size, 2)."""
         return np.tile([-1.0, 1.0], (self.size, 1))
 
-    def apply(self, action: ArrayLike, period_s: float) -> None:
+    def apply(self, action: ArrayLike, period_s: float, delay_steps: int = 0) -> None:
         """
         Let an action take effect with the next control period.
 
         :param action: shape (size,); numbers beyond the bounds are clamped
         :param period_s: length of the control period [s]
+        :param delay_steps: timesteps after which it takes effect
         :raises CommandError: if the length is wrong or a number is not finite; then nothing
             changes
         """
         numbers = finite_command_numbers(action, self.size, 'an action')
         for item in self.arms:
-            item.robot.apply(*self._commands(item, numbers[item.goals]), period_s=period_s)
+            item.robot.apply(*self._commands(item, numbers[item.goals]), period_s=period_s,
+                             delay_steps=delay_steps)
             closing = numbers[item.gripper]
             if len(closing):
                 part = f'{item.arm}/gripper'
                 action = np.repeat(closing, item.robot.grippers[part].dof)
-                item.robot.apply(item.robot.parse.action(part, action), period_s=period_s)
+                item.robot.apply(item.robot.parse.action(part, action), period_s=period_s,
+                                 delay_steps=delay_steps)
 
 
 class PoseActions(Actions):

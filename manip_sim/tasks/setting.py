@@ -19,6 +19,8 @@ from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import shown
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.episode import Episode
+from manip_sim.tasks.late_answers import (
+    AnswerTime, AnswerTimeLike, LateAnswers, NO_ANSWER_TIME)
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.pictures import CameraLike, descriptions, Pictures, views_of
 from manip_sim.tasks.task import create_task, Task
@@ -41,6 +43,7 @@ class Setting:
     :ivar noise: of all robots, by the names of the node's parameters, such as
         ``noise.joint_position``
     :ivar composition: what else ``compose`` takes, such as ``timestep_s``
+    :ivar answer_time: how long the policy thinks, see :class:`AnswerTime`
     """
 
     task: Union[str, Task]
@@ -53,6 +56,7 @@ class Setting:
     image_size: tuple[int, int] | None = None
     composition: Mapping[str, Any] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
+    answer_time: AnswerTimeLike = NO_ANSWER_TIME
 
     def __post_init__(self) -> None:
         rate = self.control_hz
@@ -60,6 +64,7 @@ class Setting:
                 0.0 < rate < math.inf):
             raise ModelError(f'control_hz must be above 0 Hz, got {shown(rate)}')
         object.__setattr__(self, 'latency', Latency.of(self.latency))
+        object.__setattr__(self, 'answer_time', AnswerTime.of(self.answer_time))
 
     @property
     def plain_composition(self) -> dict[str, Any]:
@@ -108,6 +113,15 @@ class Setting:
         return Episode(task, simulation, 1.0 / self.control_hz, self.action, self.latency,
                        self.create_pictures(simulation, task) if pictures is None else pictures,
                        self.noise)
+
+    def create_answers(self, episode: Episode) -> LateAnswers:
+        """
+        Return the way of the policy's answers to an episode.
+
+        :param episode: of this setting
+        :raises ModelError: if the rate of chunks does not fit the timestep
+        """
+        return LateAnswers(episode, AnswerTime.of(self.answer_time))
 
     def create_pictures(self, simulation: Simulation, task: Task) -> Pictures | None:
         """

@@ -4,6 +4,7 @@
 """Environments of gymnasium: they pass its own checkers, and are what an episode is."""
 
 import functools
+import time
 
 import numpy as np
 import pytest
@@ -12,10 +13,11 @@ gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed'
 from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E402
 
 import manip_sim.env  # noqa: E402
+from manip_sim.env import TaskEnv, TaskVectorEnv  # noqa: E402
 from manip_sim.errors import (  # noqa: E402
     CommandError, ManipSimError, ModelError, UnknownNameError)
 from manip_sim.simulation import Simulation  # noqa: E402
-from manip_sim.tasks import create_task, Episode, task_names  # noqa: E402
+from manip_sim.tasks import create_task, Episode, Setting, task_names  # noqa: E402
 
 #: What the checker dislikes, and why it is so: states have no bounds, and actions have units.
 WARNINGS = [pytest.mark.filterwarnings(f'ignore:.*{text}') for text in (
@@ -265,3 +267,82 @@ def test_an_unknown_keyword_is_told_with_the_nearest_ones(make):
         make('manip_sim/Reach-v0', timstep_s=0.001)
     with pytest.raises(UnknownNameError, match="unknown keyword 'arena'"):  # It is the task's.
         make('manip_sim/Reach-v0', arena='bins')
+
+
+# ---------------------------------------------------------------------- late answers
+
+
+def test_a_step_lasts_until_the_policy_is_asked_again():
+    env = TaskEnv('reach', answer_time=0.12)
+    setting = Setting('reach', answer_time=0.12)
+    episode = setting.create_episode()
+    answers = setting.create_answers(episode)
+    action = np.array([1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    env.reset(seed=5)
+    episode.reset(5)
+    answers.reset(5)
+    for _ in range(3):
+        _, reward, _, _, _ = env.step(action)
+        answers.answer(action)
+        expected = 0.0
+        for _ in range(3):
+            answers.advance()
+            expected += episode.reward
+        assert reward == expected and env.digest() == episode.digest
+    assert env.episode.periods == 9
+    env.close()
+
+
+def test_a_chunk_is_taken_in_one_step():
+    env, single = TaskEnv('reach', chunk=4), TaskEnv('reach')
+    assert env.action_space.shape == (4, 7)
+    env.action_space.seed(1)
+    chunk = env.action_space.sample()
+    env.reset(seed=5)
+    single.reset(seed=5)
+    _, reward, _, _, _ = env.step(chunk)
+    rewards = [single.step(action)[1] for action in chunk]
+    assert reward == pytest.approx(sum(rewards)) and env.digest() == single.digest()
+    for each in (env, single):
+        each.close()
+
+
+def test_measured_answer_times_are_the_wall_time_between_two_steps():
+    env = TaskEnv('reach', answer_time='measured')
+    env.reset(seed=5)
+    time.sleep(0.12)
+    env.step(np.zeros(7))
+    assert env.episode.periods >= 3
+    env.close()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('keywords', [
+    {'answer_time': {'time': 0.1, 'jitter': 0.05}}, {'chunk': 3},
+    {'answer_time': {'time': 0.04, 'ask_ahead': 1, 'chunk_hz': 10.0}, 'chunk': 3}])
+def test_many_with_late_answers_are_each_as_a_single_one(keywords):
+    many = TaskVectorEnv('reach', 3, threads=1, **keywords)
+    singles = [TaskEnv('reach', **keywords) for _ in range(3)]
+    many.action_space.seed(1)
+    many.reset(seed=5)
+    for index, env in enumerate(singles):
+        env.reset(seed=5 + index)
+    for _ in range(4):
+        actions = many.action_space.sample()
+        _, rewards, _, _, _ = many.step(actions)
+        for index, env in enumerate(singles):
+            _, reward, _, _, _ = env.step(actions[index])
+            assert reward == rewards[index]
+        assert many.digest() == [env.digest() for env in singles]
+    for env in (*singles, many):
+        env.close()
+
+
+@pytest.mark.parametrize('keywords, text', [
+    ({'answer_time': 'soon'}, "answer_time must be 'measured' or from 0 to 10 s"),
+    ({'answer_time': {'chunk_hz': 40.0}}, 'whole number of timesteps'),
+    ({'chunk': 0}, 'chunk'), ({'chunk': 1.5}, 'chunk')])
+def test_answer_times_and_chunks_that_cannot_be_used_are_rejected(keywords, text):
+    with pytest.raises(ManipSimError) as raised:
+        TaskEnv('reach', **keywords)
+    assert text in str(raised.value)

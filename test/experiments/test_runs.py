@@ -683,9 +683,54 @@ def test_a_sweep_over_latencies_is_one_command_that_repeats_to_the_last_bit(
 
 @pytest.mark.parametrize('more, text', [
     (['--latency', '0,0'], 'the latencies must differ'),
-    (['--latency', '0,1', '--state-latency', '0,1'], 'only one of --latency and'),
+    (['--latency', '0,1', '--state-latency', '0,1'], 'only one of --latency, --state-latency and'),
+    (['--latency', '0,1', '--answer-time', '0,1'], 'only one of --latency, --state-latency and'),
+    (['--answer-time', '0,measured,0'], 'the latencies must differ'),
+    (['--answer-time', '0,soon'], "--answer-time must be seconds or 'measured', got 'soon'"),
+    (['--answer-time', '-1'], "answer_time must be 'measured' or from 0 to 10 s, got -1"),
+    (['--answer-time', 'nan'], 'from 0 to 10 s, got nan'),
+    (['--answer-time', 'measured', '--answer-time-jitter', '0.1'], 'has no jitter'),
+    (['--chunk-hz', '40'], 'chunk_hz must be that of a whole number of timesteps'),
     (['--latency', '0,-1'], 'latency of a command must be from 0 to 10 s')])
 def test_latencies_that_make_no_sense_are_rejected(more, text, tmp_path, capsys):
     assert run(tmp_path / 'out', *more, seeds='0:1', worlds='1') == 1
     assert text in capsys.readouterr().err
     assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
+def test_a_sweep_over_answer_times_is_one_command_whose_records_repeat(whole, tmp_path, capsys):
+    pytest.importorskip('mcap', reason='mcap is not installed')
+    out = tmp_path / 'think'
+    more = ['--answer-time', '0,0.12', '--record']
+    assert run(out, *more, seeds='0:2', worlds='1') == 0
+    text = capsys.readouterr().out
+    assert 'answer time' in text and '\n  0.12 s' in text
+    assert rows(out / 'answer_time_0') == rows(whole)[:2]
+    late = rows(out / 'answer_time_0.12')
+    worker = Worker(Experiment(Setting('reach', answer_time=0.12), f'{POLICIES}:Towards'))
+    assert [worker.run(seed).digest for seed in range(2)] == [row['digest'] for row in late]
+    assert late != rows(whole)[:2]
+    assert summary(out / 'answer_time_0.12')['answer_time'] == {
+        'mean_s': 0.12, 'jitter_s': 0.0, 'measured': False, 'chunk_hz': None, 'ask_ahead': 0}
+    assert main(['replay', '--verify', str(out)]) == 0
+    assert '4 of 4 equal' in capsys.readouterr().out
+    # Without an action of each period it is no data set.
+    assert main(['convert', str(out / 'answer_time_0.12'), '--to', 'hdf5',
+                 str(tmp_path / 'set.hdf5')]) == 1
+    assert 'control periods' in capsys.readouterr().err
+
+
+@pytest.mark.full
+@pytest.mark.usefixtures('in_this_process')
+@pytest.mark.parametrize('more', [
+    [], ['--answer-time', '0.1', '--answer-time-jitter', '0.05', '--ask-ahead', '2'],
+    ['--chunk-hz', '10'], ['--answer-time', 'measured']])
+def test_a_policy_that_returns_chunks_is_repeated_to_the_last_bit(tmp_path, capsys, more):
+    pytest.importorskip('mcap', reason='mcap is not installed')
+    out = tmp_path / 'chunks'
+    assert run(out, *more, '--record', policy='Chunks', seeds='0:2', worlds='1') == 0
+    assert all(row['success'] for row in rows(out))
+    assert main(['replay', '--verify', str(out)]) == 0
+    assert '2 of 2 equal' in capsys.readouterr().out
