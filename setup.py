@@ -57,7 +57,8 @@ setup(
     name=PACKAGE,
     distclass=WithData,
     version=ABOUT.findtext('version'),
-    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    # The second has the name by which LeRobot finds environments.
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*', f'lerobot_env_{PACKAGE}']),
     package_data={PACKAGE: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

@@ -6,9 +6,9 @@ Measure how many seeds it takes to tell two policies apart, with the same seeds 
 
 Two policies for ``reach`` differ in one gain; both add noise of their own, drawn from the seed, to
 their actions. Their episodes are simulated. Then runs of n seeds are drawn from these episodes
-many times: with the same n seeds for both policies, where the 95 % interval of ``manip_sim
-compare`` has to leave out 0, and with n seeds for each, where the pooled two-sample score test has
-to reject at 5 %. Printed is the least n with which 80 % of such runs find the difference.
+many times: with the same n seeds for both policies, where McNemar's exact test has to reject at
+5 %, and with n seeds for each, where the pooled two-sample score test has to. Printed is the least
+n with which 80 % of such runs find the difference.
 
     python3 benchmark/paired_seeds.py [--seeds 1000] [--gains 0.085 0.075] [--noise 0.05]
 """
@@ -20,7 +20,7 @@ import argparse
 import numpy as np
 
 from manip_sim.experiments import wilson_interval
-from manip_sim.experiments.comparison import difference_interval
+from manip_sim.experiments.comparison import mcnemar_p
 from manip_sim.experiments.summary import Z_95
 from manip_sim.tasks import Episode, Setting
 
@@ -46,8 +46,7 @@ def paired_power(first: np.ndarray, second: np.ndarray, count: int, draws: int,
     for rows in random.integers(len(first), size=(draws, count)):
         only_first = int((first[rows] & ~second[rows]).sum())
         only_second = int((second[rows] & ~first[rows]).sum())
-        low, high = difference_interval(only_first, only_second, count)
-        found += not low <= 0.0 <= high
+        found += mcnemar_p(only_first, only_second) < 0.05
     return found / draws
 
 

@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         raise UsageError(str(error)) from error
     worse = [] if options.threshold is None else [
         run for run, pairs in zip(comparison.runs[1:], comparison.pairs)
-        if pairs.interval[1] < -options.threshold]
+        if pairs.is_worse(options.threshold)]
     if options.json:
         text = json.dumps({**comparison.as_dict(), 'worse': [str(run.path) for run in worse]},
                           indent=2)
@@ -165,11 +165,10 @@ def _verdicts(options: argparse.Namespace, comparison: Comparison) -> list[str]:
 
 
 def _verdict(pairs: Pairs, threshold: float) -> str:
-    low, high = pairs.interval
     by = f'by more than {100.0 * threshold:g} %'
-    if high < -threshold:
+    if pairs.is_worse(threshold):
         return f'worse {by}'
-    if low >= -threshold:
+    if pairs.interval[0] >= -threshold:
         return f'not worse {by}'
     return f'these seeds do not tell whether it is worse {by}; --until adds some'
 

@@ -39,9 +39,9 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
     ``reset(seed=...)`` begins the episode of that seed, the same as in ``manip_sim run``; without
     a seed one is drawn from ``np_random``. ``terminated`` is success, ``truncated`` the end of the
-    task's time. ``info`` has ``success`` and ``seed``, and ``digest`` of the state at the start
-    and at the end of an episode. An episode in which the physics diverges is truncated, with
-    ``info['diverged']``.
+    task's time. ``info`` has ``success``, also as ``is_success``, and ``seed``, and ``digest`` of
+    the state at the start and at the end of an episode. An episode in which the physics diverges
+    is truncated, with ``info['diverged']``.
 
     :param task: its name, or an instance
     :param robot: as for ``compose``
@@ -65,6 +65,8 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
     :param composition: what else ``compose`` takes, such as ``timestep_s``
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar episode: the episode, with its simulation
+    :ivar task: name of the task
+    :ivar task_description: what to do, as one would say it
     """
 
     metadata: dict[str, Any] = {
@@ -85,6 +87,8 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
                           image_size, composition, noise, answer_time)
         self.episode = setting.create_episode()
+        self.task, self.task_description = self.episode.task.name, self.episode.task.instruction
+        self._max_episode_steps = self.episode.most_periods
         self._answers = setting.create_answers(self.episode)
         self._asked_s = 0.0
         self.metadata = {**self.metadata, 'render_fps': control_hz}
@@ -146,7 +150,8 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
     def _info(self, with_digest: bool) -> dict[str, Any]:
         digest = {'digest': self.episode.digest} if with_digest else {}
-        return {'success': self.episode.success, **digest}
+        success = self.episode.success
+        return {'success': success, 'is_success': success, **digest}
 
     def digest(self) -> str:
         """Return the digest of the present state, as ``Simulation.digest`` gives it."""

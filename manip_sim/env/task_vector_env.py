@@ -61,6 +61,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
     :param composition: what else ``compose`` takes
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar worlds: the worlds, one for each episode
+    :ivar task: name of the task
+    :ivar task_description: what to do, as one would say it
     """
 
     metadata: dict[str, Any] = {
@@ -88,6 +90,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                           for simulation in self.worlds.simulations]
         self._answers = [setting.create_answers(episode) for episode in self._episodes]
         self._asked_s = 0.0
+        self.task, self.task_description = made.name, made.instruction
+        self._max_episode_steps = self._episodes[0].most_periods
         self.num_envs = len(self._episodes)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, 'render_fps': control_hz}
@@ -140,7 +144,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         episode.reset(own)
         self._answers[index].reset(own)
         self._begun[index], self._ended[index] = True, False
-        return {'seed': own, 'success': episode.success, 'digest': episode.digest}
+        success = episode.success
+        return {'seed': own, 'success': success, 'is_success': success, 'digest': episode.digest}
 
     def step(self, actions: ArrayLike) -> _Result:
         """
@@ -167,7 +172,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                 terminated[index] = diverged is None and episode.success
                 truncated[index] = diverged is not None or episode.time_is_up
                 info = {} if diverged is None else {'diverged': diverged}
-                info['success'] = episode.success
+                info['success'] = info['is_success'] = episode.success
                 self._ended[index] = terminated[index] or truncated[index]
                 if self._ended[index]:
                     info['digest'] = episode.digest
@@ -217,6 +222,25 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
     def _observation(self) -> Observation:
         each = [episode.observation for episode in self._episodes]
         return {key: np.stack([one[key] for one in each]) for key in each[0]}
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """
+        Return an attribute, such as ``task``, once for each environment.
+
+        :raises AttributeError: if there is none
+        """
+        return (getattr(self, name),) * self.num_envs
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """
+        Return what a method, such as ``digest``, says of each environment; or an attribute.
+
+        :param name: of the method or attribute
+        :param args: of the method, as ``kwargs``
+        :raises AttributeError: if there is none
+        """
+        found = getattr(self, name)
+        return tuple(found(*args, **kwargs)) if callable(found) else self.get_attr(name)
 
     def digest(self) -> list[str]:
         """Return the digest of each present state, as ``Simulation.digest`` gives it."""

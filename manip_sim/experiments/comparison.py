@@ -124,6 +124,15 @@ class Pairs:
         """The p-value of McNemar's exact test."""
         return mcnemar_p(self.only_first, self.only_second)
 
+    def is_worse(self, threshold: float) -> bool:
+        """
+        Return whether the second one is sure to be worse, at 95 %.
+
+        :param threshold: by how much the second success rate may be lower, from 0
+        """
+        # With few pairs, the exact test is more careful than the interval.
+        return self.interval[1] < -threshold and self.p < 0.05
+
     @property
     def width(self) -> float:
         """Width of :attr:`interval`."""

@@ -184,9 +184,14 @@ class Episode:
         return float(self.task.reward(self.simulation))
 
     @property
+    def most_periods(self) -> int:
+        """Number of control periods after which the time is up."""
+        return math.floor((self.task.horizon_s - 1e-6) / self.period_s) + 1
+
+    @property
     def time_is_up(self) -> bool:
         """True if the horizon of the task has been reached."""
-        return self.periods * self.period_s > self.task.horizon_s - 1e-6
+        return self.periods >= self.most_periods
 
     @property
     def over(self) -> bool:

@@ -159,6 +159,8 @@ def test_the_comparison_as_json(tmp_path, capsys):
     ((60, 25, 5, 10), '0.05', 1, 'second: worse by more than 5 %'),
     ((60, 25, 5, 10), '0.2', 0, 'these seeds do not tell whether it is worse by more than 20 %'),
     ((60, 25, 5, 10), '0.4', 0, 'second: not worse by more than 40 %'),
+    # The score interval is -90.3 to -1.6 %, the exact test has p = 0.125.
+    ((2, 4, 0, 0), '0', 0, 'these seeds do not tell whether it is worse by more than 0 %'),
     ((60, 5, 25, 10), '0', 0, 'second: not worse by more than 0 %')])
 def test_the_exit_code_is_1_past_the_threshold(tmp_path, capsys, counts, threshold, code, text):
     assert compared(*two_runs(tmp_path, *counts), '--threshold', threshold) == code
