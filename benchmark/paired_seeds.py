@@ -5,10 +5,10 @@
 Measure how many seeds it takes to tell two policies apart, with the same seeds and with others.
 
 Two policies for ``reach`` differ in one gain; both may add noise of their own, drawn from the
-seed, to their actions. Their episodes are simulated. Then runs of n seeds are drawn from these episodes
-many times: with the same n seeds for both policies, where McNemar's exact test has to reject at
-5 %, and with n seeds for each, where the pooled two-sample score test has to. Printed is the least
-n with which 80 % of such runs find the difference.
+seed, to their actions. Their episodes are simulated. Then runs of n seeds are drawn from these
+episodes many times: with the same n seeds for both policies, where McNemar's exact test has to
+reject at 5 %, and with n seeds for each, where the pooled two-sample score test has to. Printed is
+the least n with which 80 % of such runs find the difference.
 
     python3 benchmark/paired_seeds.py [--seeds 500] [--gains 0.0445 0.0425] [--noise 0]
 """
