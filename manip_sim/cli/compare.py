@@ -43,8 +43,8 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         run for run, pairs in zip(comparison.runs[1:], comparison.pairs)
         if pairs.is_worse(options.threshold)]
     if options.json:
-        text = json.dumps({**comparison.as_dict(), 'worse': [str(run.path) for run in worse]},
-                          indent=2)
+        text = json.dumps({**comparison.as_dict(), 'videos': lines,
+                           'worse': [str(run.path) for run in worse]}, indent=2)
     else:
         text = _text(options, comparison, lines)
     return text, int(bool(worse))
