@@ -227,6 +227,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         """
         Return an attribute, such as ``task``, once for each environment.
 
+        :param name: of the attribute
         :raises AttributeError: if there is none
         """
         return (getattr(self, name),) * self.num_envs
@@ -236,7 +237,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         Return what a method, such as ``digest``, says of each environment; or an attribute.
 
         :param name: of the method or attribute
-        :param args: of the method, as ``kwargs``
+        :param args: of the method
+        :param kwargs: of the method
         :raises AttributeError: if there is none
         """
         found = getattr(self, name)

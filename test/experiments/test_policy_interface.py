@@ -171,7 +171,9 @@ def test_wall_times_of_answers_are_in_rows_summaries_and_records(tmp_path, capsy
     (recorded,) = Record(out / 'records' / '0.mcap').episodes()
     times = [message.data for message in recorded.decoded(
         '/episode/answer_time', 'std_msgs/Float64')]
-    assert len(times) == row['periods'] and times[1] == max(times) == row['answer_max_s']
+    # A machine with other work makes any of them longer.
+    assert len(times) == row['periods'] and max(times) == row['answer_max_s']
+    assert times[1] >= 0.04 and min(times) >= 0.01
     assert np.mean(times) == pytest.approx(row['answer_mean_s'])
     assert ' of wall time' in capsys.readouterr().out
 
