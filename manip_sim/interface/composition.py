@@ -89,7 +89,8 @@ def compose_world(parameters: ParameterSource) -> Composition:
     arena = compose_arena(parameters)
     for scope, robot, position in zip(scopes, robots, _side_by_side(arena, robots)):
         parameters.declare(place_parameters(scope, position))
-        robot.set_base_xpos(value(scope.parameter('position')))
+        place = value(scope.parameter('position'))
+        robot.set_base_xpos(place, may_be_raised=list(place) == list(position))
         if any(value(scope.parameter('orientation'))):
             robot.set_base_ori(value(scope.parameter('orientation')))
     parameters.declare([keyframe_parameter(keyframe_names(

@@ -29,6 +29,9 @@ _FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler', 'mesh'))
 _CHECKED = _FOLLOWED | LIMITED | {'composite'}
 #: Comments that some old files have before the XML declaration.
 _COMMENT, _BLANKS = re.compile(rb'<!--.*?-->', re.DOTALL), b' \t\r\n\xef\xbb\xbf'
+#: An attribute that another one follows without a blank, and an ampersand that begins no entity.
+_ATTRIBUTE = re.compile(rb'(=\s*(?:"[^"<]*"|\'[^\'<]*\'))(?=[A-Za-z_])')
+_AMPERSAND = re.compile(rb'&(?!#?\w+;)')
 
 
 @dataclass
@@ -133,13 +136,24 @@ class XmlModel:
         self._chain.append(real)
         self._open.append(_OpenFile(data))
         try:
-            root = self._parsed(data)
+            root = self._parsed_as_mujoco_does(data)
         except (expat.ExpatError, LookupError) as error:
             raise ModelError(f'{one_line(str(file))} is not well-formed XML: {error}') from error
         self._look_through(root, times, depth)
         self._open.pop()
         self._chain.pop()
         return root
+
+    def _parsed_as_mujoco_does(self, data: bytes) -> ElementTree.Element:
+        """Return the root element, also of a document that MuJoCo reads and that is no XML."""
+        try:
+            return self._parsed(data)
+        except expat.ExpatError:
+            mended = mended_xml(data)
+            if mended == data:
+                raise
+            self._open[-1].data = mended
+            return self._parsed(mended)
 
     def _parsed(self, data: bytes) -> ElementTree.Element:
         """Return the root element; Python runs for no other element, unless they are traced."""
@@ -285,6 +299,22 @@ def declared_first(data: bytes) -> bytes:
         return data
     rest, end, after = after.partition(b'?>')
     return before + re.sub(rb'[^\n]', b' ', declaration + rest + end) + after
+
+
+def mended_xml(data: bytes) -> bytes:
+    """
+    Return a document with what MuJoCo and other readers accept written as XML; no line moves.
+
+    Hyphens in comments become blanks, attributes get one between them, and a lone ampersand is
+    that character.
+    """
+    if b'<![CDATA[' in data:
+        return data
+    parts = _COMMENT.split(data)
+    comments = [b'<!--' + comment[4:-3].replace(b'-', b' ') + b'-->'
+                for comment in _COMMENT.findall(data)]
+    parts = [_ATTRIBUTE.sub(rb'\1 ', _AMPERSAND.sub(b'&amp;', part)) for part in parts]
+    return b''.join(part + comment for part, comment in zip(parts, [*comments, b'']))
 
 
 def _replace(element: ElementTree.Element, parent: ElementTree.Element | None,

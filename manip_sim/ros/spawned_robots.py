@@ -108,7 +108,8 @@ class RequestedRobot:
             self._values[self.KEY] if self._given is None else load_requested(
                 self._given, self._files, name), self._values.get('gripper', DEFAULT),
             self._values.get('base', DEFAULT), prefix=f'{name}_', idn=name)
-        robot.set_base_xpos(pose.position)
+        # A message cannot leave out the height, so zero is no choice.
+        robot.set_base_xpos(pose.position, may_be_raised=not pose.position[2])
         robot.set_base_quat(pose.quat_xyzw)
         return robot
 

@@ -82,7 +82,7 @@ class HandOver(Task):
                                tactile=composition.get('tactile', False))
         world.arena.aim_camera(view, *_BESIDE)
         x, y, z = world.arena.robot_position(first)
-        second.set_base_xpos([-x, -y, z])
+        second.set_base_xpos([-x, -y, z], may_be_raised=True)
         second.set_base_ori([0.0, 0.0, math.pi])
         return World([first, second], world.arena, world.timestep_s, world.gravity_compensation,
                      objects=composition['objects'], cameras=world.cameras,

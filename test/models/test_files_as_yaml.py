@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from manip_sim.errors import ModelError
 from manip_sim.models import compose, load_robot
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.simulation import Simulation
@@ -65,3 +66,26 @@ def test_what_belongs_to_no_arm_is_not_driven_as_the_arm(tmp_path):
         simulation.advance(5)
     assert simulation.data.joint('robot0_tilt').qpos[0] == pytest.approx(0.4, abs=5e-3)
     assert again(LASER, 'subsystems: {tilt: arm}', tmp_path / 'declared').other_joints == []
+
+
+@pytest.mark.parametrize('text', [
+    'rarm:\n - R_JOINT0 : shoulder\n\thead:\n', 'joint_limits:\n  lift: {max: 1.0}\n',
+    '# of another tool\nurdf-path: arm.urdf\n!!python/object:os.system\n'])
+def test_the_yaml_file_of_another_tool_beside_a_model_is_left_alone(tmp_path, text, caplog):
+    plain = load_robot(write(tmp_path / 'plain.xml', ARM))
+    file = write(tmp_path / 'arm.xml', ARM)
+    write(tmp_path / 'arm.yaml', text)
+    robot = load_robot(file)
+    assert robot.inferred == plain.inferred and robot.joints == plain.joints
+    assert f'{file.with_suffix(".yaml")} is not read: it has no key of a description' in (
+        caplog.text)
+
+
+@pytest.mark.parametrize(('text', 'said'), [
+    ('arms: none\n\tstart: home\n', 'invalid or unsafe YAML'), ('subsystem: {}\n', 'subsystems'),
+    ('[]\n', 'must hold keys and values'), ('arm: {}\njoint_limits: {}\n', 'arm')])
+def test_a_misspelled_description_is_an_error(tmp_path, text, said):
+    file = write(tmp_path / 'arm.xml', ARM)
+    write(tmp_path / 'arm.yaml', text)
+    with pytest.raises(ModelError, match=said):
+        load_robot(file)

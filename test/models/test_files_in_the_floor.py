@@ -64,7 +64,7 @@ def test_the_start_pose_decides_how_far_a_robot_is_raised(tmp_path):
 
 @pytest.mark.parametrize(('yaml', 'options', 'height'), [
     ('foot: [0, 0, 0]', {}, 0.0), ('foot: [0, 0, -0.7]', {}, 0.7),
-    ('', {'position': [0.0, 0.0, 1.5]}, 1.5), ('base: RethinkMount', {}, 0.912)])
+    ('', {'position': [0.0, 0.0, 1.5]}, 1.5), ('', {'position': [0.4, 0.2, 0.0]}, 0.0), ('base: RethinkMount', {}, 0.912)])
 def test_a_robot_that_its_description_or_the_user_places_is_not_raised(
         tmp_path, yaml, options, height):
     file = write(tmp_path / 'r.urdf', URDF.format(shape=BOX, rpy='0 0 0'))
@@ -72,9 +72,10 @@ def test_a_robot_that_its_description_or_the_user_places_is_not_raised(
     assert simulated(file, **options)[1] == pytest.approx(height, abs=2e-3)
 
 
-def test_a_place_on_the_floor_is_one_for_the_lowest_shape(tmp_path):
-    file = write(tmp_path / 'r.urdf', URDF.format(shape=BOX, rpy='0 0 0'))
-    simulation, height = simulated(file, position=[0.4, 0.2, 0.0])
+def test_a_place_that_is_nobodys_choice_is_one_for_the_lowest_shape(tmp_path):
+    robot = load_robot(write(tmp_path / 'r.urdf', URDF.format(shape=BOX, rpy='0 0 0')))
+    robot.set_base_xpos([0.4, 0.2, 0.0], may_be_raised=True)
+    simulation, height = simulated(robot)
     assert height == pytest.approx(0.55, abs=2e-3)
     place = simulation.data.body(simulation.robot.robot_model.root_body).xpos[:2]
     np.testing.assert_allclose(place, [0.4, 0.2], atol=1e-12)
@@ -87,3 +88,12 @@ def test_the_foot_of_an_arm_may_reach_a_little_into_the_floor(tmp_path, height, 
     assert any(note.startswith('raised by') for note in robot.inferred) == raised
     expected = 0.021 if raised else height
     assert robot.compile().body(robot.root_body).pos[2] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(('height', 'raised'), [(0.03, False), (-0.06, True)])
+def test_a_wide_shape_of_the_foot_counts_where_more_than_half_of_it_is_in_the_floor(
+        tmp_path, height, raised):
+    file = write(tmp_path / 'arm.xml', ARM.replace(
+        '"base" pos="0 0 0.02">', f'"base" pos="0 0 {height}"><geom size="0.12"/>'))
+    robot = load_robot(file)
+    assert any(note.startswith('raised by') for note in robot.inferred) == raised

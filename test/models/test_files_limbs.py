@@ -256,3 +256,35 @@ def test_the_carriage_of_a_lift_is_no_finger(tmp_path):
     lift = chain('lift', 1, inside=fingers, body='carriage', kind='slide', axis='0 0 1')
     parts, _ = parts_of(tmp_path, lift)
     assert parts == {'arm': 1, 'right/gripper': 2}
+
+
+@pytest.mark.parametrize(('limits', 'expected'), [
+    ('limited="false"', {'base': 3, 'arm': 6}), ('range="-300 300" limited="true"',
+                                                 {'base': 3, 'arm': 6}),
+    ('range="-0.4 0.4" limited="true"', {'arm': 9})])
+def test_a_root_that_slides_without_limits_is_a_base_and_a_gantry_is_none(
+        tmp_path, limits, expected):
+    slides = ''.join(f'<joint name="root{i}" type="slide" axis="{axis}" {limits}/>'
+                     for i, axis in enumerate(('1 0 0', '0 1 0', '0 0 1')))
+    parts, said = parts_of(tmp_path, chain('j', 6, '0 0 0.1'), free=slides)
+    assert parts == expected
+    assert any(note.startswith('base is a guess: ') for note in said) == ('base' in expected)
+
+
+def test_a_root_of_six_joints_without_a_free_one_leaves_arms_and_legs_apart(tmp_path):
+    root = ''.join(f'<joint name="root_t{axis}" type="slide" axis="{axis_of}" range="-500 500" '
+                   f'limited="true"/><joint name="root_r{axis}" axis="{axis_of}" range="-1.5 1.5" '
+                   'limited="true"/>' for axis, axis_of in zip('xyz', (
+                       '1 0 0', '0 1 0', '0 0 1')))
+    limbs = ''.join(chain(f'{side}_arm_', 4, f'0 {y} 0.3') + chain(
+        f'{side}_knee_', 3, f'0 {y} -0.1') for side, y in (('left', 0.2), ('right', -0.2)))
+    parts, _ = parts_of(tmp_path, limbs, free=root)
+    assert parts == {'base': 6, 'right': 4, 'left': 4, 'legs': 6}
+
+
+@pytest.mark.parametrize(('name', 'expected'), [
+    ('thruster', {'other': 3}), ('gimbal', {'other': 3}), ('unit', {'right/gripper': 3})])
+def test_rotors_of_a_flying_robot_are_no_fingers(tmp_path, name, expected):
+    limbs = ''.join(chain(f'{name}{i}_', 1, place) for i, place in enumerate(around(3)))
+    parts, _ = parts_of(tmp_path, limbs)
+    assert parts == expected

@@ -417,7 +417,6 @@ def test_a_joint_with_equal_limits_is_fixed_there(tmp_path, kind, position):
 
 
 @pytest.mark.parametrize(('limit', 'message'), [
-    ('lower="1" upper="-2"', 'lower 1 of its <limit> is above upper -2; one that is missing is 0'),
     ('lower="0.5"', 'lower 0.5 of its <limit> is above upper 0; one that is missing is 0'),
     ('lower="nan" upper="1"', "lower of its <limit> must be a finite number, got 'nan'"),
     ('lower="" upper="1"', "lower of its <limit> must be a finite number, got ''"),
@@ -558,8 +557,6 @@ def test_a_mimic_of_a_joint_whose_own_leader_is_unknown_is_rejected(tmp_path):
 
 
 @pytest.mark.parametrize(('more', 'said'), [
-    ('offset="1"', "joint 'right_finger' is outside its range wherever joint 'left_finger' is, "
-                   'which it follows'),
     ('multiplier="-2"', "joint 'left_finger' reaches only -0.05 to 0.05 of its range -0.1 to 0.1: "
                         "there joint 'right_finger', which follows it, is at the ends of its own"),
     ('multiplier="-1"', None), ('multiplier="0.5"', None), ('multiplier="0"', None)])
@@ -568,6 +565,39 @@ def test_a_joint_that_ends_before_its_leader_is_told(tmp_path, more, said):
         f'<mimic joint="left_finger" {more}/>').replace('KIND', 'fixed'))
     told = [note for note in load_gripper(file).inferred if 'range' in note]
     assert told == ([] if said is None else [said])
+
+
+LOCKED = ("the limits of joint 'right_finger' are left out: within them, joint 'left_finger', which "
+          'it follows, would hardly move; correct lower and upper in its <limit>, or the '
+          'multiplier in its <mimic>')
+
+
+@pytest.mark.parametrize(('mimic', 'limit'), [('offset="1"', '-0.1 0.1'),
+                                              ('multiplier="-1"', '0 0.1')])
+def test_limits_of_a_follower_that_would_lock_its_leader_are_left_out(tmp_path, mimic, limit):
+    lower, upper = limit.split()
+    text = hand_with(f'<mimic joint="left_finger" {mimic}/>').replace('KIND', 'fixed').replace(
+        'lower="-0.1" upper="0.1"', f'lower="{lower}" upper="{upper}"')
+    hand = load_gripper(write(tmp_path / 'hand.urdf', text))
+    assert LOCKED in hand.inferred
+    simulation = Simulation(compose('Panda', hand))
+    leader, follower = (simulation.model.joint(f'gripper0_{side}_finger').qposadr[0]
+                        for side in ('left', 'right'))
+    moved = []
+    for action in (-1.0, 1.0):
+        simulation.robot.apply(simulation.robot.parse.action('right/gripper', [action]))
+        simulation.advance(1500)
+        moved.append(simulation.data.qpos[[leader, follower]].copy())
+    way = np.abs(moved[1] - moved[0])
+    assert way.min() > 0.9 * (float(upper) - float(lower)), way
+
+
+def test_limits_that_are_the_wrong_way_round_are_swapped_and_told(tmp_path):
+    limit = '<limit lower="1.5" upper="-0.5" effort="10" velocity="1"/>'
+    robot = load_robot(write(tmp_path / 'arm.urdf', arm_with('revolute', limit)))
+    np.testing.assert_allclose(robot.joint_ranges['robot0_elbow'], [-0.5, 1.5])
+    assert ("read the other way round, as lower is above upper in their <limit>: 'elbow'; swap "
+            'these numbers in the file') in robot.inferred
 
 
 BALL = '<visual><origin xyz="0 0 0.2"/><geometry><sphere radius="0.03"/></geometry></visual>'
@@ -598,3 +628,22 @@ def test_collision_shapes_of_links_with_visual_ones_are_not_drawn(tmp_path, how)
     assert shapes_of(urdf, '_both') == (['sphere'], ['box'])
     assert shapes_of(urdf, '_plain') == (['box'], ['box'])
     assert shapes_of(urdf, '_seen') == (['sphere'], [])
+
+
+@pytest.mark.parametrize(('old', 'new'), [
+    ('<link name="base_link">', '<!-- -- one -- two\n--- --><link name="base_link">'),
+    ('lower="-1" upper="2"', 'lower="-1"upper="2"'),
+    ('<robot name="arm">', '<robot name="arm" version="1 & 2">')])
+def test_what_mujoco_reads_although_it_is_no_xml_is_read(tmp_path, old, new):
+    assert old in URDF
+    plain, loose = (load_robot(write(tmp_path / name, text)) for name, text in (
+        ('plain.urdf', URDF), ('loose.urdf', URDF.replace(old, new))))
+    assert loose.joints == plain.joints
+    np.testing.assert_array_equal(*(robot.compile().jnt_range for robot in (loose, plain)))
+
+
+def test_an_error_behind_a_loose_comment_names_the_line_of_the_file(tmp_path):
+    text = ('<!-- a -- b\n-->\n' + URDF[URDF.index('<robot'):]).replace(
+        '<link name="tool0"/>', '<link name="tool0"')
+    with pytest.raises(ModelError, match=r'loose.urdf is not well-formed XML: .*line 9'):
+        load_robot(write(tmp_path / 'loose.urdf', text))

@@ -78,10 +78,10 @@ class FileRobot(RobotModel, registered=False):
         From the root body to the floor that the robot stands on [m], shape (3,), a copy.
 
         Without a base it is below the lowest shape if the file puts that into the floor, unless
-        :meth:`set_base_xpos` gave a height.
+        :meth:`set_base_xpos` placed the robot.
         """
         offset = super().bottom_offset
-        if self._base is None and (self._floor_xpos is None or not self._floor_xpos[2]):
+        if self._base is None and self._may_be_raised:
             offset[2] -= self._plan.depth_in_floor
         return offset
 

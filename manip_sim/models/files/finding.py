@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 from manip_sim.errors import ModelError
 from manip_sim.models.files.part_descriptions import (
-    ArenaDescription, Description, DescriptionT, read_description, RobotDescription)
+    ArenaDescription, describes_model, Description, DescriptionT, read_description,
+    RobotDescription)
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
 from manip_sim.models.regular_files import Files
 from manip_sim.models.sources import find_source, is_of_others, is_path
@@ -62,6 +64,11 @@ def _find(path: Path, kind: type[DescriptionT], stem: str, files: Files | None
         for suffix in YAML:
             beside = path.with_name(name + suffix)
             if not at.is_file(beside):
+                continue
+            if not describes_model(beside, kind, files):
+                logging.getLogger(__name__).warning(
+                    '%s is not read: it has no key of a description, such as %s', beside,
+                    next(iter(kind.model_fields)))
                 continue
             description = _described(beside, kind, files)
             if _model_of(beside, description, stem, at).resolve() == path.resolve():

@@ -103,6 +103,7 @@ def _find_unnamed(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set
     """
     for part, joints, why in (
             ('base', limbs.planar_base(), 'they move the whole robot in a plane'),
+            ('base', limbs.moving_root(), 'they move the whole robot without limits'),
             ('base', limbs.wheels(free), 'they turn without limits about horizontal axes and '
              'carry nothing'),
             ('legs', limbs.legs(free), 'these limbs are alike, in pairs or too many for a hand')):

@@ -17,6 +17,8 @@ from manip_sim.models.files.limbs import (
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
 _FINGER_BODY_WORDS = _FINGER_WORDS - {'carriage'}
 _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
+#: Words of what drives a flying robot.
+_FLIGHT_WORDS = {'thrust', 'thruster', 'rotor', 'propeller', 'gimbal'}
 #: Words of joints that are no fingers', whatever they move is called.
 _ARM_WORDS = {'shoulder', 'elbow', 'wrist'}
 
@@ -132,15 +134,16 @@ def _are_fingers(tree: BodyTree, limbs: Limbs, fingers: Sequence[int]) -> bool:
     """
     Return whether limbs of one body are those of a hand, by their kind.
 
-    There are two to five, none of which branches, turns without limits or has more than twice the
-    joints of another. Two are fingers if each has one degree of freedom and they move along or
+    There are two to five, none of which branches, turns without limits, has the name of a rotor or
+    has more than twice the joints of another. Two are fingers if each has one degree of freedom and they move along or
     about one direction; longer ones may be arms. Four that stand in pairs are legs. The name of a
     body that carries fingers, such as palm, is enough where there are several or a single joint.
     """
     joints = [limbs.joints(limb) for limb in fingers]
     counts = [len({min(tree.coupled([joint])) for joint in of_limb}) for of_limb in joints]
     if len(fingers) > MAX_FINGERS or any(
-            len(tree.ends(of_limb)) > 1 or any(is_unlimited(tree.model, j) for j in of_limb)
+            len(tree.ends(of_limb)) > 1 or any(
+                is_unlimited(tree.model, j) or _drives_flight(tree, j) for j in of_limb)
             for of_limb in joints):
         return False
     if words_of(tree.name(tree.parent(fingers[0]))) & PALM_WORDS:
@@ -181,6 +184,12 @@ def _is_of_finger(tree: BodyTree, joint: int) -> bool:
     words = words_of(_name(tree, joint))
     body = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
     return bool(words & _FINGER_WORDS or body & _FINGER_BODY_WORDS and not words & _ARM_WORDS)
+
+
+def _drives_flight(tree: BodyTree, joint: int) -> bool:
+    """Return whether a joint, or the body that it moves, has the name of a rotor."""
+    names = _name(tree, joint), tree.name(int(tree.model.jnt_bodyid[joint]))
+    return any(words_of(name) & _FLIGHT_WORDS for name in names)
 
 
 def _name(tree: BodyTree, joint: int) -> str:

@@ -27,6 +27,8 @@ PALM_WORDS = {'gripper', 'hand', 'palm', 'claw'}
 _LEAST_LEGS = 4
 #: A hinge that turns farther than this has no limits in practice [rad].
 _UNLIMITED_RAD = 100.0
+#: Likewise a slide [m].
+_UNLIMITED_M = 20.0
 #: Wheels have axes, and planes normals, that deviate by less than this from the ideal [sine].
 _ALIGNED = 0.1
 #: Limbs are mirrored if the places of their roots are so within this share of their distance.
@@ -37,6 +39,12 @@ def is_unlimited(model: mujoco.MjModel, joint: int) -> bool:
     """Return whether a joint is a hinge that turns on and on."""
     return int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE) and (
         not model.jnt_limited[joint] or bool(np.ptp(model.jnt_range[joint]) > _UNLIMITED_RAD))
+
+
+def slides_on(model: mujoco.MjModel, joint: int) -> bool:
+    """Return whether a joint is a slide that ends nowhere in practice."""
+    return int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_SLIDE) and (
+        not model.jnt_limited[joint] or bool(np.ptp(model.jnt_range[joint]) > _UNLIMITED_M))
 
 
 class Limbs:
@@ -88,6 +96,15 @@ class Limbs:
             along, (along[0], hinge), (along[1], hinge))) < _ALIGNED
         of_one_body = len(set(self._model.jnt_bodyid[joints].tolist())) == 1
         return joints if is_plane and (of_one_body or _is_vertical(hinge)) else []
+
+    def moving_root(self) -> list[int]:
+        """Return the joints of a leading body that slides without limits along two axes."""
+        for body in dict.fromkeys(self._model.jnt_bodyid[self.leading].tolist()):
+            joints = [joint for joint in self._tree.joints([body]) if self._tree.is_scalar(joint)]
+            axes = [self._data.xaxis[joint] for joint in joints if slides_on(self._model, joint)]
+            if len(axes) > 1 and abs(float(np.dot(axes[0], axes[1]))) < _ALIGNED:
+                return joints
+        return []
 
     def wheels(self, among: Iterable[int]) -> list[int]:
         """

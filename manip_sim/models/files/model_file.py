@@ -285,7 +285,7 @@ def depth_in_floor(model: mujoco.MjModel, start: Mapping[str, float]) -> float:
     Return how far a robot whose root is fixed reaches into the floor where it starts [m].
 
     It is 0 for one that floats, and if nothing that moves touches the floor and what does not move
-    reaches no farther than the foot of an arm does. Otherwise it ends just above the floor: wheels
+    reaches no farther than the foot of an arm does, or is in it by less than half. Otherwise it ends just above the floor: wheels
     and feet of a robot that is fixed would rub on it.
 
     :param start: positions of scalar joints by name [rad or m]
@@ -298,10 +298,10 @@ def depth_in_floor(model: mujoco.MjModel, start: Mapping[str, float]) -> float:
     mujoco.mj_kinematics(model, data)
     own = ((model.geom_contype | model.geom_conaffinity) != 0) & (model.geom_bodyid != 0)
     moves = model.body_weldid[model.geom_bodyid] != 0
-    moving, fixed = (float(shape_heights(model, data, own & which)[:, 0].min(initial=np.inf))
-                     for which in (moves, ~moves))
-    blocked = moving < _TOUCHES_FLOOR_M or fixed < -_BELOW_FLOOR_M
-    return _ABOVE_FLOOR_M - min(moving, fixed) if blocked else 0.0
+    moving, fixed = (shape_heights(model, data, own & which) for which in (moves, ~moves))
+    sunk = (fixed[:, 0] < -_BELOW_FLOOR_M) & (fixed.mean(axis=1) < 0.0)
+    blocked = (moving[:, 0] < _TOUCHES_FLOOR_M).any() or sunk.any()
+    return _ABOVE_FLOOR_M - float(np.vstack([moving, fixed])[:, 0].min()) if blocked else 0.0
 
 
 def shape_heights(model: mujoco.MjModel, data: mujoco.MjData, which: BoolArray | None = None

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
+import re
 from typing import Annotated, Any, Literal, TypeVar, Union
 
 from manip_sim.errors import ModelError, UnknownNameError
@@ -16,6 +18,8 @@ from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
 from manip_sim.quoting import quoted
 
 
+#: A key of the outermost mapping of a YAML file, and how similar a misspelled one is at least.
+_KEY, _NEAR = re.compile(rb'^["\']?([A-Za-z][\w -]*)["\']?[ \t]*:(?:\s|$)', re.MULTILINE), 0.8
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
@@ -175,6 +179,20 @@ class ArenaDescription(Description):
 
 
 DescriptionT = TypeVar('DescriptionT', bound=Description)
+
+
+def describes_model(file: Path, kind: type[Description], files: Files | None = None) -> bool:
+    """
+    Return whether a YAML file is a description, and not one of another tool.
+
+    It is, if it has a key of a description or one that is nearly spelled so, or no key at all.
+    """
+    try:
+        content = (files or Files()).read(file, 'YAML file', MAX_REQUESTED)
+    except ModelError:
+        return True  # Reading it tells why.
+    keys = [key.decode(errors='replace') for key in _KEY.findall(content)]
+    return not keys or any(get_close_matches(key, kind.model_fields, 1, _NEAR) for key in keys)
 
 
 def read_description(file: Path, kind: type[DescriptionT], files: Files | None = None

@@ -76,7 +76,8 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = model_file.start
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
-        raise ModelError(f'{file} is not a robot: it has no hinge or slide joint')
+        raise ModelError(f'{file} is not a robot: it has no hinge or slide joint; an object '
+                         'without joints goes to objects, a mount to base')
     mocap = model_file.mocap
     if mocap is not None:
         notes += mocap.notes() if description.mocap else mocap.left_out()
@@ -131,7 +132,7 @@ def _depth(model_file: ModelFile, description: RobotDescription) -> float:
     if depth:
         model_file.inferred.append(
             f'raised by {depth:.3f} m, so that its lowest shape is just above the floor, unless '
-            'it stands on a base or is placed at a height; foot: [0, 0, 0] in a YAML file leaves '
+            'it stands on a base or is placed; foot: [0, 0, 0] in a YAML file leaves '
             'its root on the floor')
     return depth
 

@@ -30,13 +30,16 @@ _SOLIMP = (0.9999, 0.9999, 1e-3, 0.5, 2.0)
 #: With the above and a timestep of 5 ms, an effort f displaces a coupling of inertias a and b by
 #: 1e-8 s^2 f (1/a + 1/b), so by 0.25 % of the range.
 _INERTIA_PER_STIFFNESS = 8e-6
+#: Limits of a follower that leave its leader less than this share of the range lock it.
+_LEAST_SHARE = 0.05
 
 
 def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, float], list[str]]:
     """
     Reject impossible limits and mimics, and complete what MuJoCo's reader reads differently.
 
-    As URDF defines, a missing ``lower`` or ``upper`` is 0. A joint that has neither is not
+    As URDF defines, a missing ``lower`` or ``upper`` is 0. If both are there, the smaller number is
+    the lower one. A joint that has neither is not
     limited. One that is fixed follows no other; one that follows it is fixed where that puts it.
     A link that only joints name is added.
 
@@ -48,7 +51,7 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     notes = _declare_links(robot, file)
     joints = {joint.get('name', ''): joint for joint in robot.findall('joint')}
     fixed: dict[str, float] = {}
-    unlimited = []
+    unlimited, swapped = [], []
     for name, joint in joints.items():
         limit, kind = joint.find('limit'), joint.get('type')
         _numbers(limit, ('effort', 'velocity'), name, file)
@@ -58,6 +61,9 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
             unlimited.append(name)
             continue
         lower, upper = _numbers(limit, ('lower', 'upper'), name, file)
+        if lower > upper and {'lower', 'upper'} <= set(limit.keys()):
+            swapped.append(name)
+            lower, upper = upper, lower
         if lower > upper:
             raise ModelError(f'{file}: joint {quoted(name)}: lower {lower:g} of its <limit> is '
                              f'above upper {upper:g}; one that is missing is 0')
@@ -72,6 +78,8 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
         *notes, *followers,
         *([f'fixed, as lower and upper of their <limit> are equal: {quoted_names(equal)}']
           if equal else []),
+        *([f'read the other way round, as lower is above upper in their <limit>: '
+           f'{quoted_names(swapped)}; swap these numbers in the file'] if swapped else []),
         *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
           if unlimited else [])]
 
@@ -214,17 +222,20 @@ def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element, fixed: Mapp
         for joint in (follower, leader):
             joint.solref_limit, joint.solimp_limit = _SOLREF, _SOLIMP
         if np.ptp(follower.range) and np.ptp(leader.range) and tie.data[1]:
-            notes += _range_notes(follower, leader, *tie.data[:2])
+            notes += _range_notes(follower, leader, *map(float, tie.data[:2]))
     return notes
 
 
 def _range_notes(follower: Any, leader: Any, offset: float, ratio: float) -> list[str]:
-    """Return that a joint ends before its leader does, in a sentence."""
+    """Return that a joint ends before its leader does, and free one that would lock it."""
     ends = np.sort((follower.range - offset) / ratio)
     low, high = leader.range
-    if ends[0] > high or low > ends[1]:
-        return [f'joint {quoted(follower.name)} is outside its range wherever joint '
-                f'{quoted(leader.name)} is, which it follows']
+    if min(high, ends[1]) - max(low, ends[0]) < _LEAST_SHARE * (high - low):
+        # Other tools let followers move as they may, so nobody has seen that limits lock them.
+        follower.range = np.sort(offset + ratio * leader.range)
+        return [f'the limits of joint {quoted(follower.name)} are left out: within them, joint '
+                f'{quoted(leader.name)}, which it follows, would hardly move; correct lower and '
+                'upper in its <limit>, or the multiplier in its <mimic>']
     ends = np.clip(ends, low, high)
     if np.abs(ends - leader.range).max() < 0.01 * (high - low):
         return []

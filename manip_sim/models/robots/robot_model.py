@@ -69,6 +69,8 @@ class RobotModel(Subsystems, ABC):
         self._base: RobotBaseModel | None = None
         #: Where :meth:`set_base_xpos` and :meth:`set_base_ori` want the robot.
         self._floor_xpos: FloatArray | None = None
+        #: Whether the height of that place is nobody's choice.
+        self._may_be_raised = True
         self._root_quat: FloatArray | None = None
         self._laws: dict[tuple[MujocoXMLModel, str], FrictionLaw] = {}
         self._check_subsystems()
@@ -157,14 +159,17 @@ class RobotModel(Subsystems, ABC):
         """Nominal radius about the root, as in robosuite [m]; arms reach farther."""
         return max(self._horizontal_radius, self._base.horizontal_radius if self._base else 0.0)
 
-    def set_base_xpos(self, pos: ArrayLike) -> None:
+    def set_base_xpos(self, pos: ArrayLike, may_be_raised: bool = False) -> None:
         """
         Place the robot.
 
         :param pos: of the floor below the root, in the world [m], shape (3,)
+        :param may_be_raised: raise a robot from a file whose shapes reach into the floor, as where
+            an arena places it
         :raises ModelError: if a number is not finite
         """
         self._floor_xpos = finite_numbers(pos, 3, f'position of {self.name}')
+        self._may_be_raised = may_be_raised
 
     def set_base_ori(self, rpy: ArrayLike) -> None:
         """
