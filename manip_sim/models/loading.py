@@ -18,7 +18,7 @@ import numpy as np
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.missing_meshes import MissingMeshError
-from manip_sim.models.mjcf_versions import ERRORS, read_mjcf, read_mjcf_text
+from manip_sim.models.mjcf_versions import ERRORS, Origins, read_mjcf, read_mjcf_text
 from manip_sim.models.skipped_elements import skip_missing
 from manip_sim.models.xml_check import check_xml, XmlModel
 from manip_sim.quoting import one_line, quoted
@@ -187,13 +187,15 @@ def _apply_total_mass(spec: mujoco.MjSpec, file: Path) -> None:
 
 def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None = None,
                      assets: Mapping[str, bytes] | None = None,
-                     notes: list[str] | None = None) -> Any:
+                     notes: list[str] | None = None, origins: Mapping[str, Origins] | None = None
+                     ) -> Any:
     """
     Read a spec from the text of a file, in which all paths are absolute.
 
     :param models: contents of model files that are not on the disk, by the names in the text
     :param assets: likewise of meshes and images
     :param notes: is given sentences on what MuJoCo has dropped; None: they are logged
+    :param origins: as for :func:`read_mjcf_text`
     """
     try:
         return mujoco.MjSpec.from_string(text, include=models or None,
@@ -201,7 +203,7 @@ def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None =
     except ERRORS as error:
         if text.startswith('<robot'):
             raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
-    spec, dropped = read_mjcf_text(text, file, models or {}, assets or {})
+    spec, dropped = read_mjcf_text(text, file, models or {}, assets or {}, origins or {})
     _report(dropped, notes)
     return spec
 

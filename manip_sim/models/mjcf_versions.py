@@ -10,7 +10,7 @@ time that the installed version rejects it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import os
 from pathlib import Path
 import re
@@ -71,6 +71,8 @@ _NO_PLUGIN = re.compile(r'plugin (\S+) not found')
 _UNKNOWN_ELEMENT = 'Schema violation: unrecognized element'
 _RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
 _TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
+#: File and line of each of some elements.
+Origins = Sequence[tuple[Path, int]]
 _ORIENTATIONS = ('quat', 'axisangle', 'xyaxes', 'zaxis', 'euler')
 
 
@@ -86,16 +88,20 @@ def read_mjcf(file: Path) -> tuple[mujoco.MjSpec, list[str]]:
     return _read(documents, {}, file)
 
 
-def read_mjcf_text(text: str, file: Path, models: Mapping[str, bytes],
-                   assets: Mapping[str, bytes]) -> tuple[mujoco.MjSpec, list[str]]:
+def read_mjcf_text(text: str, file: Path, models: Mapping[str, bytes], assets: Mapping[str, bytes],
+                   origins: Mapping[str, Origins]) -> tuple[mujoco.MjSpec, list[str]]:
     """
     Read a spec from a text that has been checked, as :func:`read_mjcf` does.
 
     :param models: contents of model files that are not on the disk, by the names in the text
     :param assets: likewise of meshes and images
+    :param origins: file and line of the elements in their order, by the names of the models in the
+        text, that of the text itself being empty; of others no place is told
     """
-    documents = [_Document(ElementTree.fromstring(content), {}, name)  # noqa: S314
-                 for name, content in {'': text.encode(), **models}.items()]
+    documents = []
+    for name, content in {'': text.encode(), **models}.items():
+        root = ElementTree.fromstring(content)  # noqa: S314
+        documents.append(_Document(root, dict(zip(root.iter(), origins.get(name, ()))), name))
     return _read(documents, assets, file)
 
 
@@ -298,7 +304,8 @@ def _explained(documents: Iterable[_Document], error: Exception, file: Path) -> 
     if what == _UNKNOWN_ELEMENT:
         return (f'{begin}: {place}there is no element <{one_line(tag, 60)}> here: correct its '
                 'name or its place, or delete it')
-    return f'{begin}: {place}<{tag}>: {one_line(what)}'
+    remedy = ': give one of them another name' if what.startswith('repeated name') else ''
+    return f'{begin}: {place}<{tag}>: {one_line(what)}{remedy}'
 
 
 def _joined(error: Exception) -> str:

@@ -22,6 +22,7 @@ import mujoco
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES, places, references
 from manip_sim.models.loading import spec_from_string
+from manip_sim.models.mjcf_versions import Origins
 from manip_sim.models.regular_files import Files
 from manip_sim.models.sandbox import compile_held, try_to_do
 from manip_sim.models.xml_check import AssetFolders, XmlModel
@@ -59,6 +60,8 @@ class HeldModel:
     :ivar models: MJCF that it attaches, by the names in it
     :ivar assets: meshes and images, by their names in it
     :ivar is_light: whether it compiles quickly for sure
+    :ivar origins: file and line of each element of MJCF, by the name of the model that it is in;
+        that of the first one is empty
     """
 
     name: str
@@ -66,6 +69,7 @@ class HeldModel:
     models: dict[str, bytes] = field(default_factory=dict)
     assets: dict[str, bytes] = field(default_factory=dict)
     is_light: bool = True
+    origins: dict[str, Origins] = field(default_factory=dict)
 
     def load(self, notes: list[str] | None = None) -> mujoco.MjSpec:
         """
@@ -82,7 +86,8 @@ class HeldModel:
 
     def load_tried(self, notes: list[str] | None = None) -> mujoco.MjSpec:
         """Return a new spec, of a model that is compiled elsewhere first."""
-        spec = spec_from_string(self.xml, Path(self.name), self.models, self.assets, notes)
+        spec = spec_from_string(self.xml, Path(self.name), self.models, self.assets, notes,
+                                self.origins)
         for reference in references(spec):
             if reference.file not in self.assets:
                 raise ModelError(f'{one_line(self.name)}: {reference.kind} '
@@ -98,9 +103,10 @@ def hold_model(file: Path, files: Files) -> HeldModel:
     :raises ModelError: if a file must not be or cannot be read, is not what its suffix says, or
         something is too large
     """
-    model = XmlModel(file, Budget(LIMITS), files=files)
+    model = XmlModel(file, Budget(LIMITS), files=files, traced=True)
     held = HeldModel(str(file))
     held.xml = _hold(model, held, files, _LEFT_OUT)
+    held.origins[''] = model.origins_in_order
     held.is_light = held.is_light and not held.assets and model.elements <= _MAX_LIGHT_ELEMENTS
     return held
 
@@ -112,8 +118,9 @@ def hold_robot(file: Path, files: Files) -> HeldModel:
     It keeps its keyframes, and may have more elements.
     """
     held = HeldModel(str(file), is_light=False)
-    model = XmlModel(file, Budget(ROBOT_LIMITS), files=files)
+    model = XmlModel(file, Budget(ROBOT_LIMITS), files=files, traced=True)
     held.xml = _hold(model, held, files, _LEFT_OUT_OF_ROBOTS)
+    held.origins[''] = model.origins_in_order
     return held
 
 
@@ -158,6 +165,7 @@ def _content(model: XmlModel, held: HeldModel, files: Files, left_out: Collectio
     content = _hold(model, held, files, left_out).encode()
     name = f'{_digest(content)}.xml'
     held.models[name] = content
+    held.origins[name] = model.origins_in_order
     return name
 
 

@@ -113,6 +113,11 @@ class XmlModel:
             self._count_attached(*attached)
 
     @property
+    def origins_in_order(self) -> list[tuple[Path, int]]:
+        """File and line of each element of the tree as it is now, if they were traced."""
+        return [self.origins[element] for element in self.tree.iter()]
+
+    @property
     def is_urdf(self) -> bool:
         """Whether it is URDF, not MJCF."""
         return self.root == 'robot'

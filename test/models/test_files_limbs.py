@@ -288,3 +288,15 @@ def test_rotors_of_a_flying_robot_are_no_fingers(tmp_path, name, expected):
     limbs = ''.join(chain(f'{name}{i}_', 1, place) for i, place in enumerate(around(3)))
     parts, _ = parts_of(tmp_path, limbs)
     assert parts == expected
+
+
+def test_a_word_of_legs_in_a_chain_of_one_arm_is_the_arms(tmp_path):
+    fingers = ''.join(chain(f'{side}c', 1, f'0 {y} 0.1') for side, y in (('r', -.02), ('l', .02)))
+    arm = chain('s_abduction', 1, inside=chain('s_flexion', 1, inside=chain('roll', 2)))
+    arm = arm.replace('</body>' * 4, fingers + '</body>' * 4)
+    assert parts_of(tmp_path, arm)[0] == {'arm': 4, 'right/gripper': 2}
+
+
+def test_a_leg_alone_stays_one(tmp_path):
+    leg = chain('hip', 1, inside=chain('knee', 1, inside=chain('ankle', 1)))
+    assert parts_of(tmp_path, leg)[0] == {'legs': 3}

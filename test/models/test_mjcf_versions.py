@@ -212,3 +212,25 @@ def test_a_mistake_is_told_with_file_line_and_element(inside, message, top, tmp_
         expected = f'{file} is not MJCF that MuJoCo can read: {part}, line {line}: {message}'
         with pytest.raises(ModelError, match=re.escape(expected)):
             load_robot(file)
+
+
+def test_what_is_requested_names_file_and_line_too(tmp_path):
+    (tmp_path / 'parts').mkdir()
+    part = write(tmp_path / 'parts' / 'part.xml', '<mujoco>\n\n<option apirate="3"/></mujoco>')
+    tool = write(tmp_path / 'tool.xml', '<mujoco model="tool">\n<option apirate="9"/>'
+                 '<worldbody><body name="b"><geom size="0.01"/></body></worldbody></mujoco>')
+    text = arm('<size/><include file="parts/part.xml"/><asset><model name="tool" '
+               'file="tool.xml"/></asset>\n<option collision="all"/>',
+               inside='<attach model="tool" body="b" prefix="t_"/>')
+    file = write(tmp_path / 'arm.xml', text)
+    notes = ' '.join(notes_of(load_requested(file, FilesBelow([tmp_path], 'spawn_roots'))))
+    line = text[:text.index('collision')].count('\n') + 1
+    for place in (f'{part}, line 3', f'{tool}, line 2', f'{file}, line {line}'):
+        assert f' in {place}, which' in notes
+
+
+def test_a_name_that_occurs_twice_is_told_with_a_remedy(tmp_path):
+    file = write(tmp_path / 'arm.xml', arm(inside='\n<site name="s"/>\n<site name="s"/>'))
+    with pytest.raises(ModelError, match=r"arm.xml, line 7: <site>: repeated name 's' in site: "
+                                         'give one of them another name'):
+        load_robot(file)

@@ -133,6 +133,10 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, found: dict[int, str],
               if joint in found}
     if 'legs' in beyond <= {'legs', 'base'}:
         found.update({joint: 'base' for joint in limbs.leading if can_change(joint)})
+    leading = {found[joint] for joint in limbs.leading if joint in found}
+    if 'legs' not in beyond and {'legs', 'arm'} <= leading:  # Such as the abduction of a shoulder.
+        found.update({joint: 'arm' for joint in limbs.leading if found.get(joint) == 'legs'
+                      and str(tree.model.joint(joint).name) not in declared})
 
 
 def _correct_base(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str]) -> None:
