@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 import logging
 import os
 from pathlib import Path
@@ -32,6 +32,8 @@ _NUMBERS = [(kind, what) for kind, fields in {
 _MAY_BE_INFINITE = ('range', 'ctrlrange', 'forcerange')
 #: The least mass and inertia of the bodies of a part that is compiled alone [kg, kg m^2].
 _MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
+#: Radius of what stands for a mesh where shapes do not matter [m].
+_SMALL_M = 1e-3
 
 
 #: MuJoCo's warning of a part without a prefix, which is intended.
@@ -85,6 +87,35 @@ def compile_copy(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     as the files, and so do copies of it.
     """
     return compile_alone(spec.copy(), name)
+
+
+def compile_without_meshes(spec: mujoco.MjSpec, name: str, kept: Collection[str]
+                           ) -> mujoco.MjModel:
+    """
+    Compile a part that compiled before, for all but its shapes: these are most of its size.
+
+    Shapes of meshes become small spheres, also where the mass of the body comes from them.
+
+    :param kept: names of bodies that keep their meshes; if there are any, all keep their masses
+    """
+    light = spec.copy()
+    needed = set()
+    for body in light.bodies:
+        for geom in body.geoms:
+            if int(geom.type) != int(mujoco.mjtGeom.mjGEOM_MESH):
+                continue
+            if body.name in kept or (kept and not body.explicitinertial):
+                needed.add(geom.meshname)
+                continue
+            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_SPHERE, ''
+            geom.size = [_SMALL_M, 0.0, 0.0]
+    for mesh in list(light.meshes):
+        if mesh.name not in needed:
+            light.delete(mesh)
+    try:
+        return compile_alone(light, name)
+    except ModelError:  # Something else than a shape refers to a mesh.
+        return compile_copy(spec, name)
 
 
 def _reject_what_tactile_sensors_cannot_feel(model: mujoco.MjModel, name: str) -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 import re
 
 import mujoco
@@ -21,7 +22,8 @@ _JOINED = re.compile(
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
-def words_of(name: str) -> set[str]:
+@lru_cache(maxsize=4096)
+def words_of(name: str) -> frozenset[str]:
     """
     Return the words of a name in lower case: ``left_hand2`` has ``left`` and ``hand``.
 
@@ -29,7 +31,7 @@ def words_of(name: str) -> set[str]:
     """
     words = {word.lower() for word in _WORD.findall(name)}
     joined = [match.groups() for match in map(_JOINED.fullmatch, words) if match]
-    return words.union(*({part for part in parts[:2] if part} for parts in joined))
+    return frozenset(words.union(*({part for part in parts[:2] if part} for parts in joined)))
 
 
 def side_of(names: Iterable[str]) -> str | None:
@@ -39,7 +41,7 @@ def side_of(names: Iterable[str]) -> str | None:
         # A letter may be of something else, as in r2/left_arm.
         sides = words & {'left', 'right'} or {_SIDES[word] for word in words if word in _SIDES}
         if len(sides) == 1:
-            return sides.pop()
+            return next(iter(sides))
     return None
 
 
@@ -50,6 +52,7 @@ class BodyTree:
         self.model = model
         self._parents = model.body_parentid.tolist()
         self._joints_of: dict[int, list[int]] = {}
+        self._below: dict[int, set[int]] = {}
         for joint, body in enumerate(model.jnt_bodyid.tolist()):
             self._joints_of.setdefault(body, []).append(joint)
 
@@ -71,11 +74,13 @@ class BodyTree:
 
     def below(self, body: int) -> set[int]:
         """Return a body and all bodies below it."""
-        found = {body}
-        for other in range(body + 1, self.model.nbody):
-            if self.parent(other) in found:
-                found.add(other)
-        return found
+        if body not in self._below:
+            found = {body}
+            for other in range(body + 1, self.model.nbody):
+                if self._parents[other] in found:
+                    found.add(other)
+            self._below[body] = found
+        return set(self._below[body])
 
     def joints(self, bodies: Iterable[int]) -> list[int]:
         """Return the joints of some bodies, in the order of the bodies."""

@@ -18,6 +18,7 @@ from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.grippers.gripper_model import GripperModel
+from manip_sim.models.loading import compile_without_meshes
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement, RobotModel
 
@@ -48,6 +49,14 @@ class FileRobot(RobotModel, registered=False):
 
     def _read(self) -> Any:
         return self._plan.spec
+
+    def _compile_alone(self) -> mujoco.MjModel:
+        if self._spec_is_shared:
+            return super()._compile_alone()
+        # How hands close is tried with their shapes; nothing else asks for any.
+        roots = [self._spec.body(hand.body) for hand in self._own_hands.values()]
+        return compile_without_meshes(self._spec, self.name, {
+            body.name for root in roots for body in (root, *root.find_all('body'))})
 
     def _record(self) -> None:
         super()._record()

@@ -54,6 +54,11 @@ class Limbs:
         self._tree, self._model = tree, tree.model
         self._data = mujoco.MjData(tree.model)
         mujoco.mj_kinematics(tree.model, self._data)
+        rigid = tree.model.body_weldid.tolist()
+        self._limbs_on: dict[int, list[int]] = {}
+        for body in range(1, tree.model.nbody):
+            if tree.joints([body]):
+                self._limbs_on.setdefault(rigid[tree.parent(body)], []).append(body)
         self.leading: list[int] = []
         link = 0
         while len(limbs := self.on(link)) == 1:
@@ -63,9 +68,7 @@ class Limbs:
 
     def on(self, link: int) -> list[int]:
         """Return the first bodies of the limbs that a rigid link carries; 0 is the fixed one."""
-        tree, rigid = self._tree, self._model.body_weldid
-        return [body for body in range(1, self._model.nbody)
-                if tree.joints([body]) and rigid[tree.parent(body)] == link]
+        return self._limbs_on.get(link, [])
 
     def by_root(self, link: int) -> list[list[int]]:
         """Return the limbs on a rigid link by their roots: several are a robot and its scene."""
