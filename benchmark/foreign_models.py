@@ -63,6 +63,7 @@ import yaml
 
 from manip_sim.errors import DivergenceError, ManipSimError
 from manip_sim.models import compose, load_gripper, load_robot
+from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.simulation.simulation import Simulation
@@ -306,7 +307,7 @@ def run_to(simulation: Simulation, part: str, names: list[str], start: Any, goal
 
 
 def _room(model: Any, names: list[str], start: Any) -> tuple[Any, Any]:
-    """Return a middle and an amplitude that keep joints inside their ranges."""
+    """Return a middle and an amplitude that keep joints inside their ranges and velocities."""
     middle, swing = start.copy(), np.full(len(names), AMPLITUDE)
     for i, name in enumerate(names):
         joint = model.joint(name)
@@ -316,7 +317,8 @@ def _room(model: Any, names: list[str], start: Any) -> tuple[Any, Any]:
             low, high = joint.range
             swing[i] = min(swing[i], 0.2 * (high - low))
             middle[i] = np.clip(middle[i], low + 1.2 * swing[i], high - 1.2 * swing[i])
-    return middle, swing
+    velocities = declared_velocity(model, [model.joint(name).id for name in names])
+    return middle, np.minimum(swing, 0.8 * velocities / (2.0 * np.pi * FREQUENCY_HZ))
 
 
 def _residual(goals: Any, reached: Any, middle: Any) -> Any:

@@ -62,7 +62,8 @@ class UrdfRemedies(MjcfRemedies):
 
     def limit(self, effort: float) -> str:
         """Return how a joint gets a higher effort limit."""
-        return f'write a higher limit, such as <limit effort="{effort:g}" .../>, for the joint'
+        return (f'write a higher limit, such as <limit effort="{effort:g}" .../>, for the joint; '
+                'efforts: guess in the YAML file replaces limits that are placeholders')
 
     def wider_range(self) -> str:
         """Return how a joint gets a wider range."""

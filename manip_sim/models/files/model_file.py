@@ -207,7 +207,7 @@ def read_model(file: Path, description: Description, where: object,
             notes += guess_efforts(spec, model)
             model = compile_alone(spec, str(file))
         else:
-            notes += report_efforts(model, qpos)
+            notes += report_efforts(model, _declared_pose(model, qpos, declared))
         notes += add_servos(spec, BodyTree(model))
         if urdf:
             support_couplings(spec)
@@ -358,6 +358,17 @@ def _of_undeclared(notes: list[str], joints: Iterable[str],
         return []
     return [note.replace('start pose:', "start pose of joints that 'start' does not name:")
             for note in notes]
+
+
+def _declared_pose(model: mujoco.MjModel, qpos: FloatArray,
+                   declared: Union[str, Mapping[str, float], None]) -> FloatArray:
+    """Return a pose in which joints are where a description has them, copied."""
+    pose: FloatArray = qpos.copy()
+    names = {str(model.joint(joint).name): joint for joint in range(model.njnt)}
+    for name, position in declared.items() if isinstance(declared, Mapping) else ():
+        if name in names:  # An unknown one is told later.
+            pose[model.jnt_qposadr[names[name]]] = position
+    return pose
 
 
 def _start_pose(model: mujoco.MjModel, in_file: Mapping[str, float],

@@ -29,6 +29,9 @@ _REMEDIES = {
     'unbound prefix': 'write xmlns:xacro="http://www.ros.org/wiki/xacro" into its <robot>',
     'environment variable': "type 'export NAME=VALUE' with that name",
     'unknown macro name': 'include the file that defines it',
+    'is not defined when evaluating': 'define it by <xacro:property name="..." value="..."/>, or '
+                                      'include the file that does',
+    'not a boolean expression': 'write true, false, or an expression in ${}',
     'Undefined parameters': 'give them where it is called, or defaults'}
 #: xacro keeps the files and arguments that it works with in its module.
 _ONE_FILE = threading.Lock()
