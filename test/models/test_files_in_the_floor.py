@@ -64,7 +64,8 @@ def test_the_start_pose_decides_how_far_a_robot_is_raised(tmp_path):
 
 @pytest.mark.parametrize(('yaml', 'options', 'height'), [
     ('foot: [0, 0, 0]', {}, 0.0), ('foot: [0, 0, -0.7]', {}, 0.7),
-    ('', {'position': [0.0, 0.0, 1.5]}, 1.5), ('', {'position': [0.4, 0.2, 0.0]}, 0.0), ('base: RethinkMount', {}, 0.912)])
+    ('', {'position': [0.0, 0.0, 1.5]}, 1.5), ('', {'position': [0.4, 0.2, 0.0]}, 0.0),
+    ('base: RethinkMount', {}, 0.912)])
 def test_a_robot_that_its_description_or_the_user_places_is_not_raised(
         tmp_path, yaml, options, height):
     file = write(tmp_path / 'r.urdf', URDF.format(shape=BOX, rpy='0 0 0'))

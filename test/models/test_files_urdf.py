@@ -567,8 +567,8 @@ def test_a_joint_that_ends_before_its_leader_is_told(tmp_path, more, said):
     assert told == ([] if said is None else [said])
 
 
-LOCKED = ("the limits of joint 'right_finger' are left out: within them, joint 'left_finger', which "
-          'it follows, would hardly move; correct lower and upper in its <limit>, or the '
+LOCKED = ("the limits of joint 'right_finger' are left out: within them, joint 'left_finger', "
+          'which it follows, would hardly move; correct lower and upper in its <limit>, or the '
           'multiplier in its <mimic>')
 
 

@@ -285,8 +285,8 @@ def depth_in_floor(model: mujoco.MjModel, start: Mapping[str, float]) -> float:
     Return how far a robot whose root is fixed reaches into the floor where it starts [m].
 
     It is 0 for one that floats, and if nothing that moves touches the floor and what does not move
-    reaches no farther than the foot of an arm does, or is in it by less than half. Otherwise it ends just above the floor: wheels
-    and feet of a robot that is fixed would rub on it.
+    reaches no farther than the foot of an arm does, or is in it by less than half. Otherwise it
+    ends just above the floor: wheels and feet of a robot that is fixed would rub on it.
 
     :param start: positions of scalar joints by name [rad or m]
     """

@@ -45,8 +45,8 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     world = spec.worldbody
     roots = list(world.bodies)
     if not roots:
-        raise ModelError(f'{file} must have a body, found none; if other files include it, load the '
-                         'one of the whole robot')
+        raise ModelError(f'{file} must have a body, found none; if other files include it, load '
+                         'the one of the whole robot')
     loose = [*world.geoms, *world.sites]
     loose_counts = ' and '.join(counted(len(found), noun) for noun, found in (
         ('shape', world.geoms), ('site', world.sites)) if found)

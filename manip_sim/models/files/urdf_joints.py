@@ -38,10 +38,9 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     """
     Reject impossible limits and mimics, and complete what MuJoCo's reader reads differently.
 
-    As URDF defines, a missing ``lower`` or ``upper`` is 0. If both are there, the smaller number is
-    the lower one. A joint that has neither is not
-    limited. One that is fixed follows no other; one that follows it is fixed where that puts it.
-    A link that only joints name is added.
+    As URDF defines, a missing ``lower`` or ``upper`` is 0. If both are there, the smaller number
+    is the lower one. A joint that has neither is not limited. One that is fixed follows no other;
+    one that follows it is fixed where that puts it. A link that only joints name is added.
 
     :param robot: changed in place
     :returns: positions of the joints that are fixed, as their limits are equal, by name [rad or
