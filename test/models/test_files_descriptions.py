@@ -219,7 +219,7 @@ def test_an_unknown_key_or_name_is_told_with_file_key_and_nearest(tmp_path, yaml
     ('arms: {right: {mount: {position: [0, 0, 1]}}}', "'arms.right.mount' of .* must say 'at'"),
     ('arms: {left: {mount: link3}}', "the only arm is called 'right', but 'arms' of .* 'left'"),
     ('- a', r"arm.yaml must hold keys and values, got \['a'\]"),
-    ('a: &x [1]\nb: *x', 'is invalid or unsafe YAML: anchors and aliases are not read'),
+    ('arms: &x [1]\nstart: *x', 'is invalid or unsafe YAML: anchors and aliases are not read'),
     ('base: a\nbase: b', "is invalid or unsafe YAML: 'base' appears twice, again in line 2"),
     ('!!python/object/apply:os.system ["false"]', 'arm.yaml is invalid or unsafe YAML: '
                                                   'tags are not read, found one in line 1'),

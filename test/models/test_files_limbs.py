@@ -290,7 +290,7 @@ def test_rotors_of_a_flying_robot_are_no_fingers(tmp_path, name, expected):
     assert parts == expected
 
 
-def test_a_word_of_legs_in_a_chain_of_one_arm_is_the_arms(tmp_path):
+def test_the_abduction_of_a_single_arm_is_the_arms(tmp_path):
     fingers = ''.join(chain(f'{side}c', 1, f'0 {y} 0.1') for side, y in (('r', -.02), ('l', .02)))
     arm = chain('s_abduction', 1, inside=chain('s_flexion', 1, inside=chain('roll', 2)))
     arm = arm.replace('</body>' * 4, fingers + '</body>' * 4)

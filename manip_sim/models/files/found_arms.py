@@ -38,6 +38,8 @@ _BODY_WORDS = {
 _OF_ARM = {'shoulder', 'elbow', 'wrist'}
 #: Of these, the words that no leg has: some name the hip of a quadruped its shoulder.
 _ARM_BEYOND_SHOULDER = {'elbow', 'wrist'}
+#: Words of legs that arms have, too.
+_OF_SHOULDERS = {'abduction'}
 #: Joints of a root that moves in the plane are named after an axis: x, y, theta.
 _AXIS = re.compile(r'(?:^|_)(x|y|th|theta)$')
 
@@ -133,10 +135,10 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, found: dict[int, str],
               if joint in found}
     if 'legs' in beyond <= {'legs', 'base'}:
         found.update({joint: 'base' for joint in limbs.leading if can_change(joint)})
-    leading = {found[joint] for joint in limbs.leading if joint in found}
-    if 'legs' not in beyond and {'legs', 'arm'} <= leading:  # Such as the abduction of a shoulder.
+    if 'legs' not in beyond and 'arm' in {found.get(joint) for joint in limbs.leading}:
         found.update({joint: 'arm' for joint in limbs.leading if found.get(joint) == 'legs'
-                      and str(tree.model.joint(joint).name) not in declared})
+                      and (name := str(tree.model.joint(joint).name)) not in declared
+                      and words_of(name) & _WORDS['legs'] <= _OF_SHOULDERS})
 
 
 def _correct_base(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str]) -> None:
