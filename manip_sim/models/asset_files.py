@@ -202,7 +202,9 @@ def _hold_all(spec: mujoco.MjSpec) -> None:
 
 
 def _is_held(spec: mujoco.MjSpec, reference: Reference) -> bool:
-    held = spec.assets or {}
+    held = spec.assets
+    if not held:
+        return False
     folder = spec.texturedir if reference.kind == 'texture' else spec.meshdir
     return reference.file in held or str(PurePosixPath(folder, reference.file)) in held
 
