@@ -82,14 +82,19 @@ def compile_alone(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
         compiler.boundmass, compiler.boundinertia = bounds
 
 
-def compile_copy(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
+def compile_copy(spec: mujoco.MjSpec, name: str, visual: bool = True) -> mujoco.MjModel:
     """
     Compile a part as :func:`compile_alone` does, of whose references none is missing.
+
+    :param visual: with the shapes that only show something
 
     A spec that was compiled keeps its meshes as MuJoCo's compiler made them, many times as large
     as the files, and so do copies of it.
     """
-    return compile_alone(spec.copy(), name)
+    own = spec.copy()
+    if not visual:
+        own.compiler.discardvisual = True
+    return compile_alone(own, name)
 
 
 def compile_without_meshes(spec: mujoco.MjSpec, name: str, kept: Collection[str]

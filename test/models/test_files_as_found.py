@@ -383,8 +383,8 @@ def test_contact_pairs_with_the_ground_of_a_scene_touch_the_arena(tmp_path):
 
 
 @pytest.mark.parametrize(('name', 'expected'), [
-    ('loose_arm.urdf', {'arm': 2, 'right/gripper': 2}), ('sliding_root.xml', {'base': 3, 'arm': 3}),
-    ('three_rotors.xml', {'other': 3})])
+    ('loose_arm.urdf', {'arm': 2, 'right/gripper': 2}),
+    ('sliding_root.xml', {'base': 3, 'arm': 3}), ('three_rotors.xml', {'other': 3})])
 def test_the_parts_of_a_file_that_is_not_as_it_should_be(name, expected):
     simulation = Simulation(compose(load_robot(DATA / name)))
     assert {part: len(found.joints) for part, found in simulation.robot.parts.items()
@@ -394,5 +394,5 @@ def test_the_parts_of_a_file_that_is_not_as_it_should_be(name, expected):
 def test_all_that_is_read_otherwise_than_it_is_written_is_told():
     robot = load_robot(DATA / 'loose_arm.urdf')
     np.testing.assert_allclose(robot.joint_ranges['robot0_shoulder'], [-1.5, 1.5])
-    assert said(robot, "read the other way round, as lower is above upper in their <limit>: 'should")
+    assert said(robot, 'read the other way round, as lower is above upper in their <limit>: ')
     assert said(robot, "the limits of joint 'jaw_b' are left out")

@@ -344,3 +344,19 @@ def test_a_closing_that_a_file_declares_is_not_tried(tmp_path):
     file = write(tmp_path / 'hand.xml', LATCHED.format(height=0.12, actuator=SERVO))
     write(tmp_path / 'hand.yaml', 'arms: {right: {hand: {closing: {finger: [0, 1.4]}}}}\n')
     assert load_robot(file).grippers['right'].closing == {'finger': [0.0, 1.4]}
+
+
+def test_the_tips_of_fingers_in_a_robots_file_are_where_their_visual_shapes_are(tmp_path):
+    def finger(side, y):
+        return (f'<body name="{side}_finger" pos="0 {y} 0"><joint name="{side}_finger" '
+                f'type="slide" axis="0 {-50 * y:g} 0" range="0 0.02"/><geom size="0.005"/>'
+                '<geom size="0.004" pos="0 0 0.09" contype="0" conaffinity="0" mass="0"/></body>')
+
+    text = f"""<mujoco><compiler autolimits="true"/><worldbody><body name="base"><geom size="0.05"/>
+      <body name="l1" pos="0 0 0.2"><joint name="turn" axis="0 0 1" range="-1 1"/>
+      <geom size="0.03"/><body name="l2" pos="0 0 0.2"><joint name="lift" axis="0 1 0"
+      range="-1 1"/><geom size="0.03"/>{finger('left', 0.02)}{finger('right', -0.02)}
+      </body></body></body></worldbody></mujoco>"""
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    point = robot.described['arms']['right']['hand']['grasp_point']['position']
+    np.testing.assert_allclose(point, [0.0, 0.0, 0.09], atol=1e-6)

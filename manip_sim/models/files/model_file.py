@@ -152,7 +152,7 @@ class ModelFile:
 
 def read_model(file: Path, description: Description, where: object,
                keyframes: Sequence[str] = ('home',), servos: bool = True,
-               files: Files | None = None) -> ModelFile:
+               files: Files | None = None, visual: bool = True) -> ModelFile:
     """
     Read a robot, hand or base, and exclude collisions of links that overlap at its start.
 
@@ -160,6 +160,7 @@ def read_model(file: Path, description: Description, where: object,
     :param keyframes: the first of these that exists is the start, else the only keyframe of the
         file, else what :func:`choose_pose` returns, unless the description names a keyframe
     :param servos: give joints position servos if the file has no actuators
+    :param visual: compile the shapes that only show something, which may be most of the model
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies,
         or a position of the description is outside its range
     :raises UnknownNameError: if it lacks the keyframe or a joint of the description
@@ -178,11 +179,13 @@ def read_model(file: Path, description: Description, where: object,
         joint.parent.simple = 0
     infer_inertias_once(spec)
     original, spec = spec, spec.copy()
+    if not visual:
+        original.compiler.discardvisual = True
     model = compile_alone(original, str(file))
     del original
     if urdf:
         lighter = lighten(spec, model)
-        model = compile_copy(spec, str(file)) if lighter else model
+        model = compile_copy(spec, str(file), visual) if lighter else model
         notes += [*lighter, *masses_from_shapes(spec, model)]
     declared = getattr(description, 'start', None)
     wanted = declared if isinstance(declared, str) else None
@@ -205,18 +208,18 @@ def read_model(file: Path, description: Description, where: object,
     if servos and not model.nu and places:
         if guesses:
             notes += guess_efforts(spec, model)
-            model = compile_alone(spec, str(file))
+            model = compile_copy(spec, str(file), visual)
         else:
             notes += report_efforts(model, _declared_pose(model, qpos, declared))
         notes += add_servos(spec, BodyTree(model))
         if urdf:
             support_couplings(spec)
-        model = compile_copy(spec, str(file))
+        model = compile_copy(spec, str(file), visual)
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
     if any(spec.joint(name) is None for name in places):
-        model = compile_copy(spec, str(file))
+        model = compile_copy(spec, str(file), visual)
         places = {name: place for name, place in places.items() if spec.joint(name) is not None}
         named = {key: {name: place for name, place in there.items() if name in places}
                  for key, there in named.items()}

@@ -25,6 +25,7 @@ from manip_sim.models.files.model_file import depth_in_floor, ModelFile, read_mo
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
+from manip_sim.models.loading import compile_without_meshes
 from manip_sim.models.regular_files import Files
 
 #: Height above the floor at which the fingers of a hand alone stay [m].
@@ -72,7 +73,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     :raises ModelError: if the file or what the description says of it cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """
-    model_file = read_model(file, description, where, files=files)
+    model_file = read_model(file, description, where, files=files, visual=False)
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = model_file.start
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
@@ -88,8 +89,9 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
                                  {joint for hand in found for joint in hand.joints}, notes)
     arms = _find_arms(model_file, tree, subsystems, found, description, where)
     hands = {side: arm.hand for side, arm in arms.items() if arm.hand is not None}
+    shaped = _with_shapes(model_file, hands) if hands else tree
     if description.foot is None and {arm.why for arm in arms.values()} == {ALONE}:
-        description = _raised(model_file, description)
+        description = _raised(shaped.model, model_file.inferred, description)
     depth = _depth(model_file, description)
     if len(arms) == 2:
         _find_torso(tree, subsystems, arms, description.subsystems)
@@ -100,8 +102,8 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     notes += changes
     ends = {side: _add_end(spec, tree, side, arm, description, where, notes)
             for side, arm in arms.items()}
-    own = {side: _own_hand(spec, tree, side, hand, description, where, start)
-           for side, hand in hands.items()}
+    own = {side: _own_hand(spec, shaped, side, _in_tree(tree, hand, shaped), description, where,
+                           start) for side, hand in hands.items()}
     of_hand_joints = {j for hand in hands.values() for j in hand.joints}
     by_name = {str(tree.model.joint(j).name): part for j, part in subsystems.items()
                if j not in of_hand_joints}
@@ -111,16 +113,33 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
                      notes, model_file.keyframes, mocap, depth)
 
 
-def _raised(model_file: ModelFile, description: RobotDescription) -> RobotDescription:
+def _with_shapes(model_file: ModelFile, hands: Mapping[str, FoundHand]) -> BodyTree:
+    """Return a tree of bodies in which hands have the shapes that only show something, too."""
+    tree = model_file.tree
+    return BodyTree(compile_without_meshes(model_file.spec, str(model_file.file), {
+        tree.name(body) for hand in hands.values() for body in tree.below(hand.body)}))
+
+
+def _in_tree(tree: BodyTree, hand: FoundHand, other: BodyTree) -> FoundHand:
+    """Return a hand by its ids in another tree of the same bodies, joints and actuators."""
+    model = tree.model
+    joints, actuators = ([str(element(i).name) for i in ids] for element, ids in (
+        (model.joint, hand.joints), (model.actuator, hand.actuators)))
+    return FoundHand(int(other.model.body(tree.name(hand.body)).id),
+                     tuple(int(other.model.joint(name).id) for name in joints),
+                     tuple(int(other.model.actuator(name).id) for name in actuators))
+
+
+def _raised(model: mujoco.MjModel, notes: list[str], description: RobotDescription
+            ) -> RobotDescription:
     """Return a description that keeps the fingers of a hand alone above the floor."""
-    model = model_file.tree.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     own = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom]]
     reach = max((length(data.geom_xpos[geom] - data.xpos[1]) + float(model.geom_rbound[geom])
                  for geom in own), default=0.0)
     height = round(reach + _CLEARANCE_M, 3)
-    model_file.inferred.append(f'it is fixed {height:g} m above the floor, in the air')
+    notes.append(f'it is fixed {height:g} m above the floor, in the air')
     return description.model_copy(update={'foot': [0.0, 0.0, -height]})
 
 

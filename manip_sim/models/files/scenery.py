@@ -173,7 +173,7 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
     for body in roots:
         below = sorted(tree.below(model.body(body.name).id))
         joints = tree.joints(below)
-        empty = not joints and not model.body_geomnum[below].any()
+        empty = not joints and not (body.geoms or body.find_all('geom'))
         is_object = _is_free(body) and not driven.intersection(joints)
         # Some robots keep the joints that a variant lacks on bodies beside it.
         is_dummy = floats and not _is_free(body) and len({*model.jnt_bodyid[joints]}) == 1
