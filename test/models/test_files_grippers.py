@@ -352,7 +352,8 @@ def test_the_tips_of_fingers_in_a_robots_file_are_where_their_visual_shapes_are(
                 f'type="slide" axis="0 {-50 * y:g} 0" range="0 0.02"/><geom size="0.005"/>'
                 '<geom size="0.004" pos="0 0 0.09" contype="0" conaffinity="0" mass="0"/></body>')
 
-    text = f"""<mujoco><compiler autolimits="true"/><worldbody><body name="base"><geom size="0.05"/>
+    text = f"""<mujoco><compiler autolimits="true"/><worldbody>
+      <body name="base"><geom size="0.05"/>
       <body name="l1" pos="0 0 0.2"><joint name="turn" axis="0 0 1" range="-1 1"/>
       <geom size="0.03"/><body name="l2" pos="0 0 0.2"><joint name="lift" axis="0 1 0"
       range="-1 1"/><geom size="0.03"/>{finger('left', 0.02)}{finger('right', -0.02)}
