@@ -56,7 +56,8 @@ nitpick_ignore_regex = [
                         r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts'
                         r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hold'
                         r'|KinematicChain|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike'
-                        r'|CameraLike|AnswerTimeLike|Pictures|FrictionLaw|Friction|TorqueSpeed|Shard|Base'
+                        r'|CameraLike|AnswerTimeLike|Pictures|FrictionLaw|Friction|TorqueSpeed'
+                        r'|Shard|Base'
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
                         r'|ControlState|ElementMap|Operations|Part|RobotJoints|Targets'
                         r'|Surroundings)'),
