@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 import contextlib
 import math
 import time
+from types import SimpleNamespace
 from typing import Any
 
 from manip_sim.simulation import Simulation
@@ -71,7 +72,8 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
     stack.callback(rclpy.shutdown)
     node = rclpy.create_node('period')
     stack.callback(node.destroy_node)
-    node.rejections, node.publishing = RejectionLog(node.get_logger()), None
-    node.frame_prefix = ''
-    publishers = StatePublishers(node, simulation.robot, Scope())
+    context: Any = SimpleNamespace(
+        node=node, log=RejectionLog(node.get_logger()), publishing=None, frame_prefix='',
+        is_built=False)
+    publishers = StatePublishers(context, simulation.robot, Scope())
     return lambda: publishers.publish(simulation)

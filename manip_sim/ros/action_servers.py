@@ -10,25 +10,25 @@ import contextlib
 from functools import partial
 import queue
 import threading
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
 
 from manip_sim.errors import SimulationEnded
+from manip_sim.interface.scope import Scope
 from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
-from manip_sim.ros.background import Rounds
-from manip_sim.ros.command_subscribers import CommandSubscribers
+from manip_sim.ros.background import RESULT_ROUNDS, Rounds
+from manip_sim.ros.command_subscribers import CommandSubscribers, RobotCommands
+from manip_sim.ros.feature import Feature
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.rejection_log import kind_of
 from manip_sim.runtime.action_goals import Ending, ActionGoal, GoalError
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import SimulatedRobot
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 ACTION_TYPES = import_optional('control_msgs.action')
 #: How long a client may take to ask for a result, wall time [s]; the default of rcl_action.
@@ -47,32 +47,31 @@ class GoalServer:
     :param tracker: watches the goals
     :param begun: is called when a goal has begun
     :ivar robot: that the goals are for
+    :ivar is_closed: true if no more goals are accepted
     """
 
-    def __init__(self, node: SimNode, messages: ActionMessages, commands: CommandSubscribers,
-                 tracker: GoalTracker, begun: Callable[[], None]) -> None:
+    def __init__(self, context: NodeContext, messages: ActionMessages,
+                 commands: CommandSubscribers, tracker: GoalTracker, begun: Callable[[], None]
+                 ) -> None:
         self._messages = messages
         self._commands = commands
         self.robot = commands.robot
         self._tracker = tracker
-        self._log = node.rejections
+        self._log = context.log
         self._begun = begun
         self._name = commands.scope.topic(f'{messages.part}/{messages.name}')
         #: The last request that was accepted, with its goal, which is begun right afterwards.
         self._accepted: tuple[Any, ActionGoal] | None = None
         self._running: dict[bytes, tuple[ActionGoal, Any, Future]] = {}
         self._sent_ns: dict[bytes, int] = {}
-        self._closed = False
+        self.is_closed = False
         self._server = ActionServer(
-            node, messages.action_type, self._name, self._execute, goal_callback=self._accept,
-            handle_accepted_callback=self._begin, cancel_callback=self._cancel,
-            result_timeout=_RESULT_TIMEOUT_S)
-
-    def close(self) -> None:
-        self._closed = True
+            context.node, messages.action_type, self._name, self._execute,
+            goal_callback=self._accept, handle_accepted_callback=self._begin,
+            cancel_callback=self._cancel, result_timeout=_RESULT_TIMEOUT_S)
 
     def _accept(self, request: Any) -> GoalResponse:
-        if self._closed:
+        if self.is_closed:
             return GoalResponse.REJECT
         try:
             goal = self._messages.goal_of(request)
@@ -152,50 +151,48 @@ def _key(goal_handle: Any) -> bytes:
 _FEEDBACK_S = 0.05
 #: How long the node waits at its end until clients have their results, wall time [s].
 _END_S = 1.0
-#: Ends of goals, results and their answers each take a round of the executor.
-_ROUNDS = 6
 
 
-class ActionServers:
+class ActionServers(Feature):
     """
     The action servers of all robots.
 
+    :param commands: count the goals
     :param offer: returns the conversions of the messages of each action of a robot
     :ivar tracker: watches the goals
     """
 
-    def __init__(self, node: SimNode,
+    def __init__(self, context: NodeContext, commands: RobotCommands,
                  offer: Callable[[SimulatedRobot], Iterable[ActionMessages]]) -> None:
-        self._node, self._offer = node, offer
+        self._context, self._commands, self._offer = context, commands, offer
         self._ended: queue.SimpleQueue[ActionGoal] = queue.SimpleQueue()
-        self._guard = node.create_guard_condition(self._report_ends)
-        self.tracker = GoalTracker(node.thread, node.simulation, self._has_ended)
+        self._guard = context.node.create_guard_condition(self._report_ends)
+        self.tracker = GoalTracker(context.thread, context.simulation, self._has_ended)
         # The timer runs while there are goals.
-        self._timer = node.create_timer(_FEEDBACK_S, self._send_feedback,
-                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = context.node.create_timer(_FEEDBACK_S, self._send_feedback,
+                                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._servers: list[GoalServer] = []
-        for commands in node.commands:
-            self.add(commands)
+        for scope, robot in context.robots.items():
+            self.robot_added(scope, robot)
 
-    def add(self, commands: CommandSubscribers) -> None:
-        """Add the servers of a robot, whose commands count its goals."""
+    def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
         self._servers += [
-            GoalServer(self._node, messages, commands, self.tracker, self._timer.reset)
-            for messages in self._offer(commands.robot)]
+            GoalServer(self._context, messages, self._commands.of_robot(scope), self.tracker,
+                       self._timer.reset) for messages in self._offer(robot)]
 
-    def close(self, robot: SimulatedRobot, reason: str) -> None:
+    def robot_removed(self, scope: Scope) -> None:
         """Abort the goals of a robot, for a reason that its clients learn, and accept no more."""
+        robot = self._context.robots[scope]
         for server in self._servers:
-            if server.robot is robot:
-                server.close()
-        self.tracker.abort_all(reason, robot.name)
+            server.is_closed |= server.robot is robot
+        self.tracker.abort_all(f"robot '{robot.name}' was deleted", robot.name)
 
-    def remove(self, robot: SimulatedRobot) -> None:
-        """Destroy the servers of a robot, after :meth:`close`."""
+    def world_changed(self) -> None:
+        """Destroy the servers of robots that have gone, whose clients have their results."""
         for server in self._servers:
-            if server.robot is robot:
+            if server.is_closed:
                 server.destroy()
-        self._servers = [server for server in self._servers if server.robot is not robot]
+        self._servers = [server for server in self._servers if not server.is_closed]
 
     def _has_ended(self, goal: ActionGoal) -> None:
         """Hand a goal over from the simulation's thread to the executor's."""
@@ -213,7 +210,8 @@ class ActionServers:
         for server in self._servers:
             server.send_feedback()
 
-    def destroy(self) -> None:
+    def close(self) -> None:
+        """Destroy the servers, which rclpy does not with their node."""
         for server in self._servers:
             server.destroy()
         self._servers = []
@@ -227,14 +225,10 @@ class ActionServers:
         answered = threading.Event()
 
         async def wait() -> None:
-            await self.answered()
+            await Rounds(self._context.node, RESULT_ROUNDS)
             answered.set()
-        self._node.executor.create_task(wait)
+        self._context.node.executor.create_task(wait)
         answered.wait(_END_S)
-
-    def answered(self) -> Rounds:
-        """Return an awaitable for the clients of goals that end now to know that."""
-        return Rounds(self._node, _ROUNDS)
 
 
 def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int]
@@ -255,10 +249,10 @@ def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int]
                 yield ParallelGripperMessages(types.ParallelGripperCommand, robot, name, now_ns)
 
 
-def offer_actions(node: SimNode) -> ActionServers | None:
+def offer_actions(context: NodeContext, commands: RobotCommands) -> ActionServers | None:
     """Offer the actions if the package control_msgs is installed, else note that it is missing."""
     if ACTION_TYPES is None:
-        node.missing['control_msgs'] = 'actions'
+        context.missing['control_msgs'] = 'actions'
         return None
-    return ActionServers(node, partial(
-        messages_of, ACTION_TYPES, now_ns=lambda: node.thread.progress.time_ns))
+    return ActionServers(context, commands, partial(
+        messages_of, ACTION_TYPES, now_ns=lambda: context.thread.progress.time_ns))

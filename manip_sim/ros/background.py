@@ -17,6 +17,9 @@ from rclpy.node import Node
 T = TypeVar('T')
 #: Name of the threads; one that runs when the process ends is abandoned.
 THREAD_NAME = 'background'
+#: Rounds of the executor until clients of goals have their results: ends of goals, results and
+#: their answers each take one.
+RESULT_ROUNDS = 6
 
 
 def begin(work: Callable[[], T], at_end: Callable[[], None] = lambda: None) -> Future[T]:

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import json
 import sys
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header, String
 
@@ -30,16 +31,15 @@ from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
 from manip_sim.rendering.offscreen import BACKGROUND, Picture
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import create_publisher, Output
 from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.point_clouds import PointCloudMaker
 from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
 from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 _PLUMB_BOB = 'plumb_bob'
 #: Of images, by the kind of their numbers.
@@ -130,15 +130,15 @@ class CameraPublishers:
     :param sensing: its noise and latency
     """
 
-    def __init__(self, node: SimNode, name: str, found: Intrinsics, depth: bool,
+    def __init__(self, context: NodeContext, name: str, found: Intrinsics, depth: bool,
                  sensing: CameraSensing[Snapshot]) -> None:
-        self._node = node
+        self._context = context
         self._found = found
         self._rows = topics_of_cameras({name: depth})
         self.view = CameraView(name, found.width, found.height)
         self.sensing = sensing
-        model = node.simulation.model
-        self._frame_id = node.frame_prefix + FrameNames(model).opticals[model.camera(name).id]
+        model = context.simulation.model
+        self._frame_id = context.frame_prefix + FrameNames(model).opticals[model.camera(name).id]
         self._info = camera_info(found)
         outputs = self._create(self._rows)
         self._images = {False: ImageOutputs(outputs, found)}
@@ -147,11 +147,14 @@ class CameraPublishers:
 
     def _create(self, rows: list[Topic]) -> dict[str, Output]:
         return {row.name.partition(f'{self.view.camera}/')[2]: Output(
-            create_publisher(self._node, row), self._node.rejections) for row in rows}
+            create_publisher(self._context, row), self._context.log) for row in rows}
 
     def publish_truth(self) -> None:
+        """Also publish exact images, below ``truth/``, if noise or latency of images is set."""
+        if True in self._images or not self.sensing.sensing.settings.measures_images:
+            return
         rows = truths(self._rows)
-        self._node.table += rows
+        self._context.table += rows
         self._images[True] = ImageOutputs(self._create(rows), self._found)
 
     def wanted(self, exact: bool) -> tuple[bool, bool, bool]:
@@ -183,21 +186,37 @@ class CameraPublishers:
             self.publish_infos(shot.snapshot.time_ns)
 
 
-class Cameras:
+class Cameras(Feature):
     """
     The chosen cameras: due snapshots go to the thread that renders, its images to the topics.
 
+    :param chosen: settings of their images, by the name of the camera
+    :raises ModelError: if a camera is orthographic
     :ivar names: of the cameras
     """
 
-    def __init__(self, node: SimNode, publishers: list[CameraPublishers]) -> None:
-        self._node = node
-        self._publishers = {found.view.camera: found for found in publishers}
+    def __init__(self, context: NodeContext, chosen: Mapping[str, ImageSettings]) -> None:
+        self._context = context
+        simulation, model = context.simulation, context.simulation.model
+        self._publishers = {name: CameraPublishers(
+            context, name, intrinsics_of(model, name, images.width, images.height), images.depth,
+            CameraSensing(name, simulation.instruments.sensing_of(
+                int(model.cam_bodyid[model.camera(name).id]))))
+            for name, images in chosen.items()}
         self.names = list(self._publishers)
         self._renderer: CameraThread | None = None
         self._unable: ManipSimError | None = None
         self._counts: Counter[str] = Counter()
         self._rendering_s: dict[str, float] = {}
+        self.world_changed()
+        publish_rate = 1.0 / context.thread.period_s
+        for name, images in chosen.items():
+            every = periods_per_image(publish_rate, images.rate_hz, f'camera.{name}.rate')
+            self._watch(name, every)
+            context.notes.append(
+                f'camera {name}: {images.width} x {images.height}, {publish_rate / every:.4g} Hz, '
+                f'on {name}/color/image_raw'
+                + (f' and {name}/depth/image_raw' if images.depth else ''))
 
     @property
     def failed(self) -> ManipSimError | None:
@@ -210,7 +229,7 @@ class Cameras:
             return
         try:
             self._renderer = CameraThread(
-                choose_gl(), VisibleWorld(self._node.simulation.plan),
+                choose_gl(), VisibleWorld(self._context.simulation.plan),
                 [found.view for found in self._publishers.values()], self._publish,
                 self._report_failure)
         except ManipSimError as error:
@@ -219,23 +238,27 @@ class Cameras:
         else:
             self._renderer.start(_READY_S)
 
-    def follow(self, simulation: Simulation) -> None:
-        """Publish the names of the labels that a simulation has now."""
-        names = body_names(simulation.model) if self._publishers else ''
+    def world_changed(self) -> None:
+        """Publish the names of the labels that the simulation has now."""
+        names = body_names(self._context.simulation.model) if self._publishers else ''
         for publishers in self._publishers.values():
             publishers.publish_names(names)
 
-    def _report_failure(self, error: ManipSimError) -> None:
-        self._node.get_logger().error(f'no images: {error}; everything else works')
+    def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
+        for publishers in self._publishers.values():
+            publishers.publish_truth()
 
-    def stop(self) -> None:
+    def _report_failure(self, error: ManipSimError) -> None:
+        self._context.node.get_logger().error(f'no images: {error}; everything else works')
+
+    def close(self) -> None:
         """End the thread that renders; if rendering hangs, it is abandoned."""
         if self._renderer is not None and not self._renderer.stop():
-            self._node.get_logger().error('rendering hangs; its thread is abandoned')
+            self._context.node.get_logger().error('rendering hangs; its thread is abandoned')
 
-    def watch(self, camera: str, every: int) -> None:
+    def _watch(self, camera: str, every: int) -> None:
         """Request an image of a camera every so many control periods from now on."""
-        publishers, thread = self._publishers[camera], self._node.thread
+        publishers, thread = self._publishers[camera], self._context.thread
 
         def record(simulation: Simulation) -> None:
             publishers.sensing.record(take_snapshot(simulation))
@@ -287,31 +310,3 @@ class Cameras:
             values[f'{name}.left_out'] = (
                 self._renderer.left_out[name] if self._renderer is not None else 0)
         return values
-
-
-def offer_cameras(node: SimNode, chosen: Mapping[str, ImageSettings]) -> Cameras:
-    """
-    Create the topics of the cameras that are chosen.
-
-    :param chosen: settings of their images, by the name of the camera
-    :raises ModelError: if a camera is orthographic
-    """
-    scopes = {id(robot.sensing): scope for scope, robot in node.robots.items()}
-    simulation, publishers = node.simulation, []
-    model = simulation.model
-    for name, images in chosen.items():
-        sensing = simulation.instruments.sensing_of(int(model.cam_bodyid[model.camera(name).id]))
-        publishers.append(CameraPublishers(
-            node, name, intrinsics_of(model, name, images.width, images.height), images.depth,
-            CameraSensing(name, sensing)))
-        node.publish_truth_by(scopes[id(sensing)], publishers[-1].publish_truth, images=True)
-    cameras = Cameras(node, publishers)
-    cameras.follow(simulation)
-    publish_rate = 1.0 / node.thread.period_s
-    for name, images in chosen.items():
-        every = periods_per_image(publish_rate, images.rate_hz, f'camera.{name}.rate')
-        cameras.watch(name, every)
-        node.notes.append(
-            f'camera {name}: {images.width} x {images.height}, {publish_rate / every:.4g} Hz, on '
-            f'{name}/color/image_raw' + (f' and {name}/depth/image_raw' if images.depth else ''))
-    return cameras

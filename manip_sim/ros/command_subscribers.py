@@ -10,12 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 import weakref
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -28,14 +27,13 @@ from manip_sim.interface.topics import SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import message_class, qos_options
-from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.ros.messages import nanoseconds_of, numbers_of
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.reading import read_command, trajectory_fields
 from manip_sim.ros.rejection_log import kind_of
 from manip_sim.simulation import SimulatedRobot
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 #: How many commands of a topic may wait to be taken.
 COMMAND_DEPTH = 10
@@ -57,14 +55,14 @@ class CommandSubscription:
     :param inbox: takes the messages; None: the executor does
     """
 
-    def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[bytes], None],
-                 inbox: CommandInbox | None = None) -> None:
-        self._take, self._node, self._inbox = take, node, inbox
+    def __init__(self, context: NodeContext, message_type: Any, topic: str,
+                 take: Callable[[bytes], None], inbox: CommandInbox | None = None) -> None:
+        self._take, self._context, self._inbox = take, context, inbox
         self._taken: deque[tuple[int, int]] = deque(maxlen=4 * COMMAND_DEPTH)
         self._best_effort: Any = None
 
         def subscribe(qos: QoSProfile, **arguments: Any) -> Any:
-            subscription = node.create_subscription(
+            subscription = context.node.create_subscription(
                 message_type, topic, self._take_once, qos, raw=True,
                 callback_group=None if inbox is None else inbox.group, **arguments)
             if inbox is not None:
@@ -81,7 +79,7 @@ class CommandSubscription:
             QoSProfile(depth=COMMAND_DEPTH),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=match_best_effort, use_default_callbacks=False),
-            **qos_options(node, topic))
+            **qos_options(context, topic))
 
     def close(self) -> None:
         """Take no messages any more; to be called in the thread that spins the node."""
@@ -93,7 +91,7 @@ class CommandSubscription:
                 # rclpy would keep them for as long as the group lives.
                 for entity in (subscription, *subscription.event_handlers):
                     subscription.callback_group.entities.discard(weakref.ref(entity))
-                self._node.destroy_subscription(subscription)
+                self._context.node.destroy_subscription(subscription)
 
     def _take_once(self, data: bytes, info: dict[str, Any]) -> None:
         which = info['source_timestamp'], info['publication_sequence_number']
@@ -125,28 +123,30 @@ class CommandSubscribers:
     """
     Subscriptions to the command topics of all parts of a robot.
 
-    :param robot: whose parser validates; it is only read
+    :param robot: its parser validates; it is only read
     :param scope: namespace of its topics
     :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
         ``joint_command`` for messages on the combined topic
     """
 
-    def __init__(self, node: SimNode, robot: SimulatedRobot, scope: Scope) -> None:
-        self._node, self._thread, self._log = node, node.thread, node.rejections
+    def __init__(self, context: NodeContext, robot: SimulatedRobot, scope: Scope) -> None:
+        self._context, self._thread, self._log = context, context.thread, context.log
         self.robot = robot
         self.scope = scope
-        self._parse = robot.parse
+        self._parse, self._parse_cartesian = robot.parse, robot.parse_cartesian
         self._subscriptions: list[CommandSubscription] = []
         self._entry_of = {name: part.atomic[0] if len(part.atomic) == 1 else name
                           for name, part in robot.parts.items()}
         self.statistics = {entry: CommandStatistics() for entry in self._entry_of.values()}
         self.statistics['joint_command'] = CommandStatistics()
-        self.subscribe({
+        self._subscribe_to({
             'action': self._action, 'joint_command': self._joint_command,
             'trajectory': self._trajectory, 'base_twist': self._twist,
             'stamped_base_twist': lambda part, message: self._twist(part, message.twist)})
+        self._subscribe_to({'target_pose': self._target_pose, 'target_twist': self._target_twist,
+                            'pose_command': self._pose_action})
 
-    def subscribe(self, parsers: Mapping[str, Parser]) -> None:
+    def _subscribe_to(self, parsers: Mapping[str, Parser]) -> None:
         """
         Subscribe to the topics of the robot whose commands some functions can parse.
 
@@ -186,9 +186,9 @@ class CommandSubscribers:
                 self.count(topic, part, commands)
 
         # Reading a trajectory may take long and would delay other commands and the physics.
-        inbox = None if message_type is JointTrajectory else self._node.inbox
+        inbox = None if message_type is JointTrajectory else self._context.inbox
         self._subscriptions.append(
-            CommandSubscription(self._node, message_type, topic, take, inbox))
+            CommandSubscription(self._context, message_type, topic, take, inbox))
 
     def close(self) -> None:
         """Take no commands any more; to be called in the thread that spins the node."""
@@ -246,3 +246,45 @@ class CommandSubscribers:
             raise CommandError('base: moves along x and y and turns about z only, leave linear.z, '
                                'angular.x and angular.y at zero')
         return [self._parse.twist(linear.x, linear.y, angular.z)]
+
+    def _target_pose(self, arm: str, message: PoseStamped) -> Sequence[Command]:
+        return [self._parse_cartesian.pose(
+            arm, numbers_of(message.pose.position), numbers_of(message.pose.orientation),
+            self._frame_of(message))]
+
+    def _target_twist(self, arm: str, message: TwistStamped) -> Sequence[Command]:
+        return [self._parse_cartesian.twist(
+            arm, numbers_of(message.twist.linear), numbers_of(message.twist.angular),
+            self._frame_of(message))]
+
+    def _frame_of(self, message: PoseStamped | TwistStamped) -> str:
+        frame_id: str = message.header.frame_id
+        return frame_id.removeprefix(self._context.frame_prefix)
+
+    def _pose_action(self, arm: str, message: Float64MultiArray) -> Sequence[Command]:
+        return [self._parse_cartesian.action(arm, message.data)]
+
+
+class RobotCommands(Feature):
+    """
+    The command topics of all robots.
+
+    :ivar robots: the subscriptions of each robot
+    """
+
+    def __init__(self, context: NodeContext) -> None:
+        self._context = context
+        self.robots: list[CommandSubscribers] = []
+        for scope, robot in context.robots.items():
+            self.robot_added(scope, robot)
+
+    def of_robot(self, scope: Scope) -> CommandSubscribers:
+        return next(commands for commands in self.robots if commands.scope == scope)
+
+    def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
+        self.robots.append(CommandSubscribers(self._context, robot, scope))
+
+    def robot_removed(self, scope: Scope) -> None:
+        commands = self.of_robot(scope)
+        self.robots.remove(commands)
+        commands.close()

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 import math
 import time
-from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import mujoco
@@ -21,14 +20,15 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import one_line
 from manip_sim.ros.camera_publishers import Cameras
-from manip_sim.ros.cartesian_topics import counts_of, reports_of
-from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscribers
+from manip_sim.ros.command_subscribers import (
+    CommandStatistics, CommandSubscribers, RobotCommands)
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
+from manip_sim.ros.node_context import NodeContext
+from manip_sim.ros.surroundings_topics import SurroundingsTopics
 from manip_sim.runtime import SimulationThread
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
+from manip_sim.simulation import SimulatedRobot
 
 _PERIOD_S = 1.0
 #: Share of simulation time; a smaller loss causes no warning.
@@ -85,34 +85,35 @@ class Pace:
         self.loss = lost_s / (simulated_s + lost_s) if lost_s else 0.0
 
 
-class Diagnostics:
+class Diagnostics(Feature):
     """Publishes the status of the simulation, commands of each part, images and other nodes."""
 
-    def __init__(self, node: SimNode) -> None:
-        self._node, self._simulation, self._thread = node, node.simulation, node.thread
-        self._commands: list[CommandSubscribers] = node.commands
-        self._cameras: Cameras = node.cameras
-        self._pace = Pace(node.thread)
-        self._neighbours = Neighbours(node, [c.scope for c in self._commands])
+    def __init__(self, context: NodeContext, commands: RobotCommands,
+                 surroundings: SurroundingsTopics, cameras: Cameras) -> None:
+        self._context, self._simulation, self._thread = context, context.simulation, context.thread
+        self._commands, self._surroundings, self._cameras = commands.robots, surroundings, cameras
+        self._pace = Pace(context.thread)
+        self._neighbours = Neighbours(context.node, [c.scope for c in self._commands])
         self._last_accepted: dict[str, int] = {}
         self._last_faults: dict[str, int] = {}
         self._last_s = time.monotonic()
         self._reported: str | None = None
         row = BY_NAME['/diagnostics']
-        self._publisher = node.create_publisher(DiagnosticArray, row.name, row.depth)
-        node.create_timer(_PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._publisher = context.node.create_publisher(DiagnosticArray, row.name, row.depth)
+        context.node.create_timer(_PERIOD_S, self._publish,
+                                  clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _publish(self) -> None:
         now_s = time.monotonic()
         elapsed_s, self._last_s = now_s - self._last_s, now_s
-        name = self._node.get_fully_qualified_name().lstrip('/')
+        name = self._context.node.get_fully_qualified_name().lstrip('/')
         message = DiagnosticArray(status=[
             self._physics(f'{name}: simulation'),
             *(self._part(f'{name}: {commands.scope.topic(part)}', commands, part, now_s, elapsed_s)
               for commands in self._commands for part in commands.statistics),
             *(_status(f'{name}: {of}', 'commands',
                       self._counts(f'{name}: {of}', statistics, now_s, elapsed_s))
-              for of, statistics in self._node.surroundings.statistics.items()),
+              for of, statistics in self._surroundings.statistics.items()),
             *self._images(f'{name}: cameras', elapsed_s),
             self._others(f'{name}: other nodes')])
         message.header.stamp = stamp_of(self._thread.progress.time_ns)
@@ -134,7 +135,7 @@ class Diagnostics:
             'simulation_time': f'{progress.time_ns * 1e-9:.9f}',
             'waits_for': waits_for or 'none', **warnings,
             'start_defects': '; '.join(self._simulation.start_defects) or 'none',
-            **{f'failed_{what}': n for what, n in self._node.rejections.failed.items()}})
+            **{f'failed_{what}': n for what, n in self._context.log.failed.items()}})
         if pace.loss > _TOLERATED_LOSS and not thread.paused:
             status.level = DiagnosticStatus.WARN
             status.message = (
@@ -160,10 +161,10 @@ class Diagnostics:
         if status.level == DiagnosticStatus.OK:
             self._reported = None
         elif status.level == DiagnosticStatus.WARN:
-            self._node.get_logger().warning(status.message, throttle_duration_sec=5.0)
+            self._context.node.get_logger().warning(status.message, throttle_duration_sec=5.0)
         elif status.message != self._reported:
             self._reported = status.message
-            self._node.get_logger().error(f'{status.message}; call ~/reset')
+            self._context.node.get_logger().error(f'{status.message}; call ~/reset')
 
     def _counts(self, name: str, statistics: CommandStatistics, now_s: float, elapsed_s: float
                 ) -> dict[str, object]:
@@ -195,15 +196,16 @@ class Diagnostics:
             values['limited'], values['lost'] = joints.limited(part), joints.lost(part)
             values['reflexes'] = sum(
                 robot.reflexes.counts[atomic] for atomic in robot.parts[part].atomic)
-        reports = reports_of(commands, part)
-        values.update(counts_of(reports))
+        reports = _reports_of(robot, part)
+        values.update({f'cartesian_{kind}': sum(report.counts[kind] for report in reports)
+                       for kind in (reports[0].counts if reports else ())})
         status = _status(name, 'commands', values)
         for stopped in robot.reflexes.tripped:
             if part in robot.parts and stopped in robot.parts[part].atomic:
                 status.level = DiagnosticStatus.ERROR
                 status.message = (f'stopped by a reflex: {robot.reflexes.tripped[stopped]}; '
                                   'call ~/reset_reflex')
-                self._node.rejections.warn(name, 'reflex', f'{name}: {status.message}')
+                self._context.log.warn(name, 'reflex', f'{name}: {status.message}')
         if part in robot.grippers:
             self._report_faults(status, robot.grippers[part])
         for report in reports:
@@ -215,7 +217,7 @@ class Diagnostics:
         for kind, count in report.counts.items():
             if count > self._last_faults.get(f'{name} {kind}', 0):
                 self._last_faults[f'{name} {kind}'] = count
-                self._node.rejections.warn(name, kind, report.texts[kind])
+                self._context.log.warn(name, kind, report.texts[kind])
 
     def _report_faults(self, status: DiagnosticStatus, gripper: GripperController) -> None:
         """Warn if a gripper's own code has failed since the last status."""
@@ -224,12 +226,20 @@ class Diagnostics:
         if faults > before:
             status.level = DiagnosticStatus.WARN
             status.message = one_line(f'the fingers hold, {gripper.last_fault}')
-            self._node.rejections.warn(status.name, 'fault', f'{status.name}: {status.message}')
+            self._context.log.warn(status.name, 'fault', f'{status.name}: {status.message}')
 
 
 _WARNINGS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
              mujoco.mjtWarning.mjWARN_BADQACC, mujoco.mjtWarning.mjWARN_BADCTRL,
              mujoco.mjtWarning.mjWARN_CONTACTFULL)
+
+
+def _reports_of(robot: SimulatedRobot, part: str) -> list[CartesianReport]:
+    """Return the reports of a part's arms: causes that kept end effectors from their targets."""
+    if part not in robot.parts:
+        return []
+    return [report for arm, report in robot.joints.cartesian.reports.items()
+            if robot.parts[arm].atomic == robot.parts[part].atomic]
 
 
 def _status(name: str, message: str, values: dict[str, object], warns: bool = False

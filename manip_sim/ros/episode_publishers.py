@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import json
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,18 +15,17 @@ from std_msgs.msg import String
 
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.resources import package_version
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import create_publisher
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import start, Task
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 #: Of how many episodes the digests are kept for states that are restored.
 _REMEMBERED = 1000
 
 
-class EpisodePublisher:
+class EpisodePublisher(Feature):
     """
     A latched publisher of ``~/episode``: JSON, at the start and after each reset.
 
@@ -34,24 +33,26 @@ class EpisodePublisher:
     ``drawn`` (what ``randomization`` drew, by name, in SI units), ``versions`` of ``manip_sim``,
     ``mujoco`` and ``numpy``, ``digest`` of the start, and ``stamp_ns`` of the first states.
 
-    :param node: the node, whose thread has not been started
+    :param context: with a thread that has not been started
     :param restart: puts the simulation to its start, from a seed or as it was
+    :param joints_changed: is called in the simulation's thread when joints were drawn
     """
 
-    def __init__(self, node: SimNode, restart: Callable[[int | None], None]) -> None:
-        self._publisher = create_publisher(node, BY_NAME['~/episode'])
-        self._simulation: Simulation = node.simulation
-        self._restart_simulation, self._joints_changed = restart, node.dynamics.publish
+    def __init__(self, context: NodeContext, restart: Callable[[int | None], None],
+                 joints_changed: Callable[[], None]) -> None:
+        self._publisher = create_publisher(context, BY_NAME['~/episode'])
+        self._simulation: Simulation = context.simulation
+        self._restart_simulation, self._joints_changed = restart, joints_changed
         #: Digests of the starts of all episodes that may be in a saved state, by what they are of.
         self._digests: dict[str, str] = {}
         self._published: tuple[int, Any] | None = None
-        self._look_again = node.thread.observers.look_again
-        node.thread.changes.operations.restart = self._restart
-        node.thread.observe(self._follow, look=self._is_another)
+        self._look_again = context.thread.observers.look_again
+        context.thread.changes.operations.restart = self._restart
+        context.thread.observe(self._follow, look=self._is_another)
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """
-        Begin the first episode, before the thread starts.
+        Begin the first episode.
 
         It begins as all others: parameters do not undo draws, nor leave a change of mode behind.
         """
@@ -88,7 +89,7 @@ class EpisodePublisher:
         return repr((self._simulation.seed, self._simulation.randomized.drawn))
 
 
-class TaskPublisher:
+class TaskPublisher(Feature):
     """
     A latched publisher of ``~/task``: JSON, once for each instant.
 
@@ -96,17 +97,17 @@ class TaskPublisher:
     instant, ``success``, ``reward``, and ``goal``, as the task has it. Resets draw the start of
     the task from the parameter ``seed``, where :meth:`restart` does them.
 
-    :param node: the node, whose thread has not been started
+    :param context: with a thread that has not been started
     :param task: what is done
     """
 
-    def __init__(self, node: SimNode, task: Task) -> None:
-        self._publisher = create_publisher(node, BY_NAME['~/task'])
-        self._task, self._simulation, self._thread = task, node.simulation, node.thread
+    def __init__(self, context: NodeContext, task: Task) -> None:
+        self._publisher = create_publisher(context, BY_NAME['~/task'])
+        self._task, self._simulation, self._thread = task, context.simulation, context.thread
         self._seen_ns = -1
-        self.restart(node.declared.value('seed'))
+        self.restart(context.parameters.value('seed'))
         # What the task changes at the end of a period is in the states that are published.
-        node.thread.observe(self._end_period)
+        context.thread.observe(self._end_period)
 
     def restart(self, seed: int | None) -> None:
         """Begin the episode of a seed, or the same one again."""

@@ -6,14 +6,15 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, MagneticField, Range
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
@@ -21,14 +22,13 @@ from manip_sim.arrays import FloatArray
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.served_instruments import (
     SensorSettings, served_instruments, ServedInstrument)
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import create_output, Publication, Publications
 from manip_sim.ros.messages import stamped
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.sensing.instruments import (
     IMU, Instrument, MAGNETIC_FIELD, RANGE, VALUES, WRENCH)
 from manip_sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 #: What an entry of a covariance is set to where there is no such sensor (sensor_msgs/Imu).
 _NONE = -1.0
@@ -36,7 +36,7 @@ _NONE = -1.0
 _TACTILE_CHANNELS = 3
 
 
-class InstrumentPublishers(Publications):
+class InstrumentPublishers(Publications, Feature):
     """
     Publishers of all instruments of a world, but for the gripper's, which have topics of the arms.
 
@@ -44,33 +44,31 @@ class InstrumentPublishers(Publications):
     :ivar rates_hz: of the sensors with fewer messages than control periods [Hz]
     """
 
-    def __init__(self, node: SimNode) -> None:
+    def __init__(self, context: NodeContext) -> None:
         super().__init__()
-        simulation = node.simulation
-        served = served_instruments(simulation, node.robots)
-        settings = SensorSettings(node.get_parameter('sensors').value, served,
-                                  1.0 / node.thread.period_s)
+        simulation = context.simulation
+        served = served_instruments(simulation, context.robots)
+        settings = SensorSettings(context.parameters.value('sensors'), served,
+                                  1.0 / context.thread.period_s)
         if settings.noise:
             simulation.instruments.set_noise(settings.noise)
         self._every = settings.every
         self.rates_hz = settings.rates_hz
-        self._node = node
+        self._context = context
         self._topics: dict[str, tuple[ServedInstrument, Publication]] = {}
         #: Robots whose exact values are published too.
         self._true: frozenset[Scope] = frozenset()
         self._noisy = frozenset(settings.noise)
-        self.follow(simulation)
+        self.world_changed()
+        context.thread.observe(self.publish, look=self.look)
 
-    def follow(self, simulation: Simulation) -> None:
-        """
-        Create publishers for instruments that have come, and destroy those of what has gone.
+    def robot_removed(self, scope: Scope) -> None:
+        self._true -= {scope}
 
-        To be called in the thread that spins the node, or before it spins.
-
-        :param simulation: its instruments are published from now on
-        """
+    def world_changed(self) -> None:
+        """Create publishers for instruments that have come, and destroy those of what has gone."""
         served = {one.topic.name: one for one in served_instruments(
-            simulation, self._node.robots, self._true, self._noisy)}
+            self._context.simulation, self._context.robots, self._true, self._noisy)}
         gone = {name: publication for name, (one, publication) in self._topics.items()
                 if name not in served or not _alike(served[name], one)}
         self._topics = {name: (one, self._topics[name][1] if name in self._topics
@@ -78,33 +76,36 @@ class InstrumentPublishers(Publications):
                         for name, one in served.items()}
         self.replace(tuple(publication for _, publication in self._topics.values()))
         for publication in gone.values():
-            publication.output.close(self._node)
-        table = self._node.table
+            publication.output.close(self._context.node)
+        table = self._context.table
         table[:] = [row for row in table if row.name not in gone or row.name in served]
 
-    def publish_truth(self, scope: Scope) -> None:
-        """Also publish the exact values of the instruments of a robot, below ``truth/``."""
-        self._true |= {scope}
-        self.follow(self._node.simulation)
+    def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
+        """Also publish exact values of instruments of robots with noise, below ``truth/``."""
+        noisy = {scope for scope, robot in self._context.robots.items()
+                 if robot.sensing.settings.measures}
+        if noisy - self._true:
+            self._true |= noisy
+            self.world_changed()
 
     def _create(self, served: ServedInstrument) -> Publication:
         found, name = served.instrument, served.topic.name
-        frame = self._node.frame_prefix + found.frame if found.frame else ''
-        if served.topic not in self._node.table:
-            self._node.table.append(served.topic)
+        frame = self._context.frame_prefix + found.frame if found.frame else ''
+        if served.topic not in self._context.table:
+            self._context.table.append(served.topic)
         return Publication(
-            create_output(self._node, served.topic), _MAKERS[found.kind](frame, found),
+            create_output(self._context, served.topic), _MAKERS[found.kind](frame, found),
             lambda simulation: self._read(name, simulation), found.length,
             self._every.get(found.name, 1))
 
     def publish(self, simulation: Simulation) -> None:
         """Publish the present instant of what has subscribers and is due."""
         for topic in self._subscribed:
-            if topic.every == 1 or self._node.thread.is_due(topic.every):
+            if topic.every == 1 or self._context.thread.is_due(topic.every):
                 topic.publish(simulation)
 
     def _read(self, name: str, simulation: Simulation) -> FloatArray | None:
-        # Objects that have come or gone make another model before follow() is called.
+        # Objects that have come or gone make another model before world_changed() is called.
         served, _ = self._topics[name]
         found = simulation.sensors.instrument(served.instrument.name)
         if found is None:

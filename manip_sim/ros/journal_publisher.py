@@ -8,43 +8,42 @@ from __future__ import annotations
 from collections.abc import Sequence
 import json
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from std_msgs.msg import String
 
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros.episode_publishers import TaskPublisher
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import create_output
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 #: How often what has come is published, wall time [s].
 _EVERY_S = 0.05
 
 
-class JournalPublisher:
+class JournalPublisher(Feature):
     """
     The publisher of ``~/journal``: JSON with the keys ``number``, from 0, and ``entries``.
 
     The entries are those of :class:`manip_sim.runtime.journal.Journal`. It begins, with the
     present state, for each new subscriber, and ends when the last one has gone.
 
-    :param node: the node, with all parameters declared
+    :param context: with all parameters declared
     :param task: that is served, or None
     """
 
-    def __init__(self, node: SimNode, task: TaskPublisher | None) -> None:
-        self._output = create_output(node, BY_NAME['~/journal'])
-        self._operations = node.thread.changes.operations
-        self._journal = node.thread.changes.journal
+    def __init__(self, context: NodeContext, task: TaskPublisher | None) -> None:
+        self._output = create_output(context, BY_NAME['~/journal'])
+        self._operations = context.thread.changes.operations
+        self._journal = context.thread.changes.journal
         # Those that change while the node runs are in the state, too.
-        self._parameters = node.declared.values
+        self._parameters = context.parameters.values
         self._task = task
         self._subscribers = self._number = 0
         self._published_s = 0.0
-        node.thread.observe(self._follow, look=self._look)
+        context.thread.observe(self._follow, look=self._look)
 
     def _look(self) -> bool:
         if self._journal.active and not self._output.has_subscribers:
@@ -71,5 +70,5 @@ class JournalPublisher:
         self._number += 1
 
     def close(self) -> None:
-        """Publish what is left, after the end of the simulation's thread."""
+        """Publish what is left."""
         self._journal.end()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
@@ -21,13 +21,11 @@ from rclpy.serialization import serialize_message
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import Topic
 from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 
 class Output:
@@ -107,38 +105,37 @@ def message_class(row: Topic) -> Any:
     return getattr(import_module(f'{package}.msg'), kind)
 
 
-def qos_options(node: Node, topic: str) -> dict[str, Any]:
+def qos_options(context: NodeContext, topic: str) -> dict[str, Any]:
     """
     Return the arguments with which parameters override the QoS of a topic that is created now.
 
     Topics that come while the node runs have no such parameters, unless they were given: a dump
     has to start a node in which the topics are not there yet.
     """
-    begin = f'qos_overrides.{node.resolve_topic_name(topic)}.'
-    if getattr(node, 'is_built', False) and not any(
-            name.startswith(begin) for name in parameter_overrides(node)):
+    begin = f'qos_overrides.{context.node.resolve_topic_name(topic)}.'
+    if context.is_built and not any(
+            name.startswith(begin) for name in parameter_overrides(context.node)):
         return {}
     return {'qos_overriding_options': QoSOverridingOptions.with_default_policies()}
 
 
-def create_publisher(node: Node, row: Topic, message_type: Any = None) -> Publisher:
+def create_publisher(context: NodeContext, row: Topic, message_type: Any = None) -> Publisher:
     """Create the publisher of a row of the table, or of another message type."""
     message_type = message_type or message_class(row)
     if row.latched:
-        return node.create_publisher(message_type, row.name, QoSProfile(
+        return context.node.create_publisher(message_type, row.name, QoSProfile(
             depth=row.depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
-    return node.create_publisher(
-        message_type, row.name, QoSProfile(depth=row.depth), **qos_options(node, row.name))
+    return context.node.create_publisher(
+        message_type, row.name, QoSProfile(depth=row.depth), **qos_options(context, row.name))
 
 
-def create_output(node: SimNode, row: Topic, message_type: Any = None) -> Output:
+def create_output(context: NodeContext, row: Topic, message_type: Any = None) -> Output:
     """
     Create the output of a row of the table; at the start, parameters override its QoS.
 
-    :param node: with its ``rejections`` and the thread ``publishing``
     :param message_type: instead of that of the row
     """
-    return Output(create_publisher(node, row, message_type), node.rejections, node.publishing)
+    return Output(create_publisher(context, row, message_type), context.log, context.publishing)
 
 
 class Publication:
@@ -176,7 +173,7 @@ class Publications:
         """Publish other topics from now on; any thread may call this."""
         self._all = topics
 
-    def close(self, node: Node) -> None:
+    def destroy(self, node: Node) -> None:
         """Publish nothing any more, and destroy the publishers."""
         gone, self._all, self._subscribed = self._all, (), ()
         for topic in gone:

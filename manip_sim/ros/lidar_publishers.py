@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
@@ -17,14 +18,13 @@ from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.world_topics import topics_of_lidars, truths
 from manip_sim.models.lidar_models import LidarModel
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import create_output, Output
 from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.point_clouds import point_cloud
 from manip_sim.sensing.lidars import Lidar
 from manip_sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 #: x, y, z, the number of the ring and two bytes to fill up.
 _POINT = np.dtype({'names': [*'xyz', 'ring'], 'formats': [*[np.float32] * 3, np.uint16],
@@ -69,23 +69,30 @@ class LidarPublisher:
     :ivar topic: name of the topic
     """
 
-    def __init__(self, node: SimNode, found: LidarModel) -> None:
-        self._node, self._thread = node, node.thread
-        self._name = found.name
-        model = node.simulation.model
-        self._frame_id = node.frame_prefix + FrameNames(model).sites[model.site(found.name).id]
-        self.every = periods_per_message(1.0 / node.thread.period_s, found.rate_hz)
+    def __init__(self, context: NodeContext, found: LidarModel) -> None:
+        self._context, self._thread = context, context.thread
+        self._name, self._sensing = found.name, context.simulation.lidars.sensing(found.name)
+        model = context.simulation.model
+        self._frame_id = context.frame_prefix + FrameNames(model).sites[model.site(found.name).id]
+        self.every = periods_per_message(1.0 / context.thread.period_s, found.rate_hz)
         self._rows = topics_of_lidars({found.name: found.rays.rings > 1})
         self.topic = self._rows[0].name
         #: By the method of the lidars that returns their ranges.
-        self._outputs = {'measured': create_output(node, self._rows[0])}
-        node.thread.observe(self._publish, self.every, self._has_subscribers)
+        self._outputs = {'measured': create_output(context, self._rows[0])}
+        context.thread.observe(self._publish, self.every, self._has_subscribers)
+        if found.noise:
+            self._publish_truth()
 
     def publish_truth(self) -> None:
+        """Also publish exact values, below ``truth/``, if noise or latency of its robot is set."""
+        if self._sensing.settings.measures:
+            self._publish_truth()
+
+    def _publish_truth(self) -> None:
         if 'exact' not in self._outputs:
             (row,) = truths(self._rows)
-            self._node.table.append(row)
-            self._outputs = {**self._outputs, 'exact': create_output(self._node, row)}
+            self._context.table.append(row)
+            self._outputs = {**self._outputs, 'exact': create_output(self._context, row)}
 
     def _has_subscribers(self) -> bool:
         return any(output.has_subscribers for output in self._outputs.values())
@@ -105,15 +112,17 @@ class LidarPublisher:
             if lidar.rays.rings == 1 else ring_cloud(head, lidar, ranges))
 
 
-def offer_lidars(node: SimNode, lidars: list[LidarModel]) -> None:
-    """Create the topics of the lidars of a world."""
-    scopes = {id(robot.sensing): scope for scope, robot in node.robots.items()}
-    for found in lidars:
-        publisher = LidarPublisher(node, found)
-        if found.noise:
+class Lidars(Feature):
+    """The topics of the lidars of a world."""
+
+    def __init__(self, context: NodeContext, lidars: list[LidarModel]) -> None:
+        self._publishers = [LidarPublisher(context, found) for found in lidars]
+        for found, publisher in zip(lidars, self._publishers):
+            rate = 1.0 / (context.thread.period_s * publisher.every)
+            context.notes.append(
+                f'lidar {found.name}: {found.rays.rings} x {found.rays.samples} rays, '
+                f'{rate:.4g} Hz, on {publisher.topic}')
+
+    def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
+        for publisher in self._publishers:
             publisher.publish_truth()
-        node.publish_truth_by(scopes[id(node.simulation.lidars.sensing(found.name))],
-                              publisher.publish_truth)
-        rate = 1.0 / (node.thread.period_s * publisher.every)
-        node.notes.append(f'lidar {found.name}: {found.rays.rings} x {found.rays.samples} rays, '
-                          f'{rate:.4g} Hz, on {publisher.topic}')

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from geometry_msgs.msg import Point
 import numpy as np
@@ -19,10 +19,8 @@ from manip_sim.physics.contacts import read_contacts
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.ros import messages
 from manip_sim.ros.lazy_publishers import create_output
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 #: Length of the arrow of a force [m/N].
 FORCE_SCALE = 0.01
@@ -46,10 +44,11 @@ class MarkerPublisher:
     :param end_effectors: readers of wrenches, by the beginning of the namespace of their markers
     """
 
-    def __init__(self, node: SimNode, end_effectors: Mapping[str, EndEffectorReader]) -> None:
+    def __init__(self, context: NodeContext, end_effectors: Mapping[str, EndEffectorReader]
+                 ) -> None:
         self._end_effectors = end_effectors
-        self._output = create_output(node, BY_NAME['~/markers'])
-        self._header = Header(frame_id=node.frame_prefix + messages.WORLD)
+        self._output = create_output(context, BY_NAME['~/markers'])
+        self._header = Header(frame_id=context.frame_prefix + messages.WORLD)
         self._all_gone = Marker(header=self._header, action=Marker.DELETEALL)
         self._points = self._marker('contact_points', 0, Marker.SPHERE_LIST, _ORANGE,
                                     (_POINT_M, _POINT_M, _POINT_M))

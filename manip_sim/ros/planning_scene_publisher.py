@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from geometry_msgs.msg import Point, Pose
 import numpy as np
+from rclpy.node import Node
 from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 
 from manip_sim.arrays import FloatArray
@@ -18,13 +19,11 @@ from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros.lazy_publishers import create_output
 from manip_sim.ros.messages import filled, stamp_of, WORLD
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.optional_packages import import_optional
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.planning_scene import (
     BOX, CYLINDER, HeldObject, MESH, Obstacle, PlanningScene, Solid, SPHERE)
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 moveit_msgs: Any = import_optional('moveit_msgs.msg')
 
@@ -54,10 +53,10 @@ class PlanningScenePublisher:
     :param scope: namespace of its topics
     """
 
-    def __init__(self, node: SimNode, robot: SimulatedRobot, scope: Scope) -> None:
-        self._robot, self._log = robot, node.rejections
+    def __init__(self, context: NodeContext, robot: SimulatedRobot, scope: Scope) -> None:
+        self._robot, self._log = robot, context.log
         self._world, self._object, self._attached = self._outputs = [
-            create_output(node, replace(BY_NAME[name], name=scope.topic(name)))
+            create_output(context, replace(BY_NAME[name], name=scope.topic(name)))
             for name in TOPICS]
         self._counts = [0] * len(TOPICS)
         self._model: Any = None
@@ -65,7 +64,7 @@ class PlanningScenePublisher:
         #: In how many looks the whole world is published again.
         self._whole_in = -1
 
-    def close(self, node: SimNode) -> None:
+    def destroy(self, node: Node) -> None:
         """Destroy the publishers, after the last call of the others."""
         for output in self._outputs:
             output.close(node)

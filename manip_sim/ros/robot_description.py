@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 import json
-from typing import TYPE_CHECKING
 
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
@@ -18,22 +17,31 @@ from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
+from manip_sim.ros.feature import Feature
+from manip_sim.ros.instrument_publishers import InstrumentPublishers
 from manip_sim.ros.lazy_publishers import create_publisher
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.simulation import SimulatedRobot
 
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
-
-class DynamicsPublisher:
+class DynamicsPublisher(Feature):
     """A latched publisher of ``~/dynamics``, which says what a URDF does not: JSON by joint."""
 
-    def __init__(self, node: SimNode) -> None:
-        self._publisher = create_publisher(node, BY_NAME['~/dynamics'])
-        self._simulation = node.simulation
-        self._gravity_compensation = node.declared.value('gravity_compensation')
+    def __init__(self, context: NodeContext) -> None:
+        self._publisher = create_publisher(context, BY_NAME['~/dynamics'])
+        self._simulation = context.simulation
+        self._gravity_compensation = context.parameters.value('gravity_compensation')
+        self._robots: list[str] = []
+
+    def started(self) -> None:
+        self.publish()
+
+    def world_changed(self) -> None:
+        if [*self._simulation.robots] != self._robots:
+            self.publish()
 
     def publish(self) -> None:
+        self._robots = [*self._simulation.robots]
         self._publisher.publish(String(data=json.dumps({
             'timestep': self._simulation.timestep_s,
             'gravity_compensation': self._gravity_compensation,
@@ -41,7 +49,7 @@ class DynamicsPublisher:
                        for name, joint in robot.dynamics().items()}}, allow_nan=False)))
 
 
-class DescriptionPublisher:
+class DescriptionPublisher(Feature):
     """
     Latched publishers of ``robot_description`` of each robot.
 
@@ -49,46 +57,49 @@ class DescriptionPublisher:
     after remapping.
 
     :param world: the world of the robots, as it is at the start
+    :param instruments: that its sensors are
     """
 
-    def __init__(self, node: SimNode, world: World) -> None:
-        self._node = node
+    def __init__(self, context: NodeContext, world: World, instruments: InstrumentPublishers
+                 ) -> None:
+        self._context = context
         self._world = world
-        self._simulation = node.simulation
-        self._has_tag = node.declared.value('ros2_control_tag')
+        self._instruments = instruments
+        self._simulation = context.simulation
+        self._has_tag = context.parameters.value('ros2_control_tag')
         self._robots: dict[Scope, SimulatedRobot] = {}
         self._publishers: dict[Scope, Publisher] = {}
         self._hardware: dict[str, Hardware] = {}
-        for scope, robot in node.robots.items():
+        for scope, robot in context.robots.items():
             self._add(scope, robot)
 
     def _add(self, scope: Scope, robot: SimulatedRobot) -> None:
-        row, node = BY_NAME['robot_description'], self._node
+        row, context = BY_NAME['robot_description'], self._context
         self._robots[scope] = robot
         self._publishers[scope] = create_publisher(
-            node, replace(row, name=scope.topic(row.name)))
+            context, replace(row, name=scope.topic(row.name)))
         if self._has_tag:
-            value = node.declared.value
+            value = context.parameters.value
             self._hardware[robot.name] = hardware_of(
                 self._simulation, robot, scope, value('ros2_control_plugin'),
-                value('stepping') == 'lockstep', node.resolve_topic_name,
-                node.get_fully_qualified_name(), node.instruments.rates_hz)
+                value('stepping') == 'lockstep', context.node.resolve_topic_name,
+                context.node.get_fully_qualified_name(), self._instruments.rates_hz)
 
-    def publish(self) -> None:
+    def started(self) -> None:
         """
-        Publish the descriptions, once.
+        Publish the descriptions.
 
         :raises ModelError: if the world does not compile
         """
         self._publish(self._world, self._robots)
 
-    def add(self, scope: Scope, robot: SimulatedRobot) -> None:
+    def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
         self._add(scope, robot)
         self._publish(self._simulation.world, [scope])
 
-    def remove(self, scope: Scope) -> None:
+    def robot_removed(self, scope: Scope) -> None:
         self._hardware.pop(self._robots.pop(scope).name, None)
-        self._node.destroy_publisher(self._publishers.pop(scope))
+        self._context.node.destroy_publisher(self._publishers.pop(scope))
 
     def _publish(self, world: World, scopes: Iterable[Scope]) -> None:
         urdfs = urdfs_of(world, self._hardware)
@@ -97,4 +108,4 @@ class DescriptionPublisher:
             self._publishers[scope].publish(String(data=urdf.xml))
             if urdf.notes:
                 name = f'{scope.name}: ' if scope.name else ''
-                self._node.notes.append(f'{name}robot_description: {"; ".join(urdf.notes)}')
+                self._context.notes.append(f'{name}robot_description: {"; ".join(urdf.notes)}')

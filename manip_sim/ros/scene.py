@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
 import numpy as np
+from rclpy.parameter import Parameter
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ParameterError
@@ -22,23 +23,22 @@ from manip_sim.physics.frame_tree import FrameTree
 from manip_sim.physics.odometry import OdometryReader
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.messages import stamped
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
 from manip_sim.ros.state_publishers import Read, Reading, StatePublishers
 from manip_sim.ros.transforms import offer_transforms, TransformPublisher
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
 
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
-
 #: The frame in which a mobile base has its odometry (REP 105), after the robot's prefix.
 ODOM = 'odom'
 
 
-def odometry_publishers(node: SimNode, robot: SimulatedRobot, reader: OdometryReader, scope: Scope,
-                        frame: str, base: str) -> StatePublishers:
+def odometry_publishers(context: NodeContext, robot: SimulatedRobot, reader: OdometryReader,
+                        scope: Scope, frame: str, base: str) -> StatePublishers:
     """
     Publish a base's pose in the frame of its odometry, and its twist in its own axes.
 
@@ -49,14 +49,14 @@ def odometry_publishers(node: SimNode, robot: SimulatedRobot, reader: OdometryRe
     :param base: name of the frame of the base
     """
     def exact() -> FloatArray:
-        found = reader.read(node.simulation.model, node.simulation.data)
+        found = reader.read(context.simulation.model, context.simulation.data)
         return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
 
     def reading(_: SimulatedRobot, __: str, prefix: str, read: Read) -> Reading:
         return (partial(odometry, prefix + frame, prefix + base),
                 lambda simulation: read('odom'), 13)
     robot.sensing.add('odom', exact)
-    return StatePublishers(node, robot, scope, {'odometry': reading})
+    return StatePublishers(context, robot, scope, {'odometry': reading})
 
 
 def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArray) -> Odometry:
@@ -83,57 +83,54 @@ def check_frame_prefix(prefix: str) -> str:
     return prefix
 
 
-class SceneTopics:
+class SceneTopics(Feature):
     """Odometry of each period, and frames, markers and planning scenes at their rates."""
 
-    def __init__(self, node: SimNode) -> None:
-        self._node, self._thread, value = node, node.thread, node.declared.value
+    def __init__(self, context: NodeContext) -> None:
+        self._context, self._thread, value = context, context.thread, context.parameters.value
         self._end_effectors: dict[str, EndEffectorReader] = {}
         #: Poses of the frames of odometry in ``world``, by name.
         self._placed: dict[str, Pose] = {}
         self._odometry: dict[Scope, tuple[str, StatePublishers]] = {}
         self._scenes: dict[Scope, PlanningScenePublisher] = {}
-        every = _divider(node, value('publish_rate'), value('tf_rate'))
+        every = _divider(context, value('publish_rate'), value('tf_rate'))
         self._scene_every = periods_per_message(value('publish_rate'), RATE_HZ)
         if not PLANS:
-            node.missing['moveit_msgs'] = 'planning scene for MoveIt'
-        for scope, robot in node.robots.items():
-            self.add(scope, robot, value(scope.parameter('prefix')))
-        markers = MarkerPublisher(node, self._end_effectors)
+            context.missing['moveit_msgs'] = 'planning scene for MoveIt'
+        for scope, robot in context.robots.items():
+            self.robot_added(scope, robot)
+        markers = MarkerPublisher(context, self._end_effectors)
         self._thread.observe(markers.publish, every, markers.look)
         self._transforms: TransformPublisher | None = None
         if value('publish_tf'):
-            self._transforms = offer_transforms(node, self._frames)
+            self._transforms = offer_transforms(context, self._frames)
         if self._transforms is not None:
-            self.follow(node.simulation)
+            self._transforms.follow(context.simulation)
             self._thread.observe(self._transforms.publish, every, self._transforms.look)
 
-    def add(self, scope: Scope, robot: SimulatedRobot, prefix: str) -> None:
-        """
-        Publish what is seen of a robot, too; its frames come with :meth:`follow`.
-
-        :param prefix: what the frame of its odometry begins with
-        """
-        thread = self._thread
+    def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
+        """Serve a robot; its frames come with :meth:`world_changed`."""
+        thread, parameters = self._thread, self._context.parameters
         if robot.twist_joints:
-            model = self._node.simulation.model
+            name = scope.parameter('prefix')  # Spawned robots have none.
+            prefix = (parameters.value(name) if name in parameters.names
+                      else robot.robot_model.naming_prefix)
+            model = self._context.simulation.model
             names = FrameNames(model, self._placed)
             frame = names.placed(prefix + ODOM)
             reader = OdometryReader(model, robot.twist_joints)
             self._placed[frame] = reader.origin
-            odometry = odometry_publishers(self._node, robot, reader, scope, frame,
+            odometry = odometry_publishers(self._context, robot, reader, scope, frame,
                                            names.bodies[model.body(reader.base).id])
             self._odometry[scope] = frame, odometry
-            self._node.publish_truth_by(scope, odometry.publish_truth)
             thread.observe(odometry.publish, look=odometry.look)
         thread.call(partial(self._end_effectors.update, {
             scope.topic(arm): reader for arm, reader in robot.end_effectors.items()}))
         if PLANS:
-            scene = self._scenes[scope] = PlanningScenePublisher(self._node, robot, scope)
+            scene = self._scenes[scope] = PlanningScenePublisher(self._context, robot, scope)
             thread.observe(scene.publish, self._scene_every, scene.look)
 
-    def remove(self, scope: Scope) -> None:
-        """Publish nothing of a robot any more; to be called before it is deleted."""
+    def robot_removed(self, scope: Scope) -> None:
         frame, odometry = self._odometry.pop(scope, ('', None))
         scene = self._scenes.pop(scope, None)
         self._placed.pop(frame, None)
@@ -146,7 +143,7 @@ class SceneTopics:
         for publisher in (odometry, scene):
             if publisher is not None:
                 self._thread.unobserve(publisher.publish)
-                publisher.close(self._node)
+                publisher.destroy(self._context.node)
 
     def _frames(self, simulation: Simulation) -> FrameTree:
         sites = [site for reader in self._end_effectors.values()
@@ -154,16 +151,20 @@ class SceneTopics:
         return FrameTree(simulation.model, dict.fromkeys(
             [*sites, *instrument_sites(simulation.model), *simulation.lidars]), self._placed)
 
-    def follow(self, simulation: Simulation) -> None:
+    def world_changed(self) -> None:
         if self._transforms is not None:
-            self._transforms.follow(simulation)
+            self._transforms.follow(self._context.simulation)
+
+    def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
+        for _, odometry in self._odometry.values():
+            odometry.publish_truth()
 
 
-def _divider(node: SimNode, publish_rate: float, tf_rate: float) -> int:
+def _divider(context: NodeContext, publish_rate: float, tf_rate: float) -> int:
     every = periods_per_message(publish_rate, tf_rate)
     rate = publish_rate / every
     if abs(rate - tf_rate) > 1e-6 * tf_rate:
-        node.notes.append(
+        context.notes.append(
             f'tf_rate: {tf_rate:g} Hz is not publish_rate, {publish_rate:g} Hz, divided by a '
             f'whole number; /tf and ~/markers come with {rate:g} Hz')
     return every

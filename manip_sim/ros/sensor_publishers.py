@@ -5,19 +5,18 @@
 
 from __future__ import annotations
 
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from rclpy.serialization import serialize_message
 
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.interface.offered_sensors import Offered, offered_topics
 from manip_sim.quoting import one_line
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import create_output, message_class
 from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 
 class SensorPublisher:
@@ -27,10 +26,10 @@ class SensorPublisher:
     :raises ModelError: if its class or the first message cannot be made
     """
 
-    def __init__(self, node: SimNode, offered: Offered) -> None:
-        self._node = node
+    def __init__(self, context: NodeContext, offered: Offered) -> None:
+        self._context = context
         self._offered = offered
-        simulation, seed = node.simulation, node.get_parameter('seed').value
+        simulation, seed = context.simulation, context.parameters.value('seed')
         try:
             self._class = message_class(offered.topic)
             # A trial, by an instance of its own, which may remember what it has published.
@@ -41,8 +40,8 @@ class SensorPublisher:
             raise
         except Exception as error:  # Code of another package may raise anything.
             raise ModelError(f'{type(error).__name__}: {error}') from error
-        node.table.append(offered.topic)
-        self._output = create_output(node, offered.topic)
+        context.table.append(offered.topic)
+        self._output = create_output(context, offered.topic)
         self._works = True
 
     def _message(self, simulation: Simulation) -> Any:
@@ -51,7 +50,7 @@ class SensorPublisher:
         if hasattr(message, 'header'):
             message.header.stamp = stamp_of(simulation.time_ns)
             message.header.frame_id = self._source.frame and (
-                self._node.frame_prefix + self._source.frame)
+                self._context.frame_prefix + self._source.frame)
         return None if self._source.write(message, simulation) is False else message
 
     def look(self) -> bool:
@@ -68,7 +67,7 @@ class SensorPublisher:
                 self._output.publish(message)
         except Exception as error:  # Code of another package may raise anything.
             self._works = False
-            self._node.rejections.failure(
+            self._context.log.failure(
                 'sensors', f'{self._offered.topic.name} ends, sensor {self._offered.offer}', error)
 
 
@@ -82,13 +81,17 @@ def _checked(message_class: Any) -> Any:
     return message
 
 
-def offer_sensors(node: SimNode) -> None:
-    """Publish the topics that other packages add; log those that cannot be used."""
-    warn = node.get_logger().warning
-    for offered in offered_topics(node.robots, node.table, lambda line: warn(one_line(line))):
-        try:
-            publisher = SensorPublisher(node, offered)
-        except ManipSimError as error:
-            warn(one_line(f'{offered.topic.name}: sensor {offered.offer} cannot be used: {error}'))
-        else:
-            node.thread.observe(publisher.publish, look=publisher.look)
+class OfferedSensors(Feature):
+    """The topics that other packages add; those that cannot be used are logged."""
+
+    def __init__(self, context: NodeContext) -> None:
+        warn = context.node.get_logger().warning
+        for offered in offered_topics(
+                context.robots, context.table, lambda line: warn(one_line(line))):
+            try:
+                publisher = SensorPublisher(context, offered)
+            except ManipSimError as error:
+                warn(one_line(
+                    f'{offered.topic.name}: sensor {offered.offer} cannot be used: {error}'))
+            else:
+                context.thread.observe(publisher.publish, look=publisher.look)

@@ -8,26 +8,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from std_srvs.srv import SetBool
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.topics import SERVICES
+from manip_sim.ros.feature import Feature
+from manip_sim.ros.node_context import NodeContext
 
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
-
-class SimulationServices:
+class SimulationServices(Feature):
     """
     Services that control the simulation.
 
     They are those of the table ``manip_sim.interface.topics.SERVICES``.
     """
 
-    def __init__(self, node: SimNode) -> None:
-        thread = self._thread = node.thread
+    def __init__(self, context: NodeContext) -> None:
+        thread = self._thread = context.thread
         answers: dict[str, Callable[[Any, Any], Any]] = {
             '~/pause': self._pause,
             '~/step': partial(_answer, thread.step, 'advanced by one control period'),
@@ -40,8 +39,8 @@ class SimulationServices:
             '~/restore_state': partial(_answer, thread.restore, '')}
         for row in SERVICES:
             package, _, kind = row.type.partition('/')
-            node.create_service(getattr(import_module(f'{package}.srv'), kind), row.name,
-                                answers[row.name])
+            context.node.create_service(getattr(import_module(f'{package}.srv'), kind), row.name,
+                                        answers[row.name])
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         already = 'already ' if self._thread.paused == request.data else ''

@@ -1,14 +1,14 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Robots that come and go while the node runs, with all that the node has for each of them."""
+"""Robots that come and go while the node runs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.interface.composition import check_robot_name, declare_parts
@@ -21,19 +21,16 @@ from manip_sim.models.composing import DEFAULT, NONE
 from manip_sim.models.files.requested_robot import load_requested
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.missing_meshes import lost_shapes
 from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import shown
-from manip_sim.ros.background import in_background
+from manip_sim.ros.background import in_background, RESULT_ROUNDS, Rounds
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.standard_answers import change_unless_diverged, free_name
-from manip_sim.ros.startup_log import inferred
+from manip_sim.ros.startup_log import log_robot
 from manip_sim.simulation.robot_spawning import plan_without_robot, RobotsPlan
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 #: Name of a robot that is sent as text.
 UNNAMED = 'robot'
@@ -115,15 +112,11 @@ class RequestedRobot:
 
 
 class SpawnedRobots:
-    """
-    What the node has for robots that come and go.
+    """Add robots to the context and the features of a node, and remove them."""
 
-    :param node: the node, whose members are used as those of a part of it
-    """
-
-    def __init__(self, node: SimNode) -> None:
-        self._node = node
-        self._simulation, self._thread = node.simulation, node.thread
+    def __init__(self, context: NodeContext) -> None:
+        self._context = context
+        self._simulation, self._thread = context.simulation, context.thread
 
     @property
     def names(self) -> list[str]:
@@ -143,74 +136,49 @@ class SpawnedRobots:
             '{} is taken: by a robot, an object, a topic or a parameter', check_robot_name)
 
     def _taken(self) -> set[str]:
-        node, simulation = self._node, self._simulation
+        context, simulation = self._context, self._simulation
         return {*simulation.robots, *simulation.entities.names,
-                *(row.name.partition('/')[0] for row in node.table if '/' in row.name),
-                *(name.partition('.')[0] for name in node.declared.names if '.' in name)}
+                *(row.name.partition('/')[0] for row in context.table if '/' in row.name),
+                *(name.partition('.')[0] for name in context.parameters.names if '.' in name)}
 
-    def come(self, name: str, plan: RobotsPlan) -> None:
+    def add(self, name: str, plan: RobotsPlan) -> None:
         """
-        Let a robot come, and offer all that the node has for it.
-
-        To be called in the thread that spins the node.
+        Add a robot, in the thread that spins the node.
 
         :param plan: with the robot
         :raises Rejection: if the physics is on hold
         """
         change_unless_diverged(self._simulation, self._thread,
                                partial(self._thread.change_robots, plan))
-        node, scope, robot = self._node, Scope(name), self._simulation.robots[name]
-        rows = topics_of_world(
+        context, scope, robot = self._context, Scope(name), self._simulation.robots[name]
+        context.table += [row for row in topics_of_world(
             [(scope, robot.parts, robot.joints.twist_indices is not None)])
-        node.table += [row for row in rows if row not in node.table]
-        node.robots[scope] = robot
-        node.declared.declare([spawned_parameter(scope)])
-        declare_parts(node.declared, [(scope, robot.parts)])
-        node.declared.couple(scope, robot.parts)
-        served = node.serve(scope, robot)
-        node.commands.append(served.commands)
-        node.scene.add(scope, robot, robot.robot_model.naming_prefix)
-        node.publish_truth_by(scope, partial(node.instruments.publish_truth, scope))
-        if node.actions is not None:
-            node.actions.add(served.commands)
-        node.descriptions.add(scope, robot)
-        for note in (*inferred(self._simulation.world, robot.robot_model), *robot.joints.lowered):
-            node.get_logger().info(note)
-        for sentence in lost_shapes(self._simulation.world, robot.robot_model):
-            node.get_logger().warning(sentence)
-        self._changed()
+            if row not in context.table]
+        context.robots[scope] = robot
+        context.parameters.declare([spawned_parameter(scope)])
+        declare_parts(context.parameters, [(scope, robot.parts)])
+        context.parameters.couple(scope, robot.parts)
+        for feature in context.features:
+            feature.robot_added(scope, robot)
+        log_robot(context, robot)
+        context.world_changed()
 
-    def _changed(self) -> None:
-        self._node.world_changed(self._simulation)
-        self._node.dynamics.publish()
-
-    async def go(self, name: str) -> None:
+    async def remove(self, name: str) -> None:
         """
-        Let a robot go, with all that the node has for it; its goals are aborted before.
-
-        To be awaited in the thread that spins the node.
+        Remove a robot, whose goals are aborted; to be awaited in the thread that spins the node.
 
         :param name: one of :attr:`names`
         :raises ModelError: if the world cannot be without it
         """
-        node, simulation, scope = self._node, self._simulation, Scope(name)
-        plan = await in_background(node, lambda: plan_without_robot(simulation, name))
-        robot = simulation.robots[name]
-        served = node.served.pop(scope)
-        served.close()
-        node.scene.remove(scope)
-        if node.actions is not None:
-            node.actions.close(robot, f"robot '{name}' was deleted")
+        context, simulation, scope = self._context, self._simulation, Scope(name)
+        plan = await in_background(context.node, lambda: plan_without_robot(simulation, name))
+        for feature in context.features:
+            feature.robot_removed(scope)
         self._thread.change_robots(plan)
-        if node.actions is not None:
-            # Clients get their results before the servers are gone.
-            await node.actions.answered()
-            node.actions.remove(robot)
-        node.commands.remove(served.commands)
-        node.descriptions.remove(scope)
-        node.forget_truths(scope)
-        del node.robots[scope]
-        self._changed()
+        del context.robots[scope]
+        # Clients get the results of their goals before the servers are gone.
+        await Rounds(context.node, RESULT_ROUNDS)
+        context.world_changed()
         begin = scope.topic('')
-        node.table = [row for row in node.table if not row.name.startswith(begin)]
-        node.declared.undeclare(scope)
+        context.table[:] = [row for row in context.table if not row.name.startswith(begin)]
+        context.parameters.undeclare(scope)

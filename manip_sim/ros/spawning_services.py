@@ -14,7 +14,6 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.node import Node
 
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.files.urdf import is_moving_urdf
@@ -30,11 +29,10 @@ from manip_sim.quaternion import xyzw_to_wxyz
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import numbers_of, WORLD
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
 from manip_sim.ros.standard_answers import (
     answering_later, change_unless_diverged, free_name, Rejection, ResultCode, SpawnCode)
-from manip_sim.runtime import SimulationThread
-from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot, RobotsPlan
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
@@ -54,29 +52,21 @@ class SpawningServices:
     simulation's thread takes the new world over between two control periods, with everything else
     as it was.
 
-    :param simulation: what is changed
-    :param changed: is called after objects have come or gone
     :param files: those that a request may name
     :param types: of the services, as ``simulation_interfaces.srv`` has them
-    :param robots: lets robots come and go
     """
 
-    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
-                 changed: Callable[[Simulation], None], files: FilesBelow, types: Any,
-                 robots: SpawnedRobots) -> None:
-        self._node = node
-        self._robots = robots
-        self._simulation = simulation
-        self._thread = thread
-        self._changed = changed
+    def __init__(self, context: NodeContext, files: FilesBelow, types: Any) -> None:
+        self._context, self._simulation, self._thread = context, context.simulation, context.thread
+        self._robots = SpawnedRobots(context)
         self._files = files
         # One group, because each plan is made from the one before.
         group = MutuallyExclusiveCallbackGroup()
         for service_type, name, answer in (
                 (types.SpawnEntity, 'spawn_entity', self._spawn),
                 (types.DeleteEntity, 'delete_entity', self._delete)):
-            node.create_service(service_type, f'~/{name}', answering_later(answer),
-                                callback_group=group)
+            context.node.create_service(service_type, f'~/{name}', answering_later(answer),
+                                        callback_group=group)
 
     async def _spawn(self, request: Any, response: Any) -> None:
         namespace, pose = request.entity_namespace.strip('/'), _pose(request.initial_pose)
@@ -91,9 +81,9 @@ class SpawningServices:
                 return (self._plan_robot(item, request, namespace, pose)
                         if isinstance(item, RequestedRobot) else
                         self._plan_object(item, request, namespace, place))
-        name, plan = make() if is_quick else await in_background(self._node, make)
+        name, plan = make() if is_quick else await in_background(self._context.node, make)
         if isinstance(plan, RobotsPlan):
-            self._robots.come(name, plan)
+            self._robots.add(name, plan)
         else:
             text = None if request.uri else request.resource_string.strip()
             self._take_over(plan, 'spawn', name, text, *place)
@@ -125,7 +115,7 @@ class SpawningServices:
     async def _delete(self, request: Any, _: Any) -> None:
         name, plan = request.entity, self._simulation.plan
         if name in self._robots.names:
-            await self._robots.go(name)
+            await self._robots.remove(name)
             return
         if name in self._simulation.entities.names and name not in plan.object_names:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
@@ -136,7 +126,7 @@ class SpawningServices:
     def _take_over(self, plan: WorldPlan, operation: str, *arguments: Any) -> None:
         change_unless_diverged(self._simulation, self._thread, partial(
             self._thread.change, operation, *arguments, using=plan))
-        self._changed(self._simulation)
+        self._context.world_changed()
 
 
 @contextmanager

@@ -86,7 +86,7 @@ class BoundsType(IntEnum):
     TYPE_EMPTY = 0
 
 
-class Feature(IntEnum):
+class FeatureCode(IntEnum):
     """Constants of the message ``SimulatorFeatures`` for what is supported here."""
 
     SPAWNING = 0

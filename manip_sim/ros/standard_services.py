@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -16,17 +16,15 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import Rounds
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.messages import filled, numbers_of, stamp_of, WORLD
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.posix_ere import PosixExpression
-from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_answers import (
-    answering, answering_later, BoundsType, Category, change_unless_diverged, Feature,
+    answering, answering_later, BoundsType, Category, change_unless_diverged, FeatureCode,
     reject_if_diverged, Rejection, ResultCode, ScopeCode, SetEntityCode, SetStateCode, StateCode)
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 SERVICE_TYPES = import_optional('simulation_interfaces.srv')
 
@@ -36,19 +34,20 @@ _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation
           'of a reset restarts simulation time, scope STATE lets it go on.')
 
 
-def offer_simulation_interfaces(node: SimNode, files: FilesBelow) -> None:
+class StandardServices(Feature):
     """
-    Offer the services of the standard under ``~/``; note if their package is missing.
+    The services of the standard under ``~/``; without their package a note.
 
     :param files: those that a request may name
     """
-    if not AVAILABLE:
-        node.missing['simulation_interfaces'] = 'standard simulation services'
-        return
-    SimulationInterfaces(node, SERVICE_TYPES)
-    EntityServices(node, SERVICE_TYPES)
-    SpawningServices(node, node.simulation, node.thread, node.world_changed, files, SERVICE_TYPES,
-                     SpawnedRobots(node))
+
+    def __init__(self, context: NodeContext, files: FilesBelow) -> None:
+        if not AVAILABLE:
+            context.missing['simulation_interfaces'] = 'standard simulation services'
+            return
+        SimulationInterfaces(context, SERVICE_TYPES)
+        EntityServices(context, SERVICE_TYPES)
+        SpawningServices(context, files, SERVICE_TYPES)
 
 
 class SimulationInterfaces:
@@ -61,24 +60,24 @@ class SimulationInterfaces:
     :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 
-    def __init__(self, node: SimNode, types: Any) -> None:
-        self._node, self._simulation, self._thread = node, node.simulation, node.thread
+    def __init__(self, context: NodeContext, types: Any) -> None:
+        self._context, self._simulation, self._thread = context, context.simulation, context.thread
         self._stopped = False
-        node.create_service(types.GetSimulatorFeatures, '~/get_simulator_features',
-                            self._features)
+        context.node.create_service(types.GetSimulatorFeatures, '~/get_simulator_features',
+                                    self._features)
         # A request for many steps takes long, so it does not hold up the others.
         groups = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
-        node.create_service(types.StepSimulation, '~/step_simulation',
-                            answering_later(self._step), callback_group=groups[0])
+        context.node.create_service(types.StepSimulation, '~/step_simulation',
+                                    answering_later(self._step), callback_group=groups[0])
         for service_type, name, fill in (
                 (types.GetSimulationState, 'get_simulation_state', self._get_state),
                 (types.SetSimulationState, 'set_simulation_state', self._set_state),
                 (types.ResetSimulation, 'reset_simulation', self._reset)):
-            node.create_service(service_type, f'~/{name}', answering(fill),
-                                callback_group=groups[1])
+            context.node.create_service(service_type, f'~/{name}', answering(fill),
+                                        callback_group=groups[1])
 
     def _features(self, _: Any, response: Any) -> Any:
-        response.features.features = [int(feature) for feature in Feature]
+        response.features.features = [int(feature) for feature in FeatureCode]
         response.features.spawn_formats = list(FORMATS)
         response.features.custom_info = _ABOUT
         return response
@@ -122,7 +121,7 @@ class SimulationInterfaces:
             except CommandError as error:
                 after = f' (after {done} of {steps} steps)' if done else ''
                 raise CommandError(f'{error}{after}') from error
-            await Rounds(self._node)
+            await Rounds(self._context.node)
 
     def _reset(self, request: Any, response: Any) -> None:
         scope = request.scope
@@ -143,15 +142,16 @@ class EntityServices:
     :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 
-    def __init__(self, node: SimNode, types: Any) -> None:
-        self._simulation, self._thread = node.simulation, node.thread
+    def __init__(self, context: NodeContext, types: Any) -> None:
+        self._simulation, self._thread = context.simulation, context.thread
         # A group of their own: a request for many steps, in another group, does not hold them up.
         group = MutuallyExclusiveCallbackGroup()
         for service_type, name, fill in (
                 (types.GetEntities, 'get_entities', self._get_entities),
                 (types.GetEntityState, 'get_entity_state', self._get_entity_state),
                 (types.SetEntityState, 'set_entity_state', self._set_entity_state)):
-            node.create_service(service_type, f'~/{name}', answering(fill), callback_group=group)
+            context.node.create_service(service_type, f'~/{name}', answering(fill),
+                                        callback_group=group)
 
     def _get_entities(self, request: Any, response: Any) -> None:
         filters = request.filters

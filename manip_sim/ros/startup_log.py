@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node logs about itself when it has started."""
+"""Log the robots of a node at its start, and those that come later."""
 
 from __future__ import annotations
 
@@ -9,17 +9,53 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from manip_sim.control.modes import MODES, POSITION
+from manip_sim.interface.ros2_control import STALLS
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
-from manip_sim.models.missing_meshes import inferred_by_model, LostShape
+from manip_sim.models.missing_meshes import inferred_by_model, lost_shapes, LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.urdf_writer import TOPIC_PLUGIN
+from manip_sim.ros.node_context import NodeContext
+from manip_sim.ros.optional_packages import missing_note
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 Value = Callable[[str], Any]
 
 
-def introduction(robots: Mapping[Scope, SimulatedRobot], simulation: Simulation, value: Value,
-                 paused: bool) -> str:
+def log_start(context: NodeContext, world: World) -> None:
+    """
+    Log what the simulation consists of, and what the user has to know of it.
+
+    :param world: as it is at the start
+    """
+    log, value, simulation = (
+        context.node.get_logger(), context.parameters.value, context.simulation)
+    log.info(_introduction(context.robots, simulation, value, context.thread.paused))
+    for note in (*_inferred(world), *simulation.lowered_gains, *context.notes,
+                 *([missing_note(context.missing)] if context.missing else ())):
+        log.info(note)
+    for sentence in lost_shapes(world):
+        log.warning(sentence)
+    for defect in simulation.start_defects:
+        log.warning(f'start: {defect}')
+    if (value('ros2_control_tag') and value('stepping') == 'lockstep'
+            and value('ros2_control_plugin') == TOPIC_PLUGIN):
+        log.warning(STALLS)
+    if context.node.get_parameter('use_sim_time').value:
+        log.warning('use_sim_time has no effect here: this node is the source of the time')
+
+
+def log_robot(context: NodeContext, robot: SimulatedRobot) -> None:
+    """Log what the user has to know of a robot that has come."""
+    log, world = context.node.get_logger(), context.simulation.world
+    for note in (*_inferred(world, robot.robot_model), *robot.joints.lowered):
+        log.info(note)
+    for sentence in lost_shapes(world, robot.robot_model):
+        log.warning(sentence)
+
+
+def _introduction(robots: Mapping[Scope, SimulatedRobot], simulation: Simulation, value: Value,
+                  paused: bool) -> str:
     """
     Return a description of the robots: their parts, modes, limits and topics.
 
@@ -59,7 +95,7 @@ def _parts(scope: Scope, robot: SimulatedRobot, value: Value) -> Iterator[str]:
             yield f'    limits {limits} {" or ".join(MODES[mode].units)}'
 
 
-def inferred(world: World, robot: RobotModel | None = None) -> Iterator[str]:
+def _inferred(world: World, robot: RobotModel | None = None) -> Iterator[str]:
     """
     Yield what was inferred about each model that comes from a file, but for lost shapes.
 

@@ -9,11 +9,11 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from builtin_interfaces.msg import Time
 import numpy as np
-from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_msgs.msg import String, UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -24,14 +24,13 @@ from manip_sim.interface.topics import BY_NAME, PUBLISHED, Topic
 from manip_sim.interface.world_topics import topics_of, truths
 from manip_sim.models import World
 from manip_sim.ros import messages
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import (
     create_output, create_publisher, Publication, Publications)
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.serialized import Make
 from manip_sim.simulation import SimulatedRobot, Simulation
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 JointTrajectoryControllerState: Any = getattr(
     import_optional('control_msgs.msg'), 'JointTrajectoryControllerState', None)
@@ -100,13 +99,14 @@ def _point(position: Any = None, velocity: Any = None, acceleration: Any = None,
         **{name: values.tolist() for name, values in fields.items() if values is not None})
 
 
-class ClockPublisher(Publications):
+class ClockPublisher(Publications, Feature):
     """The publisher of ``/clock``."""
 
-    def __init__(self, node: SimNode) -> None:
+    def __init__(self, context: NodeContext) -> None:
         super().__init__()
-        output, nothing = create_output(node, BY_NAME['/clock']), np.empty(0)
+        output, nothing = create_output(context, BY_NAME['/clock']), np.empty(0)
         self.replace((Publication(output, messages.clock, lambda _: nothing, 0),))
+        context.thread.observe(self.publish, look=self.look)
 
 
 class StatePublishers(Publications):
@@ -118,10 +118,10 @@ class StatePublishers(Publications):
     :param readers: by the name in a row; None: :data:`READERS`
     """
 
-    def __init__(self, node: SimNode, robot: SimulatedRobot, scope: Scope,
+    def __init__(self, context: NodeContext, robot: SimulatedRobot, scope: Scope,
                  readers: Mapping[str, Reader] | None = None) -> None:
         super().__init__()
-        self._node, self._robot, self._scope = node, robot, scope
+        self._context, self._robot, self._scope = context, robot, scope
         self._readers = READERS if readers is None else readers
         self._rows = [row for row in topics_of(robot.parts, twist=True)
                       if row.direction == PUBLISHED and row.by in self._readers]
@@ -131,15 +131,39 @@ class StatePublishers(Publications):
     def _create(self, row: Topic, read: Read) -> Publication:
         named = replace(row, name=self._scope.topic(row.name))
         return Publication(
-            create_output(self._node, named, _OTHER_TYPES.get(row.by)),
-            *self._readers[row.by](self._robot, row.of, self._node.frame_prefix, read))
+            create_output(self._context, named, _OTHER_TYPES.get(row.by)),
+            *self._readers[row.by](self._robot, row.of, self._context.frame_prefix, read))
 
     def publish_truth(self) -> None:
-        if self._all == self._measured:
+        """Also publish exact values, below ``truth/``, if noise or latency of the robot is set."""
+        if self._all == self._measured and self._robot.sensing.settings.measures:
             rows = truths(self._rows)
-            self._node.table += [replace(row, name=self._scope.topic(row.name)) for row in rows]
+            self._context.table += [replace(row, name=self._scope.topic(row.name)) for row in rows]
             self.replace((*self._measured, *(
                 self._create(row, self._robot.sensing.exact) for row in rows)))
+
+
+class RobotStates(Feature):
+    """The topics of the states of all robots."""
+
+    def __init__(self, context: NodeContext) -> None:
+        self._context = context
+        self._robots: dict[Scope, StatePublishers] = {}
+        for scope, robot in context.robots.items():
+            self.robot_added(scope, robot)
+
+    def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
+        states = self._robots[scope] = StatePublishers(self._context, robot, scope)
+        self._context.thread.observe(states.publish, look=states.look)
+
+    def robot_removed(self, scope: Scope) -> None:
+        states = self._robots.pop(scope)
+        self._context.thread.unobserve(states.publish)
+        states.destroy(self._context.node)
+
+    def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
+        for states in self._robots.values():
+            states.publish_truth()
 
 
 def _joints(robot: SimulatedRobot, part: str, _: str, read: Read) -> Reading:
@@ -173,19 +197,28 @@ READERS: dict[str, Reader] = {
 _OTHER_TYPES = {'controllers': MESSAGE_TYPE}
 
 
-class ModelPublisher:
+class ModelPublisher(Feature):
     """
     Latched publishers of the composed model; it comes again when robots or objects come or go.
 
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
+
+    :param world: as it is at the start
     """
 
-    def __init__(self, node: Node) -> None:
-        self._mjcf = create_publisher(node, BY_NAME['~/mjcf'])
-        self._archive = create_publisher(node, BY_NAME['~/mjcf_archive'])
+    def __init__(self, context: NodeContext, world: World) -> None:
+        self._mjcf = create_publisher(context, BY_NAME['~/mjcf'])
+        self._archive = create_publisher(context, BY_NAME['~/mjcf_archive'])
+        self._simulation, self._world = context.simulation, world
 
-    def publish(self, world: World) -> None:
+    def started(self) -> None:
+        self._publish(self._world)
+
+    def world_changed(self) -> None:
+        self._publish(self._simulation.world)
+
+    def _publish(self, world: World) -> None:
         """
         Publish the model.
 

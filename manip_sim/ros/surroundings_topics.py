@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from geometry_msgs.msg import Pose as PoseMessage, PoseStamped
 from sensor_msgs.msg import JointState
@@ -24,14 +24,13 @@ from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscription
+from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import (
     create_output, message_class, Output, Publication, Publications)
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.reading import read_command
 from manip_sim.ros.rejection_log import kind_of
 from manip_sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
 
 #: What the message of a pull holds: two points, and no pose of its own.
 _ENDS, _NOWHERE = 2, PoseMessage()
@@ -42,7 +41,7 @@ _READERS = {'object_pose': (Entities.pose, messages.pose_stamped, 7),
             'object_twist': (Entities.twist, messages.twist_stamped, 6)}
 
 
-class SurroundingsTopics(Publications):
+class SurroundingsTopics(Publications, Feature):
     """
     Publishers and subscriptions of objects, surroundings and pulls; objects may come and go.
 
@@ -50,27 +49,26 @@ class SurroundingsTopics(Publications):
         ``objects/<name>`` and ``pull``
     """
 
-    def __init__(self, node: SimNode) -> None:
+    def __init__(self, context: NodeContext) -> None:
         super().__init__()
-        self._node, self._changes = node, node.thread.changes
-        self._surroundings, self._pulls = node.simulation.surroundings, node.simulation.pulls
+        self._context, self._changes = context, context.thread.changes
+        self._surroundings, self._pulls = context.simulation.surroundings, context.simulation.pulls
         self.statistics: dict[str, CommandStatistics] = {}
         self._take: dict[str, Callable[[str, Any], None]] = {
             'direct_command': self._command, 'mocap_pose': self._target, 'pull': self._pull}
         self._outputs: dict[Topic, Publication] = {}
         self._inputs: dict[Topic, CommandSubscription] = {}
         self._loose: tuple[tuple[str, ...], Output] | None = None
-        self.follow(node.simulation)
+        self.world_changed()
+        context.thread.observe(self.publish, look=self.look)
 
-    def follow(self, simulation: Simulation) -> None:
+    def world_changed(self) -> None:
         """
         Serve the free and mocap bodies and the actuators of no part that there are now.
 
-        Commands of actuators stay subscribed to. To be called in the thread that spins the node,
-        or before it spins.
-
-        :param simulation: with these
+        Commands of actuators stay subscribed to.
         """
+        simulation = self._context.simulation
         free = [name for name in simulation.entities.free_names if TOKEN.fullmatch(name)]
         rows = dict.fromkeys([*topics_of_objects(free), *(
             row for row in topics_of_surroundings(simulation.surroundings) if row not in _LOOSE)])
@@ -87,7 +85,7 @@ class SurroundingsTopics(Publications):
         self.replace((*self._outputs.values(), *(
             () if self._loose is None else (self._loose_publication(*self._loose),))))
         for output in closed:
-            output.close(self._node)
+            output.close(self._context.node)
 
     def _follow_actuators(self, simulation: Simulation) -> list[Output]:
         """Serve the actuators of no part, and return what publishes nothing any more."""
@@ -95,30 +93,30 @@ class SurroundingsTopics(Publications):
         if states is None and names:
             if ACTUATORS not in self.statistics:
                 self._subscribe(_LOOSE[1])
-            states = names, create_output(self._node, _LOOSE[0])
+            states = names, create_output(self._context, _LOOSE[0])
         self._loose = (names, states[1]) if states is not None and names else None
         return [states[1]] if states is not None and self._loose is None else []
 
     def _loose_publication(self, names: tuple[str, ...], output: Output) -> Publication:
         def read(simulation: Simulation) -> FloatArray | None:
             found = simulation.surroundings
-            # Objects with actuators may have come or gone before follow() is called.
+            # Objects with actuators may have come or gone before world_changed() is called.
             return found.state_of_actuators() if found.other_actuators == names else None
         return Publication(output, partial(messages.joint_state, names), read, 3 * len(names))
 
     def _publication(self, row: Topic) -> Publication:
-        found, output = self._surroundings, create_output(self._node, row)
+        found, output = self._surroundings, create_output(self._context, row)
         if row.by == 'arena_joints':
             return Publication(output, partial(messages.joint_state, found.joints),
                                lambda _: found.state(), 3 * len(found.joints))
         read, make, count = _READERS[row.by]
 
         def numbers(simulation: Simulation) -> FloatArray | None:
-            # The body may be gone before follow() is called.
+            # The body may be gone before world_changed() is called.
             if row.of in simulation.entities.free_names:
                 return read(simulation.entities, simulation.data, row.of)
             return found.pose(row.of) if row.of in found.mocap_names else None
-        world = self._node.frame_prefix + messages.WORLD
+        world = self._context.frame_prefix + messages.WORLD
         return Publication(output, partial(make, world), numbers, count)
 
     def _subscribe(self, row: Topic) -> CommandSubscription:
@@ -131,10 +129,11 @@ class SurroundingsTopics(Publications):
                 counts.accepted, counts.last_s = counts.accepted + 1, time.monotonic()
             except (CommandError, UnknownNameError) as error:
                 counts.rejected += 1
-                self._node.rejections.warn(row.name, kind_of(error),
-                                           f'rejected a message on {row.name}: {error}')
+                self._context.log.warn(row.name, kind_of(error),
+                                       f'rejected a message on {row.name}: {error}')
 
-        return CommandSubscription(self._node, message_type, row.name, take, self._node.inbox)
+        return CommandSubscription(
+            self._context, message_type, row.name, take, self._context.inbox)
 
     def _command(self, part: str, message: JointState) -> None:
         found = self._surroundings.commands[part]
@@ -149,7 +148,7 @@ class SurroundingsTopics(Publications):
                 stamp_ns=stamp_ns)
 
     def _check_frame(self, frame_id: str) -> None:
-        if frame_id.removeprefix(self._node.frame_prefix) not in ('', messages.WORLD):
+        if frame_id.removeprefix(self._context.frame_prefix) not in ('', messages.WORLD):
             raise CommandError(f'frame_id {quoted(frame_id)} is not supported: '
                                f"leave it empty or write '{messages.WORLD}'")
 

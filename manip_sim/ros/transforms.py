@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
@@ -17,17 +17,15 @@ from manip_sim.interface.topics import BY_NAME
 from manip_sim.physics.frame_tree import FrameTree, TreeFrame
 from manip_sim.ros.lazy_publishers import create_output, Output
 from manip_sim.ros.messages import filled, stamp_of
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
 
-if TYPE_CHECKING:
-    from manip_sim.ros.sim_node import SimNode
-
 TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)
 
 
-def offer_transforms(node: SimNode, frames: Callable[[Simulation], FrameTree]
+def offer_transforms(context: NodeContext, frames: Callable[[Simulation], FrameTree]
                      ) -> TransformPublisher | None:
     """
     Create the publisher of ``/tf`` and ``/tf_static``; note if ``tf2_msgs`` is missing.
@@ -36,14 +34,14 @@ def offer_transforms(node: SimNode, frames: Callable[[Simulation], FrameTree]
     :returns: None without ``tf2_msgs``
     """
     if TFMessage is None:
-        node.missing['tf2_msgs'] = '/tf and /tf_static'
+        context.missing['tf2_msgs'] = '/tf and /tf_static'
         return None
-    return TransformPublisher(node, frames)
+    return TransformPublisher(context, frames)
 
 
-def create_outputs(node: SimNode) -> tuple[Output, Output]:
-    return (create_output(node, BY_NAME['/tf'], TFMessage),
-            create_output(node, BY_NAME['/tf_static'], TFMessage))
+def create_outputs(context: NodeContext) -> tuple[Output, Output]:
+    return (create_output(context, BY_NAME['/tf'], TFMessage),
+            create_output(context, BY_NAME['/tf_static'], TFMessage))
 
 
 class TransformPublisher:
@@ -53,9 +51,9 @@ class TransformPublisher:
     :param frames: returns the tree of a simulation
     """
 
-    def __init__(self, node: SimNode, frames: Callable[[Simulation], FrameTree]) -> None:
-        self._moving, self._static = create_outputs(node)
-        self._frames, self._prefix = frames, node.frame_prefix
+    def __init__(self, context: NodeContext, frames: Callable[[Simulation], FrameTree]) -> None:
+        self._moving, self._static = create_outputs(context)
+        self._frames, self._prefix = frames, context.frame_prefix
         self._present: tuple[FrameTree, SerializedMessage] | None = None
 
     def follow(self, simulation: Simulation) -> None:

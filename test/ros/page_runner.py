@@ -222,7 +222,7 @@ class PageRunner:
         """Return how many commands the node has taken; AssertionError if one was rejected."""
         assert self.served is not None
         node = self.served.node
-        statistics = [entry for commands in (*node.commands, node.surroundings)
+        statistics = [entry for commands in (*node.commands.robots, node.surroundings)
                       for entry in commands.statistics.values()]
         assert not sum(entry.rejected for entry in statistics), self._client.log()
         return sum(entry.accepted for entry in statistics)

@@ -10,6 +10,7 @@ is the name of the entity, or why there is none. All else is as in the node.
 
 from __future__ import annotations
 
+from dataclasses import replace
 import inspect
 import sys
 import threading
@@ -24,7 +25,6 @@ from rclpy.parameter import Parameter
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
-from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.spawning_services import SpawningServices
 
 DEFAULTS = {'name': '', 'allow_renaming': False, 'uri': '', 'resource_string': '',
@@ -42,14 +42,12 @@ class SpawningByParameters:
 
     def __init__(self, node: Any, folder: Any) -> None:
         self._node = node
-        SpawningServices(self, node.simulation, node.thread, node.world_changed,
-                         FilesBelow([folder], 'spawn_roots'),
+        SpawningServices(replace(node.shared, node=self), FilesBelow([folder], 'spawn_roots'),
                          Plain(SpawnEntity=SetParametersAtomically,
-                               DeleteEntity=SetParametersAtomically), SpawnedRobots(node))
+                               DeleteEntity=SetParametersAtomically))
 
-    @property
-    def executor(self) -> Any:
-        return self._node.executor
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._node, name)
 
     def create_service(self, service_type: Any, name: str, callback: Any, callback_group: Any
                        ) -> None:

@@ -86,7 +86,7 @@ def test_bad_messages_change_nothing_and_are_explained(topic, serve, client):
     node = serve()
     start = client.state()
     part = topic.rsplit('/', 1)[0] if '/' in topic else topic
-    statistics = node.commands[0].statistics[part]
+    statistics = node.commands.robots[0].statistics[part]
     for message, reason in REJECTED[topic]:
         # What is like the one before is told a second later.
         while not any(reason in line for line in log):
@@ -109,7 +109,8 @@ def test_bad_messages_change_nothing_and_are_explained(topic, serve, client):
 def test_huge_numbers_are_clamped_and_the_state_stays_finite(topic, message, serve, client):
     node = serve(stepping='free')
     client.publish(topic, message)
-    client.spin_until(lambda: sum(s.clamped for s in node.commands[0].statistics.values()) > 0)
+    client.spin_until(
+        lambda: sum(s.clamped for s in node.commands.robots[0].statistics.values()) > 0)
     states = client.listen(JointState, 'joint_states', 10)
     client.spin_until(lambda: len(states) > 200)
     for state in states[-5:]:
@@ -126,7 +127,7 @@ def test_ten_thousand_messages_in_a_second_are_survived(serve, client):
     begin = time.monotonic()
     for n in range(10_000):
         publisher.publish(bad if n % 2 else good)
-    statistics = node.commands[0].statistics['arm']
+    statistics = node.commands.robots[0].statistics['arm']
     # The last one is kept, whatever came before it.
     client.spin_until(lambda: statistics.rejected > 0)
     publisher.publish(good)

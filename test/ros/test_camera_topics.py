@@ -242,7 +242,7 @@ def test_labels_are_the_bodies_of_the_model_that_is_published_beside_their_names
         'front', False, True, True) in renderings
     plan = plan_without(node.simulation.plan, 'ball')
     node.thread.call(lambda: node.simulation.change_objects(plan))
-    node.world_changed(node.simulation)
+    node.shared.world_changed()
     client.spin_until(lambda: 'ball' not in names[-1].data)
     client.spin_until(lambda: ball not in pixels(labels[-1]))
 
@@ -337,8 +337,10 @@ def test_diagnostics_tell_rate_and_cost(serve_seen, client):
 def test_rate_and_cost_are_those_of_the_measured_images_since_the_last_look():
     def shot(exact, took_s):
         return SimpleNamespace(view=SimpleNamespace(camera='front', exact=exact), took_s=took_s)
-    publishers = SimpleNamespace(view=shot(False, 0.0).view, publish=lambda shot: None)
-    cameras = Cameras(SimpleNamespace(), [publishers])
+    cameras = Cameras(SimpleNamespace(
+        simulation=SimpleNamespace(model=None), thread=SimpleNamespace(period_s=0.01)), {})
+    cameras.names.append('front')
+    cameras._publishers['front'] = SimpleNamespace(publish=lambda shot: None)
     for _ in range(5):
         cameras._publish(shot(False, 0.02))
         cameras._publish(shot(True, 5.0))

@@ -56,7 +56,7 @@ def test_in_lockstep_a_cartesian_command_is_the_command_of_its_arm(serve, client
     node = serve(**LOCKSTEP)
     drive(node, client)
     state = node.simulation.robot.state().position.tobytes()
-    log, statistics = client.log(), node.commands[0].statistics['arm']
+    log, statistics = client.log(), node.commands.robots[0].statistics['arm']
     stale = twist(0.1)
     stale.header.stamp.nanosec = 10_000_000
     client.publish('right/target_twist', stale)

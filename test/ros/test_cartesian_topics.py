@@ -124,7 +124,7 @@ def test_what_is_rejected_changes_nothing_and_is_told(topic, message, what, arm,
             turn.x = turn.y = turn.z = turn.w = 0.0
         else:
             message.pose.position.y = math.nan
-    statistics = served.commands[0].statistics['arm']
+    statistics = served.commands.robots[0].statistics['arm']
     rejected, accepted = statistics.rejected, statistics.accepted
     arm.client.publish(topic, message)
     if what is None:
@@ -139,9 +139,10 @@ def test_what_is_rejected_changes_nothing_and_is_told(topic, message, what, arm,
 
 @pytest.mark.full
 def test_clamps_and_targets_out_of_reach_are_counted_and_told(arm, served):
-    clamped = served.commands[0].statistics['arm'].clamped
+    clamped = served.commands.robots[0].statistics['arm'].clamped
     arm.client.publish('right/target_twist', twist(x=3.0))
-    arm.client.spin_until(lambda: served.commands[0].statistics['arm'].clamped == clamped + 1)
+    arm.client.spin_until(
+        lambda: served.commands.robots[0].statistics['arm'].clamped == clamped + 1)
     arm.client.publish('right/target_pose', arm.pose((3.0, 0.0, 0.0)))
     arm.client.spin_until(lambda: int(arm.status()['cartesian_unreachable']) >= 1)
     arm.client.spin_until(lambda: any('right: the target is not reached' in line

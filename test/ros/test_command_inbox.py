@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError
 import threading
 import time
+from types import SimpleNamespace as Plain
 
 import pytest
 import rclpy
@@ -29,7 +30,8 @@ def inbox(node):
     inbox = create_command_inbox(node, log)
     if inbox is None:
         pytest.skip('this rclpy is not known: its executor takes commands')
-    CommandSubscription(node, JointState, 'command', taken.append, inbox)
+    CommandSubscription(
+        Plain(node=node, is_built=False), JointState, 'command', taken.append, inbox)
     return inbox, log, taken
 
 
@@ -89,7 +91,7 @@ def test_what_a_message_raises_is_told_and_counted_and_the_next_one_is_taken(
     def fail(data):
         taken.append(data)
         raise RuntimeError('broken')
-    CommandSubscription(node, JointState, 'fails', fail, inbox)
+    CommandSubscription(Plain(node=node, is_built=False), JointState, 'fails', fail, inbox)
     for _ in range(2):
         client.publish('fails', COMMAND)
     client.spin_until(lambda: inbox.wait(0.02) or len(taken) == 2)
@@ -122,7 +124,8 @@ def test_commands_are_used_whoever_takes_them(serve, client, monkeypatch, steppi
     node.simulation.robot.parse.joint_command = seen
     for count in range(1, 6):
         client.publish('arm/joint_command', COMMAND)
-        client.spin_until(lambda sent=count: node.commands[0].statistics['arm'].accepted == sent)
+        client.spin_until(
+            lambda sent=count: node.commands.robots[0].statistics['arm'].accepted == sent)
     assert len(threads) == 5
     if not command_inbox.is_known():
         assert not {'physics', 'commands'} & set(threads)
@@ -141,7 +144,7 @@ def test_a_command_that_came_before_a_step_is_used_in_it(serve, client):
         assert publisher.wait_for_all_acked(Duration(seconds=60.0))
         effort.effort[0] += 1.0
         assert client.call(Trigger, 'manip_sim/step').success
-        assert node.commands[0].statistics['arm'].accepted == count
+        assert node.commands.robots[0].statistics['arm'].accepted == count
         address = node.simulation.robot.joints._servos._activation[0]
         assert node.simulation.data.act[address] == pytest.approx(4.0 + count)
 

@@ -124,7 +124,7 @@ def test_a_position_past_its_limit_is_clamped_and_told(serve, client):
     node = serve()
     client.publish('arm/joint_command', JointState(name=['robot0_joint6'], position=[9.0]))
     client.spin_until(lambda: abs(arm_position(client)[5] - UPPER[5]) < 2e-3)
-    assert node.commands[0].statistics['arm'].clamped == 1
+    assert node.commands.robots[0].statistics['arm'].clamped == 1
     told = 'clamped 1 number of a message on arm/joint_command: robot0_joint6 from 9 to 3.7525'
     client.spin_until(lambda: any(told in line for line in log))
 
@@ -171,7 +171,7 @@ def test_a_trajectory_that_is_too_fast_is_slowed_down_and_told(serve, client):
         joint_names=['robot0_joint1'], points=[point([1.5], 0.2)]))
     client.spin_until(lambda: any('slowed a trajectory' in line for line in log))
     client.spin_until(lambda: abs(arm_position(client)[0] - 1.5) < 2e-3)
-    assert node.commands[0].statistics['arm'].slowed == 1
+    assert node.commands.robots[0].statistics['arm'].slowed == 1
 
 
 @pytest.mark.full
@@ -202,7 +202,7 @@ def test_an_arm_does_not_take_the_joints_of_the_other(serve, client):
     node = serve(robot='Baxter')
     client.publish('right/joint_command', JointState(name=['robot0_left_s0'], position=[0.1]))
     client.spin_until(lambda: any("right has no joint 'robot0_left_s0'" in line for line in log))
-    assert node.commands[0].statistics['right'].rejected == 1
+    assert node.commands.robots[0].statistics['right'].rejected == 1
 
 
 @pytest.mark.full
@@ -212,7 +212,7 @@ def test_a_best_effort_publisher_is_heard_and_a_reliable_one_beside_it_once(serv
         Float64MultiArray, 'arm/command', QoSProfile(
             depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     client.spin_until(lambda: best_effort.get_subscription_count() > 0)
-    statistics = node.commands[0].statistics['arm']
+    statistics = node.commands.robots[0].statistics['arm']
     client.spin_until(lambda: best_effort.publish(Float64MultiArray(data=[0.0] * 7))
                       or statistics.accepted > 0)
     before = client.settled(lambda: statistics.accepted)
@@ -255,13 +255,13 @@ def test_a_message_without_a_number_is_taken_silently(message, serve, client):
     for topic in ('arm/joint_command', 'joint_command'):
         client.publish(topic, message)
     client.publish('arm/joint_command', JointState(name=ARM[:1], position=[0.05]))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
-    assert not any(s.rejected for s in node.commands[0].statistics.values())
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
+    assert not any(s.rejected for s in node.commands.robots[0].statistics.values())
     assert not any('rejected' in line for line in log)
 
 
 def test_commands_of_an_arm_are_counted_under_one_name_whichever_they_come_by(serve, client):
-    statistics = serve().commands[0].statistics
+    statistics = serve().commands.robots[0].statistics
     for name in ('arm', 'right'):
         client.publish(f'{name}/command', Float64MultiArray(data=[0.0] * 7))
     client.spin_until(lambda: statistics['arm'].accepted == 2)

@@ -26,7 +26,7 @@ def values(status):
 def test_commands_are_counted_by_part(serve, client):
     node = serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')
-    statistics = node.commands[0].statistics['arm']
+    statistics = node.commands.robots[0].statistics['arm']
     # One at a time, because the node keeps the last one only.
     for message, arrived in (([0.0] * 7, lambda: statistics.accepted == 1),
                              ([2.0] * 7, lambda: statistics.accepted == 2),
@@ -220,7 +220,7 @@ def test_the_age_of_the_last_command_grows(serve, client):
     arrays = listen_with_times(client)
     sent_s = time.monotonic()
     client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     seen = len(arrays)
     client.spin_until(lambda: len(arrays) > seen + 3)
     ages = [float(part(array, 'arm')['age']) for _, array in arrays[seen:]]

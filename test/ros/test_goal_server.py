@@ -47,9 +47,9 @@ class Swing(ActionMessages):
         return Fibonacci.Result(sequence=[goal.outcome.code])
 
 
-def offer(node):
-    return ActionServers(node, lambda robot: [
-        Swing(Fibonacci, robot, 'arm', lambda: node.thread.progress.time_ns)])
+def offer(context, commands):
+    return ActionServers(context, commands, lambda robot: [
+        Swing(Fibonacci, robot, 'arm', lambda: context.thread.progress.time_ns)])
 
 
 class Swinger:

@@ -74,7 +74,7 @@ def test_an_installed_mode_is_a_choice_and_joints_in_it_yield_as_springs(
     states = client.listen(JointState, 'arm/joint_states')
     goal = node.simulation.robot.state().position[:7] + 0.1
     client.publish('arm/joint_command', JointState(name=ARM, position=list(goal)))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
 
     def settle():
         """Advance by 5 s, and return the positions that are published then."""

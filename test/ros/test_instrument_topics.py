@@ -139,7 +139,7 @@ def test_sensors_of_objects_come_and_go_with_them_and_the_others_stay(
 
     def change(plan):
         node.thread.call(lambda: node.simulation.change_objects(plan))
-        node.executor.create_task(node.world_changed, node.simulation)
+        node.executor.create_task(node.shared.world_changed)
 
     before, plan = publishers(), node.simulation.plan
     other = tmp_path / 'other.xml'

@@ -29,7 +29,7 @@ def listen(client, kind, topic):
 
 def test_a_scan_has_the_ball_ahead_and_its_angles(serve, client):
     node = serve(objects=[BALL], lidars=[FLAT], start_paused=True)
-    assert 'lidar flat: 1 x 8 rays, 50 Hz, on flat/scan' in node.notes
+    assert 'lidar flat: 1 x 8 rays, 50 Hz, on flat/scan' in node.shared.notes
     scans = listen(client, LaserScan, 'flat/scan')
     client.spin_until(lambda: scans != [])
     scan = scans[-1]

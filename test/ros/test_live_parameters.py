@@ -238,7 +238,7 @@ def test_50_objects_that_came_and_went_leave_nothing(serve, tmp_path):
 
     def change(plan, *operation):
         node.thread.call(partial(node.thread.change, *operation, using=plan))
-        node.world_changed(node.simulation)
+        node.shared.world_changed()
 
     def come_and_go(number):
         name = f'thing{number}'
@@ -272,7 +272,7 @@ def test_a_dump_starts_a_node_after_noise_was_switched_off(serve):
 
 def come(node, folder):
     """Let a robot with the name left come."""
-    SpawnedRobots(node).come('left', plan_with_robot(node.simulation, RequestedRobot(
+    SpawnedRobots(node.shared).add('left', plan_with_robot(node.simulation, RequestedRobot(
         {'robot': 'Panda'}, 'here', FilesBelow([folder], 'here')).create('left', Pose(
             np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])))))
 

@@ -100,13 +100,13 @@ def test_a_command_for_another_instant_does_not_count(serve, client):
     client.publish('arm/joint_command', stale)
     client.spin_until(lambda: any('the present state is that of' in line for line in log))
     assert node.simulation.step_count == 5
-    assert node.commands[0].statistics['arm'].rejected == 1
+    assert node.commands.robots[0].statistics['arm'].rejected == 1
 
 
 def test_every_lockstep_part_needs_a_command(serve, client):
     node = serve(stepping='lockstep', lockstep_parts=['arm', 'right/gripper'])
     client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     client.state()
     assert node.simulation.step_count == 5
     client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
@@ -178,7 +178,7 @@ def test_an_answer_that_comes_while_its_period_runs_is_stale(serve, client):
         client.publish('arm/joint_command', answer)
     finally:
         released.set()
-    client.spin_until(lambda: node.commands[0].statistics['arm'].rejected == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].rejected == 1)
     client.state()
     assert node.simulation.step_count == 10
     # Late answers are told from early ones.
@@ -193,7 +193,7 @@ def test_a_reset_has_a_stamp_of_its_own_and_makes_answers_to_older_ones_stale(se
     client.spin_until(lambda: bool(states))
     assert client.call(Trigger, 'manip_sim/reset').success
     client.spin_until(lambda: nanoseconds(states[-1]) == 20_000_000)
-    statistics = node.commands[0].statistics['arm']
+    statistics = node.commands.robots[0].statistics['arm']
     answer = JointState(name=['robot0_joint1'], position=[0.1])
     answer.header.stamp.nanosec = 10_000_000
     client.publish('arm/joint_command', answer)
@@ -242,4 +242,4 @@ def test_names_without_a_number_answer_for_their_part_and_it_goes_on(position, s
         client.publish('joint_command', fingers)
     answered(40)
     assert node.simulation.robot.state().position[0] > 0.1
-    assert not any(s.rejected for s in node.commands[0].statistics.values())
+    assert not any(s.rejected for s in node.commands.robots[0].statistics.values())

@@ -85,4 +85,4 @@ def test_a_twist_that_a_base_cannot_follow_is_rejected_with_a_stamp_too(serve, c
     node = serve(robot='PandaOmron')
     client.publish('base/cmd_vel_stamped', stamped(z=0.1))
     client.spin_until(lambda: any('base/cmd_vel_stamped: base: moves along' in t for t in log))
-    assert node.commands[0].statistics['base'].rejected == 1
+    assert node.commands.robots[0].statistics['base'].rejected == 1

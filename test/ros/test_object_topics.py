@@ -63,7 +63,7 @@ def test_the_latched_model_is_published_again_with_objects_that_come_and_go(serv
             (simulation.plan, set())):
         count = len(texts)
         node.thread.call(lambda plan=plan: simulation.change_objects(plan))
-        node.executor.create_task(node.world_changed, simulation)
+        node.executor.create_task(node.shared.world_changed)
         client.spin_until(lambda n=count: len(texts) == len(archives) == n + 1)
         assert bodies() - start == difference
 

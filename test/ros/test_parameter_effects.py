@@ -46,7 +46,7 @@ def test_an_arm_without_effort_falls_unless_gravity_is_compensated(compensated, 
     node = serve(start_paused=True, control_mode__arm='effort', gravity_compensation=compensated)
     start = node.simulation.robot.state().position[:7]
     client.publish('arm/joint_command', JointState(name=ARM, effort=[0.0] * 7))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     steps(node, 50)
     moved = np.abs(node.simulation.robot.state().position[:7] - start).max()
     if compensated:
@@ -72,7 +72,7 @@ def test_static_friction_holds_a_joint_and_is_reported(serve, client):
     for count, effort in enumerate((0.97, 1.03), 1):
         client.publish('arm/joint_command', JointState(name=[ARM[-1]], effort=[effort]))
         client.spin_until(
-            lambda count=count: node.commands[0].statistics['arm'].accepted == count)
+            lambda count=count: node.commands.robots[0].statistics['arm'].accepted == count)
         steps(node, 10)
         velocities.append(abs(node.simulation.robot.state().velocity[6]))
     assert velocities[0] < 1e-6 < 0.005 < velocities[1]
@@ -141,9 +141,10 @@ def test_a_command_timeout_changes_while_the_node_runs(serve, client):
     command = JointState(name=ARM[:1], velocity=[0.2])
 
     def velocity_after(seconds):
-        accepted = node.commands[0].statistics['arm'].accepted
+        accepted = node.commands.robots[0].statistics['arm'].accepted
         client.publish('arm/joint_command', command)
-        client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == accepted + 1)
+        client.spin_until(
+            lambda: node.commands.robots[0].statistics['arm'].accepted == accepted + 1)
         steps(node, round(seconds * 100))
         return node.simulation.robot.state().velocity[0]
     assert velocity_after(1.0) == pytest.approx(0.2, abs=0.004)
@@ -190,7 +191,7 @@ def test_a_part_whose_commands_stop_comes_to_rest_by_default(mode, serve, client
     set_live(client, 'control_mode.arm', mode)
     robot = node.simulation.robot
     client.publish('arm/joint_command', JointState(name=ARM[:1], **{mode: [0.2]}))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     steps(node, 18)
     assert robot.joints.timeouts['arm'] == 0
     assert robot.state().velocity[0] > 0.01
@@ -215,7 +216,7 @@ def test_the_default_timeout_does_not_end_a_target_pose_in_effort_mode(serve, cl
     for axis, value in zip('xyzw', pose.quat_xyzw):
         setattr(goal.pose.orientation, axis, float(value))
     client.publish('right/target_pose', goal)
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     steps(node, 200)
     reached = robot.state().end_effectors['right'].pose.position[0]
     assert reached == pytest.approx(pose.position[0] - 0.05, abs=5e-3)

@@ -136,7 +136,7 @@ def test_objects_that_fall_come_and_go_are_told(serve, client, planner):
     for plan, names in ((plan_with(start, box), {'arena', 'ball', 'box'}),
                         (start, {'arena', 'ball'})):
         node.thread.call(lambda plan=plan: simulation.change_objects(plan))
-        node.executor.create_task(node.world_changed, simulation)
+        node.executor.create_task(node.shared.world_changed)
         client.spin_until(lambda names=names: set(told.world) == names)
 
 
@@ -165,7 +165,7 @@ def test_what_the_fingers_hold_is_attached_until_they_let_go(serve, client, plan
     client.spin_until(lambda: 'part' in told.attached)
     assert 'part' not in told.world
     held = told.attached['part']
-    urdf = urdf_of(node._world, node.simulation.robot.name).xml
+    urdf = urdf_of(node.simulation.world, node.simulation.robot.name).xml
     assert held.object.header.frame_id == held.link_name
     assert {held.link_name} < set(held.touch_links) <= set(
         re.findall('<link name="([^"]+)"', urdf))

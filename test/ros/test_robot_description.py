@@ -157,10 +157,11 @@ def test_dynamics_that_json_cannot_say_are_never_published():
         damping: float
     robot = SimpleNamespace(dynamics=lambda: {'elbow': Joint(math.inf)})
     published = []
-    publisher = robot_description.DynamicsPublisher(
-        SimpleNamespace(create_publisher=lambda *_: SimpleNamespace(publish=published.append),
-                        simulation=SimpleNamespace(timestep_s=0.002, robots={'robot0': robot}),
-                        declared=SimpleNamespace(value=lambda _: False)))
+    publisher = robot_description.DynamicsPublisher(SimpleNamespace(
+        node=SimpleNamespace(
+            create_publisher=lambda *_: SimpleNamespace(publish=published.append)),
+        simulation=SimpleNamespace(timestep_s=0.002, robots={'robot0': robot}),
+        parameters=SimpleNamespace(value=lambda _: False)))
     with pytest.raises(ValueError, match='not JSON compliant'):
         publisher.publish()
     assert not published
@@ -172,11 +173,11 @@ def test_what_a_urdf_leaves_out_is_said_with_the_name_of_the_robot(scope, note, 
     monkeypatch.setattr(robot_description, 'urdfs_of', lambda *_: {
         'robot0': SimpleNamespace(xml='<robot/>', notes=['no a', 'no b'])})
     published, notes = [], []
-    node = SimpleNamespace(
+    context = SimpleNamespace(
         notes=notes, simulation=None, robots={Scope(scope): SimpleNamespace(name='robot0')},
-        declared=SimpleNamespace(value=lambda name: False),
-        create_publisher=lambda kind, topic, qos: SimpleNamespace(
-            publish=lambda message: published.append((topic, message.data))))
-    robot_description.DescriptionPublisher(node, None).publish()
+        parameters=SimpleNamespace(value=lambda name: False),
+        node=SimpleNamespace(create_publisher=lambda kind, topic, qos: SimpleNamespace(
+            publish=lambda message: published.append((topic, message.data)))))
+    robot_description.DescriptionPublisher(context, None, None).started()
     assert notes == [note]
     assert published == [(f'{scope}/robot_description'.lstrip('/'), '<robot/>')]

@@ -52,7 +52,7 @@ def test_an_installed_imu_measures_gravity_and_turning_with_its_noise(
                  command_timeout__arm=0.0)
     assert [row.type for row in node.table if row.name == 'right/imu'] == ['sensor_msgs/Imu']
     client.publish('arm/joint_command', JointState(name=['robot0_joint1'], velocity=[0.3]))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     messages = client.listen(Imu, 'right/imu')
     client.spin_until(lambda: len(messages) > 1)
     repeated = messages[-1]

@@ -88,7 +88,7 @@ def test_start_paused_waits_at_the_first_instant(serve, client):
 def test_a_command_that_came_while_paused_is_used_by_the_next_step(serve, client):
     node = serve(start_paused=True)
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     for _ in range(8):
         trigger(client, 'step')
     assert node.simulation.robot.state().position[0] > 0.01
@@ -111,7 +111,7 @@ def test_reset_puts_the_robot_back_while_time_goes_on(serve, client):
 def test_commands_that_wait_are_dropped_by_a_reset(serve, client):
     node = serve(start_paused=True)
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     trigger(client, 'reset')
     for _ in range(5):
         trigger(client, 'step')
@@ -124,7 +124,7 @@ def test_commands_that_wait_are_dropped_by_a_reset(serve, client):
 def test_a_command_that_came_before_a_call_takes_effect_before_it(serve, client, kind, name):
     node = serve()
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.1]))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     take, begun, goes_on = node.inbox._take, threading.Event(), threading.Event()
 
     def taken_slowly(subscription):
@@ -143,7 +143,7 @@ def test_a_command_that_came_before_a_call_takes_effect_before_it(serve, client,
     goes_on.set()
     client.spin_until(answer.done)
     assert answer.result().success
-    assert node.commands[0].statistics['arm'].accepted == 2
+    assert node.commands.robots[0].statistics['arm'].accepted == 2
     if name == 'reset':
         client.settled(lambda: node.simulation.time_ns > 0)
         assert abs(node.simulation.robot.state().position[0]) < 1e-3
@@ -248,7 +248,7 @@ def test_a_reflex_stops_an_arm_which_refuses_commands_until_it_is_reset(stepping
     log = client.log()
     node = serve(stepping=stepping, reflex__arm__velocity=0.05)
     arrays = client.listen(DiagnosticArray, '/diagnostics')
-    statistics, robot = node.commands[0].statistics['arm'], node.simulation.robot
+    statistics, robot = node.commands.robots[0].statistics['arm'], node.simulation.robot
 
     def go():
         client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[1.0]))
@@ -281,7 +281,7 @@ def test_a_saved_state_is_restored_to_the_last_bit_while_time_goes_on(serve, cli
     states = client.listen(JointState, 'joint_states')
     client.publish('arm/joint_trajectory', JointTrajectory(joint_names=[ARM[0]], points=[
         JointTrajectoryPoint(positions=[0.5], time_from_start=Duration(sec=1))]))
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
 
     def steps():
         for _ in range(10):

@@ -57,7 +57,7 @@ def test_a_joint_of_another_robot_is_rejected(serve, client):
     states = states_of(client, 'left')
     client.spin_until(lambda: states)
     client.publish('right/joint_command', JointState(name=['left_joint1'], position=[0.1]))
-    client.spin_until(lambda: node.commands[1].statistics['joint_command'].rejected == 1)
+    client.spin_until(lambda: node.commands.robots[1].statistics['joint_command'].rejected == 1)
 
 
 @pytest.mark.full
@@ -98,7 +98,7 @@ def test_lockstep_waits_for_every_robot(serve, client):
         message.header.stamp = stamp
         client.publish(f'{robot}/joint_command', message)
     answer('left', left[-1])
-    client.spin_until(lambda: node.commands[0].statistics['joint_command'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['joint_command'].accepted == 1)
     count = len(left)
     client.spin_until(lambda: len(left) > count)  # The present state, repeated.
     assert left[-1].header.stamp == stamp

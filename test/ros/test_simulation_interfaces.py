@@ -102,7 +102,7 @@ def nanoseconds(stamp):
     (codes.SetEntityCode, SetEntityState.Response), (codes.SpawnCode, SpawnEntity.Response),
     (codes.StateCode, SimulationState), (codes.ScopeCode, ResetSimulation.Request),
     (codes.Category, EntityCategory), (codes.BoundsType, Bounds),
-    (codes.Feature, SimulatorFeatures)], ids=lambda kind: kind.__name__)
+    (codes.FeatureCode, SimulatorFeatures)], ids=lambda kind: kind.__name__)
 def test_the_numbers_are_those_of_the_package(ours, theirs):
     assert {code.name: code.value for code in ours} == {
         code.name: getattr(theirs, code.name) for code in ours}

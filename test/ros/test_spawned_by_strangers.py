@@ -3,6 +3,7 @@
 
 """What strangers spawn: it does not hold up a node, and reads nothing that it may not."""
 
+from dataclasses import replace
 import inspect
 import os
 from pathlib import Path
@@ -32,7 +33,7 @@ from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
 from manip_sim.ros.background import begin, in_background, THREAD_NAME
-from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
+from manip_sim.ros.spawned_robots import RequestedRobot
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.startup import leave
 
@@ -58,13 +59,11 @@ class TriggeredSpawning:
     def __init__(self, node, folder):
         self._node = node
         self.request = request()
-        SpawningServices(self, node.simulation, node.thread, node.world_changed,
-                         FilesBelow([folder], 'spawn_roots'),
-                         Plain(SpawnEntity=Trigger, DeleteEntity=Trigger), SpawnedRobots(node))
+        SpawningServices(replace(node.shared, node=self), FilesBelow([folder], 'spawn_roots'),
+                         Plain(SpawnEntity=Trigger, DeleteEntity=Trigger))
 
-    @property
-    def executor(self):
-        return self._node.executor
+    def __getattr__(self, name):
+        return getattr(self._node, name)
 
     def create_service(self, service_type, name, callback, callback_group=None):
         async def answer(_, response):

@@ -329,9 +329,9 @@ def test_a_goal_of_a_robot_ends_with_it_and_its_client_hears_why(spawning, clien
             assert goal.outcome.reason == "robot 'left' was deleted"
             return action.Fibonacci.Result(sequence=[7])
 
-    monkeypatch.setattr(sim_node, 'offer_actions', lambda node: ActionServers(
-        node, lambda robot: [Swing(action.Fibonacci, robot, 'arm',
-                                   lambda: node.thread.progress.time_ns)]))
+    monkeypatch.setattr(sim_node, 'offer_actions', lambda context, commands: ActionServers(
+        context, commands, lambda robot: [Swing(action.Fibonacci, robot, 'arm',
+                                                lambda: context.thread.progress.time_ns)]))
     node = spawning(stepping='realtime')
     before = entities_of(node)
     for _ in range(2):

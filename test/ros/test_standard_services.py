@@ -21,10 +21,11 @@ from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros import spawning_services
+from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_answers import (
-    BoundsType, Category, Feature, ResultCode, ScopeCode, SetEntityCode, SetStateCode, SpawnCode,
-    StateCode)
+    BoundsType, Category, FeatureCode, ResultCode, ScopeCode, SetEntityCode, SetStateCode,
+    SpawnCode, StateCode)
 from manip_sim.ros.standard_services import EntityServices
 from manip_sim.ros.standard_services import SimulationInterfaces
 from manip_sim.runtime import SimulationThread
@@ -65,10 +66,13 @@ class Standard:
         self.simulation = Simulation(self.world)
         self.thread = SimulationThread(self.simulation, steps=5, stepping='free', paused=True)
         self.services, self.groups, self.followed = {}, {}, []
-        SimulationInterfaces(self, TYPES)
-        EntityServices(self, TYPES)
-        SpawningServices(self, self.simulation, self.thread, self.followed.append,
-                         FilesBelow([folder], 'spawn_roots'), TYPES, Plain(names=[]))
+        context = NodeContext(
+            node=self, simulation=self.simulation, thread=self.thread, robots={}, parameters=None,
+            log=None, frame_prefix='', inbox=None, publishing=None, table=[], features=[
+                Plain(world_changed=lambda: self.followed.append(self.simulation))])
+        SimulationInterfaces(context, TYPES)
+        EntityServices(context, TYPES)
+        SpawningServices(context, FilesBelow([folder], 'spawn_roots'), TYPES)
         self.thread.start()
 
     def create_service(self, service_type, name, callback, callback_group=None):
@@ -153,7 +157,7 @@ def test_a_request_for_many_steps_holds_up_no_other(standard):
 def test_features_are_numbers_and_formats_are_told(standard):
     features = standard.call('get_simulator_features').features
     assert {type(number) for number in features.features} == {int}
-    assert set(features.features) == set(Feature)
+    assert set(features.features) == set(FeatureCode)
     assert features.spawn_formats == ['mjcf', 'urdf', 'yaml']
     assert 'control period' in features.custom_info
 
@@ -165,7 +169,7 @@ def test_numbers_are_those_of_version_2_1_of_the_package():
             ResultCode: [0, 1, 2, 3, 4], SetStateCode: [101, 102], SetEntityCode: [101],
             SpawnCode: [101, 102, 103, 104, 105, 106, 109], StateCode: [0, 1, 2],
             ScopeCode: [0, 1, 2, 255], Category: [0, 1], BoundsType: [0],
-            Feature: [0, 1, 8, 9, 10, 11, 20, 22, 24, 25, 26, 31, 32]}.items():
+            FeatureCode: [0, 1, 8, 9, 10, 11, 20, 22, 24, 25, 26, 31, 32]}.items():
         assert [int(code) for code in codes.__members__.values()] == numbers
 
 

@@ -99,7 +99,7 @@ def test_every_number_is_that_of_the_physics_at_its_stamp(serve, client):
     goal = np.array(START) + [0.3, 0.2, -0.25, 0.35, 0.4, -0.2, 0.5]
     client.publish('joint_command', JointState(
         name=[*ARM, FINGERS[0]], position=[*goal, 0.0]))
-    client.spin_until(lambda: node.commands[0].statistics['joint_command'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['joint_command'].accepted == 1)
     for _ in range(10):
         node.thread.step()
     told = of_stamp(client, received, node.simulation.time_ns)

@@ -102,7 +102,7 @@ def test_free_stepping_waits_for_nothing(serve, client):
 def test_ten_commands_at_once_are_all_taken(serve, client):
     node = serve()
     publisher = client.publisher(JointState, 'joint_command')
-    accepted = node.commands[0].statistics['joint_command']
+    accepted = node.commands.robots[0].statistics['joint_command']
     for burst in range(1, 4):
         released = []
         # The executor takes nothing meanwhile, as if the machine were busy.
@@ -131,7 +131,7 @@ def test_a_trajectory_with_a_stamp_ahead_starts_at_that_instant(serve, client):
         time_from_start=Duration(nanosec=500_000_000))])
     message.header.stamp.nanosec = 310_000_000
     client.publish('arm/joint_trajectory', message)
-    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
     way = {}
     for _ in range(100):
         node.thread.step()

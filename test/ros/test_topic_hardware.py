@@ -62,7 +62,7 @@ def reaches(hardware, goal, tolerance=ARM_TOLERANCE):
 
 
 def rejected(node):
-    return sum(statistics.rejected for statistics in node.commands[0].statistics.values())
+    return sum(statistics.rejected for statistics in node.commands.robots[0].statistics.values())
 
 
 # What the hardware sends.
@@ -271,7 +271,7 @@ def test_a_velocity_in_position_mode_is_rejected_with_the_reason(serve, client, 
     start = positions(hardware, ARM)
     hardware.claim('position', shifted(hardware, ARM, 0.05))
     hardware.claim('velocity', dict.fromkeys(ARM, 0.0))
-    until(hardware, lambda: node.commands[0].statistics['joint_command'].rejected > 5)
+    until(hardware, lambda: node.commands.robots[0].statistics['joint_command'].rejected > 5)
     client.spin_until(lambda: any('joint_command' in line and 'velocity' in line for line in log))
     hardware.read()
     assert reaches(hardware, start, FINGER_TOLERANCE)()
@@ -285,7 +285,7 @@ def test_an_infinite_command_is_rejected_as_a_whole(infinity, serve, client, con
     hardware = connect(tag(ARM, 'position'))
     start = positions(hardware, ARM)
     hardware.claim('position', shifted(hardware, ARM, 0.05) | {ARM[3]: infinity})
-    until(hardware, lambda: node.commands[0].statistics['joint_command'].rejected > 5)
+    until(hardware, lambda: node.commands.robots[0].statistics['joint_command'].rejected > 5)
     client.spin_until(lambda: any('must be finite' in line for line in log))
     hardware.read()
     assert reaches(hardware, start, FINGER_TOLERANCE)()
@@ -297,7 +297,7 @@ def test_an_infinite_command_is_rejected_as_a_whole(infinity, serve, client, con
 def test_a_message_that_cannot_be_matched_is_rejected(names, position, serve, client):
     node = serve(prefix='panda_')
     client.publish('joint_command', JointState(name=names, position=position))
-    client.spin_until(lambda: node.commands[0].statistics['joint_command'].rejected == 1)
+    client.spin_until(lambda: node.commands.robots[0].statistics['joint_command'].rejected == 1)
 
 
 # What happens when the controller manager is silent, ends, or meets lock-step.

@@ -153,14 +153,14 @@ def test_frames_of_objects_come_and_go(serve, records):
     wait_for(thread, lambda: sim.step_count > before + 50)
     # The old tree does not fit any more; the thread waits for the new one, and lives.
     assert len(moving.messages) == count and thread.error is None
-    node.world_changed(sim)
+    node.shared.world_changed()
     wait_for(thread, lambda: len(moving.messages) > count)
     ball = moving.latest['ball']
     assert ball.header.frame_id == 'world' and ball.transform.translation.x == 1.5
     assert len(static.messages) == 2
     thread.call(lambda: sim.change_objects(plan_without(sim.plan, 'ball')))
     count = len(moving.messages)
-    node.world_changed(sim)
+    node.shared.world_changed()
     wait_for(thread, lambda: len(moving.messages) > count)
     assert 'ball' not in moving.latest and 'robot0_link1' in moving.latest
 
@@ -183,7 +183,7 @@ def test_frames_come_with_the_nearest_rate_there_is(serve, records, tf_rate, per
     stamps = [nanoseconds_of(m.transforms[0].header.stamp) for m in moving.messages]
     # The first one is that of the start.
     assert set(np.diff(stamps[1:])) == {period_ms * 1_000_000}
-    notes = [note for note in node.notes if note.startswith('tf_rate')]
+    notes = [note for note in node.shared.notes if note.startswith('tf_rate')]
     assert bool(notes) == bool(told) and all(told in note for note in notes)
 
 
@@ -293,7 +293,7 @@ def test_an_object_that_comes_does_not_rename_the_frame_of_the_odometry(serve, c
     node.thread.call(lambda: node.thread.change(
         'spawn', 'odom', None, BALL['position'], [1.0, 0.0, 0.0, 0.0],
         using=plan_with(node.simulation.plan, box)))
-    node.world_changed(node.simulation)
+    node.shared.world_changed()
     count = len(moving.messages)
     assert client.call(Trigger, 'manip_sim/step').success
     client.spin_until(lambda: len(moving.messages) > count)

@@ -272,7 +272,7 @@ def change_objects(node, change):
     def serve():
         plan = change(simulation.plan)
         node.thread.call(lambda: simulation.change_objects(plan))
-        node.world_changed(simulation)
+        node.shared.world_changed()
     node.executor.create_task(serve)
 
 

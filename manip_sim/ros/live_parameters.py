@@ -1,0 +1,95 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Live parameters: their values act, and they show the values that act."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import contextlib
+from functools import partial
+from typing import Any
+
+from rclpy.parameter import Parameter
+
+from manip_sim.errors import SimulationEnded
+from manip_sim.interface.scope import Scope
+from manip_sim.ros.feature import Feature
+from manip_sim.ros.node_context import NodeContext
+from manip_sim.sensing.settings import QUANTITIES
+from manip_sim.simulation import SimulatedRobot
+
+
+class LiveParameters(Feature):
+    """The parameters that may change while the node runs."""
+
+    def __init__(self, context: NodeContext) -> None:
+        self._context = context
+        thread = context.thread
+        self._robots: dict[Scope, SimulatedRobot] = {}
+        #: Functions that use a value, by the name of the parameter.
+        self._uses: dict[str, Callable[[Any], object]] = {
+            'real_time_factor': thread.set_real_time_factor, 'pause_at': thread.pause_at,
+            'seed': partial(setattr, thread, 'next_seed'),
+            'keyframe': partial(thread.change, 'keyframe')}
+        for scope, robot in context.robots.items():
+            self.robot_added(scope, robot)
+
+    def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
+        self._robots[scope] = robot
+        parameters = self._context.parameters
+        for setting, acting in robot.settings.items():
+            name = scope.parameter(setting)
+            self._uses[name] = self._use_of(scope, robot, setting)
+            # Values that randomization has drawn stay, unless the user sets others.
+            if name in parameters.names and parameters.value(name) != acting and (
+                    parameters.value(name) or setting not in QUANTITIES):
+                self._uses[name](parameters.value(name))
+
+    def robot_removed(self, scope: Scope) -> None:
+        for setting in self._robots.pop(scope).settings:
+            self._uses.pop(scope.parameter(setting), None)
+
+    def _use_of(self, scope: Scope, robot: SimulatedRobot, setting: str
+                ) -> Callable[[Any], object]:
+        """Return the function that changes a setting of a robot."""
+        change = partial(self._context.thread.change, *_operation(robot.name, setting))
+        if not setting.startswith('command_timeout.'):
+            return change
+        name, is_set = scope.parameter(setting), self._context.parameters.is_set
+        # A Cartesian target comes to rest by itself: only a timeout that was set ends it.
+        return lambda value: change(value, is_set(name))
+
+    def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name in self._uses:
+                self._context.thread.call(partial(self._uses[parameter.name], parameter.value))
+
+    def show(self) -> None:
+        """Let parameters have the values that act, as a reset or a restored state changes them."""
+        with contextlib.suppress(SimulationEnded):
+            self._context.parameters.show(*self._context.thread.call(self._acting))
+
+    def _acting(self) -> tuple[dict[str, Any], dict[str, bool]]:
+        """Return acting values by name, and for timeouts whether they end Cartesian targets."""
+        simulation, seed = self._context.simulation, self._context.thread.next_seed
+        values: dict[str, Any] = {
+            'seed': simulation.seed if seed is None else seed,
+            'keyframe': simulation.episode_start.keyframe}
+        timeouts: dict[str, bool] = {}
+        for scope, robot in self._robots.items():
+            settings = {scope.parameter(name): value for name, value in robot.settings.items()}
+            begin = scope.parameter('command_timeout.')
+            values.update(settings)
+            timeouts.update({
+                name: robot.joints.ends_targets(name.removeprefix(begin))
+                for name, value in settings.items() if name.startswith(begin) and value})
+        return values, timeouts
+
+
+def _operation(robot: str, setting: str) -> tuple[str, ...]:
+    """Return the operation that changes a setting of a robot, and its arguments but the value."""
+    group, *which = setting.split('.')
+    if setting in QUANTITIES:
+        return 'sensing', robot, setting
+    return {'control_mode': 'mode', 'command_timeout': 'timeout'}.get(group, group), robot, *which
