@@ -5,6 +5,7 @@
 
 import ast
 from collections import Counter
+from graphlib import TopologicalSorter
 import importlib
 from pathlib import Path
 import re
@@ -104,6 +105,31 @@ def test_a_module_imports_from_its_own_layer_or_below():
 
 def _is_standard(name):
     return name in sys.stdlib_module_names
+
+
+#: Rooms in which modules still import each other in circles, for their types.
+CIRCULAR = {'models', 'simulation', 'tasks', 'testing'}
+
+
+def imported_modules(path):
+    """Yield the names of all that a module imports, modules or not, those for types too."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+
+
+@pytest.mark.full
+def test_modules_of_a_room_import_each_other_in_no_circle_for_types_either():
+    names = {path: '.'.join(path.relative_to(PACKAGE.parent).with_suffix('').parts)
+             for path in MODULES if path.name != '__init__.py'}
+    for place in {room(path) for path in names} - CIRCULAR:
+        modules = {name: path for path, name in names.items() if room(path) == place}
+        # An error names the modules of the circle.
+        TopologicalSorter({name: [other for other in imported_modules(path) if other in modules]
+                           for name, path in modules.items()}).prepare()
 
 
 #: Where fields of messages, which are named like modes, are told apart.

@@ -1,12 +1,13 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish what the present episode began with, and serve the task that is done in it."""
+"""Publish the start of the present episode, the task that is done in it, and the journal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import json
+import time
 from typing import Any
 
 import mujoco
@@ -16,13 +17,15 @@ from std_msgs.msg import String
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.resources import package_version
 from manip_sim.ros.feature import Feature
-from manip_sim.ros.lazy_publishers import create_publisher
+from manip_sim.ros.lazy_publishers import create_output, create_publisher
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import start, Task
 
 #: Of how many episodes the digests are kept for states that are restored.
 _REMEMBERED = 1000
+#: How often what has come is published, wall time [s].
+_JOURNAL_S = 0.05
 
 
 class EpisodePublisher(Feature):
@@ -130,3 +133,54 @@ class TaskPublisher(Feature):
             'stamp_ns': simulation.time_ns, 'success': bool(self._task.success(simulation)),
             'reward': float(self._task.reward(simulation)),
             'goal': self._task.goal(simulation).tolist()})))
+
+
+class JournalPublisher(Feature):
+    """
+    The publisher of ``~/journal``: JSON with the keys ``number``, from 0, and ``entries``.
+
+    The entries are those of :class:`manip_sim.runtime.journal.Journal`. It begins, with the
+    present state, for each new subscriber, and ends when the last one has gone.
+
+    :param context: with all parameters declared
+    :param task: that is served, or None
+    """
+
+    def __init__(self, context: NodeContext, task: TaskPublisher | None) -> None:
+        self._output = create_output(context, BY_NAME['~/journal'])
+        self._operations = context.thread.changes.operations
+        self._journal = context.thread.changes.journal
+        # Those that change while the node runs are in the state, too.
+        self._parameters = context.parameters.values
+        self._task = task
+        self._subscribers = self._number = 0
+        self._published_s = 0.0
+        context.thread.observe(self._follow, look=self._look)
+
+    def _look(self) -> bool:
+        if self._journal.active and not self._output.has_subscribers:
+            self._journal.end()
+            self._subscribers = 0
+        return self._output.has_subscribers
+
+    def _follow(self, simulation: Simulation) -> None:
+        count = self._output.subscribers
+        if count > self._subscribers or self._journal.incomplete:
+            self._journal.begin({
+                'parameters': self._parameters,
+                'objects': self._operations.objects,
+                'task_seed': None if self._task is None else self._task.seed}, self._publish)
+        self._subscribers = count
+        now_s = time.monotonic()
+        if now_s >= self._published_s + _JOURNAL_S:
+            self._published_s = now_s
+            self._journal.flush()
+
+    def _publish(self, entries: Sequence[Any]) -> None:
+        self._output.publish(String(data=json.dumps({'number': self._number, 'entries': entries},
+                                                    separators=(',', ':'))))
+        self._number += 1
+
+    def close(self) -> None:
+        """Publish what is left."""
+        self._journal.end()

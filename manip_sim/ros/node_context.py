@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from rclpy.node import Node
@@ -54,7 +53,7 @@ class NodeContext:
     table: list[Topic]
     notes: list[str] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
-    features: Sequence[Feature] = ()
+    features: list[Feature] = field(default_factory=list)
     is_built: bool = False
 
     def world_changed(self) -> None:

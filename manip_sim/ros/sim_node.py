@@ -35,10 +35,10 @@ from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
-from manip_sim.ros.episode_publishers import EpisodePublisher, TaskPublisher
+from manip_sim.ros.episode_publishers import (
+    EpisodePublisher, JournalPublisher, TaskPublisher)
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
-from manip_sim.ros.journal_publisher import JournalPublisher
 from manip_sim.ros.lidar_publishers import Lidars
 from manip_sim.ros.live_parameters import LiveParameters
 from manip_sim.ros.node_context import NodeContext
@@ -69,6 +69,11 @@ class SimNode(Node):
     :param arguments: further arguments of ``rclpy.node.Node``, such as ``context`` and
         ``parameter_overrides``
     :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
+    :ivar declared: its parameters
+    :ivar simulation: the simulation that it serves
+    :ivar thread: the simulation's thread
+    :ivar rejections: rejected messages and failures
+    :ivar shared: the context of its features, and the features
     """
 
     actions: ActionServers | None = None
@@ -84,7 +89,6 @@ class SimNode(Node):
         except RCLError as error:
             raise ManipSimError(without_source(error)) from error
         self.rejections = RejectionLog(self.get_logger())
-        self.features: list[Feature] = []
         #: What ends the threads that there are.
         self._ends = contextlib.ExitStack()
         try:
@@ -105,51 +109,52 @@ class SimNode(Node):
         self.declared.check_names()
         for scope, robot in robots.items():
             self.declared.couple(scope, robot.parts)
-        self._begin_threads(composition, robots)
+        self.shared = self._create_context(composition, robots)
+        self.thread = self.shared.thread
         self.table += topics_of_world(
             [(scope, robot.parts, robot.joints.twist_indices is not None)
              for scope, robot in robots.items()],
             cameras={name: images.depth for name, images in cameras.items()},
             task=composition.task is not None, surroundings=self.simulation.surroundings,
             lidars={lidar.name: lidar.rays.rings > 1 for lidar in self._world.lidars})
-        self.shared = NodeContext(
-            self, self.simulation, self.thread, robots, self.declared, self.rejections,
-            check_frame_prefix(self.declared.value('frame_prefix')), self.inbox, self.publishing,
-            self.table, features=self.features)
         self._add_features(self.shared, composition, cameras)
         self._parameters_changed([])
         check_qos_names(self)
         self.shared.is_built = True
         self.add_post_set_parameters_callback(self._parameters_changed)
 
-    def _begin_threads(self, composition: Composition, robots: Mapping[Scope, SimulatedRobot]
-                       ) -> None:
+    def _create_context(self, composition: Composition, robots: dict[Scope, SimulatedRobot]
+                        ) -> NodeContext:
+        """Create the threads, which do not run yet, and all that the features share."""
         value = self.declared.value
-        self.inbox = create_command_inbox(self, self.rejections)
+        frame_prefix = check_frame_prefix(value('frame_prefix'))
+        inbox = create_command_inbox(self, self.rejections)
         lockstep = value('stepping') == 'lockstep'
-        self._command_thread = (None if self.inbox is None or lockstep
-                                else CommandThread(self.inbox))
+        self._command_thread = None if inbox is None or lockstep else CommandThread(inbox)
         # In lock-step, the thread of the physics waits for the answer to a state in any case.
-        self.publishing = None if lockstep else PublishingThread(_MOST[value('stepping')])
-        self.thread = SimulationThread(
+        publishing = None if lockstep else PublishingThread(_MOST[value('stepping')])
+        thread = SimulationThread(
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot) for scope, robot in robots.items()},
             value('start_paused'),
             lambda what, error: self.rejections.failure('commands', what, error),
-            self.inbox if lockstep else None,
+            inbox if lockstep else None,
             None if self._command_thread is None else self._command_thread.take,
-            None if self.publishing is None else self.publishing.flush,
+            None if publishing is None else publishing.flush,
             lockstep and any(ARENA in value(scope.parameter('lockstep_parts'))
                              for scope in robots))
         self._check_lockstep(robots)
-        self.thread.pause_at(value('pause_at'))
+        thread.pause_at(value('pause_at'))
         # The last that is added here is the first to end.
-        if self.publishing is not None:
-            self._ends.callback(self.publishing.stop)
+        if publishing is not None:
+            self._ends.callback(publishing.stop)
         self._ends.callback(self._close_features)
-        self._ends.callback(self.thread.stop)
+        self._ends.callback(thread.stop)
         if self._command_thread is not None:
             self._ends.callback(self._command_thread.stop)
+        return NodeContext(
+            self, self.simulation, thread, robots, self.declared, self.rejections,
+            frame_prefix, inbox, publishing, self.table)
 
     def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
         # In ROS parameters, a list with one empty string stands for an empty list of strings.
@@ -172,7 +177,7 @@ class SimNode(Node):
             raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
 
     def _add(self, feature: F) -> F:
-        self.features.append(feature)
+        self.shared.features.append(feature)
         return feature
 
     def _add_features(self, context: NodeContext, composition: Composition,
@@ -210,7 +215,7 @@ class SimNode(Node):
     def _parameters_changed(self, parameters: list[Parameter]) -> None:
         # After the end of the simulation there is nothing to change.
         with contextlib.suppress(SimulationEnded):
-            for feature in self.features:
+            for feature in self.shared.features:
                 feature.parameters_changed([] if self.declared.showing else parameters)
             self.thread.observers.look_again()
 
@@ -256,7 +261,7 @@ class SimNode(Node):
         if not kept:
             self.get_logger().info('Compiling control laws, once, which takes up to a minute')
             _load_laws()
-        for feature in self.features:
+        for feature in self.shared.features:
             feature.start()
         self._live.show()
         self.thread.start()
@@ -265,7 +270,7 @@ class SimNode(Node):
         if kept and self.declared.value('stepping') == 'realtime':
             # The first command should not wait for them.
             threading.Thread(target=_load_laws, name='laws').start()
-        for feature in self.features:
+        for feature in self.shared.features:
             feature.started()
         log_start(self.shared, self._world)
 
@@ -278,7 +283,7 @@ class SimNode(Node):
     def ended_thread(self) -> str:
         """Which thread of the node has ended unexpectedly; empty if none has."""
         threads = {'the thread that takes commands': self._command_thread,
-                   'the thread that publishes': self.publishing}
+                   'the thread that publishes': self.shared.publishing}
         return next((what for what, thread in threads.items()
                      if thread is not None and not thread.is_alive), '')
 
@@ -292,7 +297,7 @@ class SimNode(Node):
         self._ends.close()
 
     def _close_features(self) -> None:
-        for feature in reversed(self.features):
+        for feature in reversed(self.shared.features):
             feature.close()
 
 

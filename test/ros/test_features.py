@@ -55,7 +55,7 @@ def recorded(serve, monkeypatch):
 
     def add_recorders(node, context, *arguments):
         add(node, context, *arguments)
-        node.features += [Recorder(name, context, calls) for name in ('a', 'b')]
+        node.shared.features += [Recorder(name, context, calls) for name in ('a', 'b')]
     monkeypatch.setattr(SimNode, '_add_features', add_recorders)
     node = serve(arena='table')
     return node, calls

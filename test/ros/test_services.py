@@ -125,13 +125,13 @@ def test_a_command_that_came_before_a_call_takes_effect_before_it(serve, client,
     node = serve()
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.1]))
     client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
-    take, begun, goes_on = node.inbox._take, threading.Event(), threading.Event()
+    take, begun, goes_on = node.shared.inbox._take, threading.Event(), threading.Event()
 
     def taken_slowly(subscription):
         begun.set()
         assert goes_on.wait(START_S)
         take(subscription)
-    node.inbox._take = taken_slowly
+    node.shared.inbox._take = taken_slowly
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
     client.spin_until(begun.is_set)
     caller = client.node.create_client(kind, f'manip_sim/{name}')

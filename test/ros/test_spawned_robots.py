@@ -72,7 +72,7 @@ def entities_of(node):
             'parameters': len(node._parameters), 'table': len(node.table),
             'threads': len(threading.enumerate()),
             'observers': len(node.thread.observers._all),
-            'group': len(node.inbox.group.entities)}
+            'group': len(node.shared.inbox.group.entities)}
 
 
 @pytest.mark.full

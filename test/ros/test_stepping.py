@@ -155,7 +155,7 @@ def test_commands_that_came_before_a_step_count_in_it(serve, client):
     node = serve(start_paused=True)
     client.state()
     # The thread that takes commands is late, and takes none by itself.
-    node.inbox.wait = lambda timeout_s: time.sleep(0.01)
+    node.shared.inbox.wait = lambda timeout_s: time.sleep(0.01)
     publisher = client.publisher(JointState, 'joint_command')
     for goal in (0.3, -0.2, 0.4):
         publisher.publish(JointState(name=['robot0_joint1'], position=[goal]))
