@@ -150,6 +150,19 @@ def test_it_has_parameters_a_description_and_is_in_the_model(spawning, client):
 
 
 @pytest.mark.full
+def test_noise_of_a_robot_goes_with_it(spawning, client):
+    node = spawning()
+    for noise in (0.01, 0.0):
+        come(client, text='{robot: Panda}')
+        node.set_parameters([Parameter('left.noise.joint_position', value=noise)])
+        exact = {row.name for row in node.table if row.name.startswith('left/truth/')}
+        assert exact.issuperset(
+            {'left/truth/joint_states', 'left/truth/sensors/left_right_imu/imu'}) or not noise
+        assert not exact or noise
+        go(client)
+
+
+@pytest.mark.full
 def test_a_trajectory_ends_with_its_robot_and_those_of_others_go_on(spawning, client):
     node = spawning(stepping='realtime')
     for name, y in (('first', 2.0), ('second', -2.0)):
