@@ -10,6 +10,7 @@ It imports little, so that signals are handled as soon as a program begins.
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import select
 import signal
@@ -17,7 +18,10 @@ import sys
 
 TYPE_CHECKING = False  # As in typing, whose import would take longer than all others here.
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+
+#: Files with the quota of a cgroup and its period [us], in version 2 and 1.
+_QUOTA_2, _QUOTA_1 = ('cpu.max',), ('cpu.cfs_quota_us', 'cpu.cfs_period_us')
 
 
 def run_program(program: Callable[[], int]) -> int:
@@ -122,10 +126,58 @@ def _end_signals() -> list[signal.Signals]:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN]
 
 
-def processors() -> int:
-    """Return the number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
+def processors(root: str = '') -> int:
+    """
+    Return the number of processors that this process may use, at least 1.
+
+    It is that of its CPU affinity, or of the least quota among its cgroups (versions 2 and 1) and
+    those above them, rounded up. A quota that cannot be read does not count.
+
+    :param root: folder with ``proc`` and ``sys``
+    """
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
         os.cpu_count() or 1)
+    return min([allowed, *_quotas(root)])
+
+
+def _quotas(root: str) -> Iterator[int]:
+    """Yield the numbers of processors that quotas allow, rounded up."""
+    for folder, names in _cgroups(root):
+        found = ' '.join(_text(f'{folder}/{name}') for name in names)
+        try:
+            quota_us, period_us = map(int, found.split())
+        except ValueError:  # Such as max, or nothing.
+            continue
+        if quota_us > 0 and period_us > 0:
+            yield -(-quota_us // period_us)
+
+
+def _cgroups(root: str) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield folders of the cgroups of this process and above, and the files with their quotas."""
+    mounted = f'{root}/sys/fs/cgroup'
+    for line in _text(f'{root}/proc/self/cgroup').splitlines():
+        _, controllers, path = line.split(':', 2) if line.count(':') > 1 else ('', 'odd', '')
+        if not controllers:
+            mounts, names = [mounted, f'{mounted}/unified'], _QUOTA_2
+        elif 'cpu' in controllers.split(','):
+            mounts, names = [f'{mounted}/cpu', f'{mounted}/{controllers}'], _QUOTA_1
+        else:
+            continue
+        below = [name for name in path.split('/') if name]
+        if '..' in below:  # The process was moved out of what the container sees.
+            below = []
+        # In a container, its own cgroup may be the root, and the path that of the host.
+        for mount, depth in itertools.product(mounts, range(len(below) + 1)):
+            yield '/'.join([mount, *below[:depth]]), names
+
+
+def _text(path: str) -> str:
+    """Return the text of a file, none if it cannot be read."""
+    try:
+        with open(path, encoding='ascii', errors='replace') as file:
+            return file.read()
+    except (OSError, ValueError):
+        return ''
 
 
 def use_one_blas_thread() -> None:

@@ -12,6 +12,7 @@ import sys
 import pytest
 
 from manip_sim.examples import __main__ as examples
+from manip_sim.startup import processors
 
 IMPORT = """
 import os, sys
@@ -264,3 +265,60 @@ def test_a_command_looks_for_garbage_while_it_runs():
     done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                           check=True)
     assert done.stdout.splitlines()[-1] == 'True True'
+
+
+def processors_with(root, monkeypatch, allowed=64, **files):
+    """Return the processors of a process in a file tree of its own, by paths below its root."""
+    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: set(range(allowed)), raising=False)
+    for path, text in files.items():
+        file = root / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(text.encode() if isinstance(text, str) else text)
+    return processors(str(root))
+
+
+CGROUP, V2, V1 = 'proc/self/cgroup', 'sys/fs/cgroup/', 'sys/fs/cgroup/cpu,cpuacct/'
+
+
+@pytest.mark.parametrize('files, expected', [
+    ({}, 64),
+    # Version 2: in a container, of which the root is the cgroup; below limits; without one.
+    ({CGROUP: '0::/\n', f'{V2}cpu.max': '800000 100000\n'}, 8),
+    ({CGROUP: '0::/\n', f'{V2}cpu.max': 'max 100000\n'}, 64),
+    ({CGROUP: '0::/\n', f'{V2}cpu.max': '150000 100000\n'}, 2),
+    ({CGROUP: '0::/\n', f'{V2}cpu.max': '1000 100000\n'}, 1),
+    ({CGROUP: '0::/\n', f'{V2}cpu.max': '9900000 100000\n'}, 64),
+    ({CGROUP: '0::/job/step\n', f'{V2}job/cpu.max': '300000 100000\n',
+      f'{V2}job/step/cpu.max': '700000 100000\n'}, 3),
+    ({CGROUP: '0::/job/step\n', f'{V2}job/cpu.max': 'max 100000\n',
+      f'{V2}job/step/cpu.max': '700000 100000\n', f'{V2}other/cpu.max': '1 1\n'}, 7),
+    ({CGROUP: '0::/docker/0123\n', f'{V2}cpu.max': '400000 100000\n'}, 4),
+    ({CGROUP: '0::/../other\n', f'{V2}cpu.max': '400000 100000\n',
+      'sys/fs/other/cpu.max': '1 1'}, 4),
+    ({CGROUP: '0::/a:b/c d\n', f'{V2}a:b/c d/cpu.max': '500000 100000\n'}, 5),
+    # Version 1, alone and beside version 2.
+    ({CGROUP: '3:cpu,cpuacct:/job\n2:cpuset:/\n', f'{V1}job/cpu.cfs_quota_us': '600000\n',
+      f'{V1}job/cpu.cfs_period_us': '100000\n'}, 6),
+    ({CGROUP: '3:cpu,cpuacct:/docker/0123\n', f'{V1}cpu.cfs_quota_us': '250000\n',
+      f'{V1}cpu.cfs_period_us': '50000\n'}, 5),
+    ({CGROUP: '1:cpu:/\n0::/\n', 'sys/fs/cgroup/cpu/cpu.cfs_quota_us': '-1\n',
+      'sys/fs/cgroup/cpu/cpu.cfs_period_us': '100000\n',
+      f'{V2}unified/cpu.max': '900000 100000\n'}, 9),
+    # Odd files are no limit, and hide none.
+    *[({CGROUP: '0::/a\n', f'{V2}cpu.max': '600000 100000', f'{V2}a/cpu.max': odd}, 6)
+      for odd in ('', '5', '0 100000', '-5 100000', '5 0', '5 100000 9', 'many few', b'\xff\x00',
+                  f'{"9" * 5000} 1')],
+    *[({CGROUP: odd, f'{V2}cpu.max': '600000 100000'}, 64) for odd in ('', 'cpu', '5:pids:/')],
+    ({CGROUP: 'odd\n0::/\n\xfc', f'{V2}cpu.max': '600000 100000'}, 6)])
+def test_processors_are_as_many_as_quotas_of_cgroups_allow(files, expected, tmp_path, monkeypatch):
+    assert processors_with(tmp_path, monkeypatch, **files) == expected
+
+
+def test_a_quota_allows_no_more_processors_than_the_affinity(tmp_path, monkeypatch):
+    files = {CGROUP: '0::/\n', f'{V2}cpu.max': '800000 100000\n'}
+    assert processors_with(tmp_path, monkeypatch, 2, **files) == 2
+
+
+def test_files_of_cgroups_that_cannot_be_read_are_no_limit(tmp_path, monkeypatch):
+    (tmp_path / V2 / 'cpu.max').mkdir(parents=True)
+    assert processors_with(tmp_path, monkeypatch, 3, **{CGROUP: '0::/\0/\n'}) == 3

@@ -8,6 +8,7 @@ from __future__ import annotations
 import atexit
 from collections.abc import Iterator, Sequence
 import functools
+import os
 import pickle
 import socket
 from typing import Any
@@ -17,6 +18,7 @@ from manip_sim.experiments.experiment import Experiment
 from manip_sim.experiments.processes import WorkerPool
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
+from manip_sim.startup import processors
 
 #: Seeds of one of Ray's tasks: seconds of work, beside which its overhead is small.
 _SEEDS_OF_TASK = 8
@@ -44,7 +46,7 @@ def run_on_ray(experiment: Experiment, seeds: Sequence[int], address: str | None
     started = not ray.is_initialized()
     if started:
         try:
-            ray.init(address=address, num_cpus=count if address is None else None,
+            ray.init(address=address, num_cpus=_processors_of_new_cluster(address, count),
                      log_to_driver=False, include_dashboard=False, logging_level='warning')
         except Exception as error:  # Ray raises many types.
             raise ManipSimError(f'Ray: {one_line(str(error), 300)}') from error
@@ -53,6 +55,11 @@ def run_on_ray(experiment: Experiment, seeds: Sequence[int], address: str | None
     finally:
         if started:
             ray.shutdown()
+
+
+def _processors_of_new_cluster(address: str | None, count: int | None) -> int | None:
+    """Return the processors of a cluster that Ray starts here; None if it connects to one."""
+    return count or processors() if address is None and 'RAY_ADDRESS' not in os.environ else None
 
 
 def _check_answered(address: str) -> None:

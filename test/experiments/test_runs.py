@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,10 +22,10 @@ parquet = pytest.importorskip('pyarrow.parquet', reason='pyarrow is not installe
 pytest.importorskip('tqdm', reason='tqdm is not installed')
 
 from manip_sim.cli.main import main  # noqa: E402
-from manip_sim.errors import ModelError  # noqa: E402
+from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
 from manip_sim.experiments import (  # noqa: E402
     Experiment, parse_seeds, parse_shard, wilson_interval, Worker)
-from manip_sim.experiments import processes  # noqa: E402
+from manip_sim.experiments import on_ray, processes  # noqa: E402
 from manip_sim.experiments.policies import flat, load_policy, policy_content  # noqa: E402
 from manip_sim.experiments.run_folder import spans  # noqa: E402
 from manip_sim.experiments.summary import TIMES  # noqa: E402
@@ -734,3 +735,25 @@ def test_a_policy_that_returns_chunks_is_repeated_to_the_last_bit(tmp_path, caps
     assert all(row['success'] for row in rows(out))
     assert main(['replay', '--verify', str(out)]) == 0
     assert '2 of 2 equal' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('address, count, ray_address, expected', [
+    (None, None, None, 3), (None, 5, None, 5), (None, None, '10.0.0.1:6379', None),
+    (None, 5, '10.0.0.1:6379', None), ('auto', 5, None, None)])
+def test_ray_is_given_the_processors_only_of_a_cluster_that_it_starts(
+        address, count, ray_address, expected, monkeypatch):
+    given = []
+
+    def init(**keywords):
+        given.append(keywords['num_cpus'])
+        raise RuntimeError('no cluster')
+
+    monkeypatch.setitem(sys.modules, 'ray', SimpleNamespace(
+        init=init, is_initialized=lambda: False))
+    monkeypatch.setattr(on_ray, 'processors', lambda: 3)
+    monkeypatch.delenv('RAY_ADDRESS', raising=False)
+    if ray_address is not None:
+        monkeypatch.setenv('RAY_ADDRESS', ray_address)
+    with pytest.raises(ManipSimError, match='Ray: no cluster'):
+        list(on_ray.run_on_ray(Experiment(Setting('reach'), 'expert'), [0], address, count))
+    assert given == [expected]
