@@ -338,7 +338,7 @@ class JointController(ControlledJoints):
         :param period_s: length of the period [s]
         :param interval_s: length of its first interval, if setpoints move [s]
         """
-        self.cartesian.period_s = period_s
+        self.cartesian.period_s, self.cartesian.interval_s = period_s, interval_s
         self._setpoints.now_s, self._setpoints.interval_s = now_s, interval_s
         for command in list(self.commands.running):
             if isinstance(command, CartesianCommand):

@@ -281,3 +281,19 @@ def test_a_drawn_latency_acts_to_the_timestep_and_not_besides_a_given_one(tmp_pa
             Setting('reach', latency=0.1, **drawn).create_episode()
     # Each step later, the joint has come a little less far; 52 ms are one step after a period.
     assert (np.diff(ways) < -5e-4).all()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(('rate_hz', 'timestep_s'), [
+    (20, 0.002), (20, 0.001), (25, 0.002), (10, 0.002)])
+def test_a_later_command_moves_the_end_effector_less_far(rate_hz, timestep_s):
+    heights = []
+    task = create_task('reach', timestep_s=timestep_s)
+    for steps in range(8):
+        episode = Episode(task, Simulation(task.world), 1.0 / rate_hz, latency=steps * timestep_s)
+        episode.reset(7)
+        heights.append([])
+        for _ in range(6):
+            episode.step([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+            heights[-1].append(episode.observation['eef_pose'][0, 2])
+    assert (np.diff(heights, axis=0) < 0.0).all()

@@ -60,8 +60,11 @@ class CartesianController:
     :ivar settings: by arm
     :ivar reports: by arm
     :ivar period_s: length of the control period [s]
+    :ivar interval_s: length of the intervals in which setpoints move in this part of it [s]
     :ivar posture: that redundant arms tend to [rad], shape (n,)
     """
+
+    not_in_digest = ('interval_s',)
 
     def __init__(self, physics: Physics, chains: Mapping[str, KinematicChain],
                  names: Sequence[str], servos: Servos, setpoints: SetpointGenerator) -> None:
@@ -74,7 +77,7 @@ class CartesianController:
         self._low, self._high = servos.position_clamp().T
         self.settings = {arm: CartesianSettings() for arm in chains}
         self.reports = {arm: CartesianReport(arm) for arm in chains}
-        self.period_s = self._timestep_s = float(physics.model.opt.timestep)
+        self.period_s = self.interval_s = self._timestep_s = float(physics.model.opt.timestep)
         self._targets: dict[str, Target] = {}
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in chains}
@@ -254,9 +257,10 @@ class CartesianController:
         return targets, count
 
     def _solution_s(self, duration_s: float) -> float:
-        """Return for how long a solution of the kinematics is used [s]."""
+        """Return for how long a solution of the kinematics is used [s]: for whole intervals."""
         parts = max(1, math.ceil(self.period_s / _LONGEST_INTERVAL_S - 1e-9))
-        return max(self.period_s / parts, duration_s)
+        intervals = math.ceil(self.period_s / parts / self.interval_s - 1e-9)
+        return max(min(intervals * self.interval_s, self.period_s), duration_s)
 
     @staticmethod
     def _follows(target: Target, exerts: bool, now_s: float) -> int:
