@@ -75,7 +75,7 @@ setup(
     extras_require={
         # What `make bench` draws with.
         'bench': ['matplotlib'],
-        'env': ['gymnasium>=1'],
+        'env': ['gymnasium>=1.1'],
         'run': ['pyarrow', 'tqdm'],
         'ray': ['ray>=2.9'],
         'onnx': ['onnxruntime'],
@@ -91,7 +91,7 @@ setup(
         'mutate': ['cosmic-ray'],
         'xacro': ['xacro'],
         'test': ['av', 'coacd', 'colcon-common-extensions', 'coverage>=7.10', 'cyclonedx-bom',
-                 'flake8', 'gymnasium>=1', 'h5py', 'hypothesis', 'lxml', 'mcap>=1.6,<2',
+                 'flake8', 'gymnasium>=1.1', 'h5py', 'hypothesis', 'lxml', 'mcap>=1.6,<2',
                  'mcap-ros2-support>=0.6,<1', 'mypy', 'onnx', 'onnxruntime', 'packaging', 'pin',
                  'playwright', 'pyarrow', 'pytest', 'pytest-timeout', 'pytest-xdist', 'reuse',
                  'rosbags', 'ruff', 'scipy', 'tqdm', 'viser>=1.1,<2', 'wheel', 'xacro',

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import inspect
 import os
 import sys
@@ -208,14 +208,15 @@ def check_keywords(composition: Mapping[str, Any], environment: type) -> None:
             raise UnknownNameError('keyword', key, names)
 
 
-def check_options(options: Mapping[str, Any] | None) -> None:
+def check_options(options: Mapping[str, Any] | None, known: Sequence[str] = ()) -> None:
     """
-    Check the options of a reset; none are known.
+    Check the options of a reset.
 
-    :raises UnknownNameError: if there are some
+    :raises UnknownNameError: if there are others than the known ones
     """
     for key in options or {}:
-        raise UnknownNameError('option of reset', key, ())
+        if key not in known:
+            raise UnknownNameError('option of reset', key, known)
 
 
 def action_space(episode: Episode, chunk: int | None = None) -> gymnasium.spaces.Box:

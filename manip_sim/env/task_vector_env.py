@@ -5,21 +5,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 import time
 from types import MappingProxyType
 from typing import Any
 
 import gymnasium
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.env.task_env import (
     action_space, check_keywords, check_options, observation_space, SEEDS)
-from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.errors import CommandError, describe_choices, ModelError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
+from manip_sim.models.initialization_noise import checked_seed
+from manip_sim.quoting import quoted, shown
 from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.late_answers import AnswerTimeLike, NO_ANSWER_TIME
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
@@ -29,6 +32,10 @@ from manip_sim.validation import whole_number
 from manip_sim.worlds import Worlds
 
 _Result = tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]
+#: The option of a reset that tells which environments begin again.
+_MASK = 'reset_mask'
+#: Attributes that all environments have in common.
+_SHARED = ('task', 'task_description', '_max_episode_steps', 'metadata', 'render_mode', 'spec')
 
 
 class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
@@ -36,8 +43,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
     Episodes of a task, many at once in this process; each as :class:`TaskEnv` has it, to the bit.
 
     ``reset(seed=n)`` begins the episodes of the seeds n, n + 1, ...; a list has one seed for each.
-    An environment whose episode has ended begins the next one in the next ``step``, which ignores
-    its action (gymnasium's ``AutoresetMode.NEXT_STEP``).
+    An environment whose episode has ended begins the next one as gymnasium's ``AutoresetMode``
+    says: in the next ``step``, which ignores its action (``NEXT_STEP``), in the same one, whose
+    ``infos`` have ``final_obs`` and ``final_info`` (``SAME_STEP``), or only in a ``reset``
+    (``DISABLED``).
 
     :param task: its name, or an instance
     :param num_envs: number of episodes at once
@@ -58,16 +67,19 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         time between two steps, for all of them
     :param chunk: number of actions that :meth:`step` takes at once of each, shape (num_envs,
         chunk, n)
+    :param autoreset_mode: one of ``gymnasium.vector.AutoresetMode``, or its value: ``NextStep``,
+        ``SameStep`` or ``Disabled``
     :param composition: what else ``compose`` takes
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar worlds: the worlds, one for each episode
+    :ivar autoreset_mode: when the next episode begins
     :ivar task: name of the task
     :ivar task_description: what to do, as one would say it
     """
 
     metadata: dict[str, Any] = {
         'render_modes': ['rgb_array'], 'render_fps': 20,
-        'autoreset_mode': gymnasium.vector.AutoresetMode.NEXT_STEP}
+        'autoreset_mode': AutoresetMode.NEXT_STEP}
 
     def __init__(self, task: str | Task, num_envs: int = 1, robot: Robot = 'Panda',
                  gripper: Gripper | Grippers = DEFAULT, action: str = 'osc_pose',
@@ -77,9 +89,11 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                  render_size: tuple[int, int] = (480, 360), threads: int | None = None,
                  noise: Mapping[str, float] = MappingProxyType({}),
                  answer_time: AnswerTimeLike = NO_ANSWER_TIME, chunk: int | None = None,
+                 autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
+        self.autoreset_mode = _mode(autoreset_mode)
         check_keywords(composition, TaskVectorEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
                           image_size, composition, noise, answer_time)
@@ -94,16 +108,21 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         self._max_episode_steps = self._episodes[0].most_periods
         self.num_envs = len(self._episodes)
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, 'render_fps': control_hz}
+        self.metadata = {**self.metadata, 'render_fps': control_hz,
+                         'autoreset_mode': self.autoreset_mode}
         self._view = render_camera, render_size
         self._film: Pictures | None = None
         self._randoms = [np.random.default_rng() for _ in self._episodes]
-        #: Of each environment: whether it has begun, and whether the next step resets it.
+        #: Of each environment: whether it has begun, and whether its episode has ended.
         self._begun = np.zeros(self.num_envs, dtype=bool)
         self._ended = np.zeros(self.num_envs, dtype=bool)
-        first = self._episodes[0]
-        self.single_action_space = action_space(first, chunk)
-        self.single_observation_space = observation_space(first.observation)
+        self._given: dict[str, Sequence[Any]] = {}
+        self.single_action_space = action_space(self._episodes[0], chunk)
+        first = self._episodes[0].observation
+        #: What was observed last in each environment, by key.
+        self._observed = {key: np.zeros((self.num_envs, *value.shape), value.dtype)
+                          for key, value in first.items()}
+        self.single_observation_space = observation_space(first)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
@@ -115,30 +134,59 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
     def reset(self, *, seed: int | Sequence[int | None] | None = None,
               options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """
-        Begin an episode in each environment.
+        Begin an episode in each environment, or in some of them.
 
         :param seed: of the first one, the others follow; or one for each; None draws them
-        :param options: none are known
-        :raises UnknownNameError: if there are options
-        :raises ModelError: if there is not one seed for each environment
+        :param options: ``reset_mask``: which environments begin again, booleans of shape
+            (num_envs,); the others go on, and their observations are the last ones
+        :raises gymnasium.error.ResetNeeded: if one that has not begun yet is left out
+        :raises UnknownNameError: if there are other options
+        :raises ModelError: if there is not one seed for each environment, or the mask has another
+            shape or type, or chooses none; then nothing changes
         """
-        check_options(options)
+        check_options(options, (_MASK,))
+        mask, seeds = self._mask(options), self._seeds(seed)
+        chosen = np.flatnonzero(mask)
+        for index in chosen:
+            if seeds[index] is not None:
+                checked_seed(seeds[index])
+        infos: dict[str, Any] = {}
+        for index in chosen:
+            infos = self._add_info(infos, self._begin(index, seeds[index]), index)
+        observation = self._observe(mask)
+        self._asked_s = time.perf_counter()
+        return observation, infos
+
+    def _mask(self, options: Mapping[str, Any] | None) -> NDArray[np.bool_]:
+        """Return which environments are to begin."""
+        if _MASK not in (options or {}):
+            return np.ones(self.num_envs, dtype=bool)
+        given = (options or {})[_MASK]
+        mask = given if isinstance(given, np.ndarray) else None
+        if mask is None or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            raise ModelError(
+                f'{_MASK} must be an array of booleans of shape ({self.num_envs},), got ' + (
+                    shown(given) if mask is None else f'{mask.dtype} of shape {mask.shape}'))
+        if not mask.any():
+            raise ModelError(f'{_MASK} chooses no environment')
+        if not (self._begun | mask).all():
+            raise gymnasium.error.ResetNeeded(
+                f'call reset() without {_MASK} first: not all environments have begun')
+        return mask
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """Return a seed for each environment, or None."""
         seeds = ([None] * self.num_envs if seed is None else
                  [seed + i for i in range(self.num_envs)] if isinstance(seed, (int, np.integer))
                  else list(seed))
         if len(seeds) != self.num_envs:
             raise ModelError(f'expected {self.num_envs} seeds, one for each environment, got '
                              f'{len(seeds)}')
-        infos: dict[str, Any] = {}
-        for index, own in enumerate(seeds):
-            infos = self._add_info(infos, self._begin(index, own), index)
-        observation = self._observation()
-        self._asked_s = time.perf_counter()
-        return observation, infos
+        return seeds
 
     def _begin(self, index: int, seed: int | None) -> dict[str, Any]:
         if seed is not None:
-            self._randoms[index], _ = gymnasium.utils.seeding.np_random(seed)
+            self._randoms[index], _ = gymnasium.utils.seeding.np_random(int(seed))
         own = int(self._randoms[index].integers(SEEDS)) if seed is None else int(seed)
         episode = self._episodes[index]
         episode.reset(own)
@@ -155,31 +203,51 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
 
         :param actions: shape (num_envs, n), or (num_envs, chunk, n); numbers beyond the space are
             clamped
-        :raises gymnasium.error.ResetNeeded: if no episode has begun
+        :raises gymnasium.error.ResetNeeded: if no episode has begun, or one has ended and
+            ``autoreset_mode`` is ``DISABLED``
         :raises CommandError: if an action cannot be used, naming its row; then nothing changes
         """
-        if not self._begun.all():
-            raise gymnasium.error.ResetNeeded('call reset() before step()')
+        self._check_begun()
         acting = ~self._ended
         self._take(actions, acting)
         rewards, infos = self._advance(acting), dict[str, Any]()
         terminated, truncated = (np.zeros(self.num_envs, dtype=bool) for _ in range(2))
-        for index, episode in enumerate(self._episodes):
-            if not acting[index]:
-                info = self._begin(index, None)
+        for index in range(self.num_envs):
+            if acting[index]:
+                terminated[index], truncated[index], info = self._outcome(index)
+                if self._ended[index] and self.autoreset_mode == AutoresetMode.SAME_STEP:
+                    final = {'final_obs': self._episodes[index].observation, 'final_info': info}
+                    infos = self._add_info(infos, final, index)
+                    info = self._begin(index, None)
             else:
-                diverged = episode.simulation.diverged
-                terminated[index] = diverged is None and episode.success
-                truncated[index] = diverged is not None or episode.time_is_up
-                info = {} if diverged is None else {'diverged': diverged}
-                info['success'] = info['is_success'] = episode.success
-                self._ended[index] = terminated[index] or truncated[index]
-                if self._ended[index]:
-                    info['digest'] = episode.digest
+                info = self._begin(index, None)
             infos = self._add_info(infos, info, index)
-        observation = self._observation()
+        observation = self._observe(np.ones(self.num_envs, dtype=bool))
         self._asked_s = time.perf_counter()
         return observation, rewards, terminated, truncated, infos
+
+    def _check_begun(self) -> None:
+        """Check that each environment is in an episode, or begins the next one by itself."""
+        if not self._begun.all():
+            raise gymnasium.error.ResetNeeded('call reset() before step()')
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():
+            raise gymnasium.error.ResetNeeded(
+                f'the episode of environment {int(np.argmax(self._ended))} has ended: call '
+                f"reset(options={{'{_MASK}': terminated | truncated}})")
+
+    def _outcome(self, index: int) -> tuple[bool, bool, dict[str, Any]]:
+        """Return terminated, truncated and info of an environment after a period."""
+        episode = self._episodes[index]
+        diverged = episode.simulation.diverged
+        success = episode.success
+        terminated = diverged is None and success
+        truncated = diverged is not None or episode.time_is_up
+        self._ended[index] = terminated or truncated
+        info: dict[str, Any] = {} if diverged is None else {'diverged': diverged}
+        info['success'] = info['is_success'] = success
+        if self._ended[index]:
+            info['digest'] = episode.digest
+        return terminated, truncated, info
 
     def _advance(self, acting: NDArray[np.bool_]) -> NDArray[Any]:
         """Run some worlds until their policies are asked, and return the sums of rewards."""
@@ -219,30 +287,70 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         for index in np.flatnonzero(acting):
             self._answers[index].answer(numbers[index], took_s)
 
-    def _observation(self) -> Observation:
-        each = [episode.observation for episode in self._episodes]
-        return {key: np.stack([one[key] for one in each]) for key in each[0]}
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """
-        Return an attribute, such as ``task``, once for each environment.
-
-        :param name: of the attribute
-        :raises AttributeError: if there is none
-        """
-        return (getattr(self, name),) * self.num_envs
+    def _observe(self, mask: NDArray[np.bool_]) -> Observation:
+        """Observe some environments, and return the last observation of each, copies."""
+        for index in np.flatnonzero(mask):
+            for key, value in self._episodes[index].observation.items():
+                self._observed[key][index] = value
+        return {key: value.copy() for key, value in self._observed.items()}
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """
-        Return what a method, such as ``digest``, says of each environment; or an attribute.
+        Call a method of each environment, or return an attribute.
 
-        :param name: of the method or attribute
+        :param name: such as ``digest``, ``render``, ``episode``, ``task`` or ``np_random``
         :param args: of the method
         :param kwargs: of the method
-        :raises AttributeError: if there is none
+        :returns: what there is in each environment
+        :raises AttributeError: if there is no such method or attribute
         """
-        found = getattr(self, name)
-        return tuple(found(*args, **kwargs)) if callable(found) else self.get_attr(name)
+        return tuple(value(*args, **kwargs) if callable(value) else value
+                     for value in self._attributes(name))
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return what :meth:`call` does."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """
+        Set an attribute of each environment, which :meth:`get_attr` returns from then on.
+
+        :param name: of ``np_random``, from which seeds are drawn, or of anything that the
+            environments do not read
+        :param values: a list or tuple with one for each environment, or one for all
+        :raises AttributeError: if the attribute cannot be changed
+        :raises ValueError: if there is not one value for each environment
+        """
+        each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ModelError(f'expected {self.num_envs} values of {quoted(name)}, one for each '
+                             f'environment, got {len(each)}')
+        if name == 'np_random':
+            self._randoms = list(each)
+        elif name in self._own() or name in _SHARED[2:]:
+            raise AttributeError(f'{quoted(name)} of environments cannot be changed')
+        else:
+            self._given[name] = tuple(each)
+
+    def _own(self) -> dict[str, Callable[[int], Any]]:
+        """Return what gives the attributes that differ between environments, by name."""
+        return {'episode': lambda index: self._episodes[index],
+                'np_random': lambda index: self._randoms[index],
+                'action_space': lambda _: self.single_action_space,
+                'observation_space': lambda _: self.single_observation_space,
+                'digest': lambda index: lambda: self._episodes[index].digest,
+                'render': lambda index: lambda: self._picture(index)}
+
+    def _attributes(self, name: str) -> Sequence[Any]:
+        own = self._own()
+        if name in self._given:
+            return self._given[name]
+        if name in own:
+            return [own[name](index) for index in range(self.num_envs)]
+        if name in _SHARED:
+            return [getattr(self, name)] * self.num_envs
+        raise AttributeError(f'environments have no {quoted(name)}: ' + describe_choices(
+            name, [*own, *_SHARED, *self._given]))
 
     def digest(self) -> list[str]:
         """Return the digest of each present state, as ``Simulation.digest`` gives it."""
@@ -256,10 +364,15 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         """
         if self.render_mode is None:
             return None
+        return self.call('render')
+
+    def _picture(self, index: int) -> Any:
+        """Return an image of an environment; None if there is no ``render_mode``."""
+        if self.render_mode is None:
+            return None
         if self._film is None:
             self._film = Pictures(self.worlds.simulations[0], dict([self._view]))
-        return tuple(self._film.take(simulation)[self._view[0]]
-                     for simulation in self.worlds.simulations)
+        return self._film.take(self.worlds.simulations[index])[self._view[0]]
 
     def close_extras(self, **kwargs: Any) -> None:
         """
@@ -271,3 +384,12 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         for pictures in (self._film, self._episodes[0].observer.pictures):
             if pictures is not None:
                 pictures.close()
+
+
+def _mode(given: str | AutoresetMode) -> AutoresetMode:
+    """Return a mode; UnknownNameError if it is none."""
+    try:
+        return AutoresetMode(given)
+    except ValueError:
+        raise UnknownNameError('autoreset_mode', given, [
+            mode.value for mode in AutoresetMode]) from None

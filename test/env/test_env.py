@@ -11,6 +11,7 @@ import pytest
 
 gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed')
 from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
 
 import manip_sim.env  # noqa: E402
 from manip_sim.env import TaskEnv, TaskVectorEnv  # noqa: E402
@@ -226,12 +227,156 @@ def test_a_vector_environment_equals_as_many_environments(task, arguments, monke
     single.close()
 
 
+def vectors(mode, **arguments):
+    """Return our vector environment of three, and gymnasium's of as many single ones."""
+    arguments = {'control_hz': 10, **arguments}
+    return (gymnasium.make_vec('manip_sim/Reach-v0', 3, autoreset_mode=mode, **arguments),
+            gymnasium.vector.SyncVectorEnv(
+                [lambda: gymnasium.make('manip_sim/Reach-v0', **arguments)] * 3,
+                autoreset_mode=mode))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('mode', AutoresetMode)
+@pytest.mark.parametrize('arguments', [
+    {}, {'noise': {'noise.joint_velocity': 0.01}, 'latency': {'command': 0.03, 'state': 0.04}}])
+def test_each_autoreset_mode_is_that_of_gymnasium(mode, arguments, monkeypatch):
+    vector, single = vectors(mode, **arguments)
+    monkeypatch.setattr(type(vector.episodes[0].task), 'horizon_s', 1.0)
+    assert vector.metadata['autoreset_mode'] == single.metadata['autoreset_mode'] == mode
+    assert data_equivalence(vector.reset(seed=5), single.reset(seed=5), exact=True)
+    single.action_space.seed(1)
+    random = np.random.default_rng(2)
+    ended = partial = 0
+    for _ in range(36):
+        actions = single.action_space.sample()
+        mine, theirs = vector.step(actions), single.step(actions)
+        assert data_equivalence(mine, theirs, exact=True)
+        ended += int((mine[2] | mine[3]).sum())
+        mask = mine[2] | mine[3] if mode == AutoresetMode.DISABLED else np.zeros(3, dtype=bool)
+        mask |= random.random(3) < 0.1
+        if mask.any():
+            seeds = [None, int(random.integers(9)), None]
+            given = {'reset_mask': mask}
+            mine = vector.reset(seed=seeds, options=given)
+            assert list(given) == ['reset_mask']
+            assert data_equivalence(mine, single.reset(seed=seeds, options=given), exact=True)
+            partial += 1
+        assert vector.call('digest') == single.call('digest')
+    assert ended >= 6 and partial >= 6
+    vector.close()
+    single.close()
+
+
+def test_a_partial_reset_leaves_the_other_environments_as_they_are():
+    vector = gymnasium.make_vec('manip_sim/Reach-v0', 3)
+    vector.reset(seed=1)
+    for _ in range(3):
+        before, *_ = vector.step(np.ones((3, 7)))
+    digests, periods = vector.digest(), [episode.periods for episode in vector.episodes]
+    after, infos = vector.reset(seed=40, options={'reset_mask': np.array([False, True, False])})
+    assert infos['seed'].tolist() == [0, 41, 0] and infos['_seed'].tolist() == [0, 1, 0]
+    for key, value in after.items():
+        np.testing.assert_array_equal(value[[0, 2]], before[key][[0, 2]])
+    assert np.abs(after['goal'][1] - before['goal'][1]).max() > 1e-3
+    assert [digest == old for digest, old in zip(vector.digest(), digests)] == [1, 0, 1]
+    assert periods == [3] * 3 and [episode.periods for episode in vector.episodes] == [3, 0, 3]
+    vector.close()
+
+
+@pytest.mark.parametrize('mask, text', [
+    (np.ones(3, dtype=bool), r'must be an array of booleans of shape \(2,\), got bool of shape'),
+    (np.ones(2), r'reset_mask must be an array of booleans of shape \(2,\), got float64 of shape'),
+    (np.ones((2, 1), dtype=bool), r'got bool of shape \(2, 1\)'),
+    ([True, False], r'got \[True, False\]'), (None, 'got None'), (1, 'got 1'),
+    (np.zeros(2, dtype=bool), 'reset_mask chooses no environment')])
+def test_a_mask_that_cannot_be_used_resets_nothing(mask, text, pair):
+    pair.reset(seed=1)
+    before = pair.digest()
+    with pytest.raises(ModelError, match=text):
+        pair.reset(seed=7, options={'reset_mask': mask})
+    assert pair.digest() == before
+
+
+@pytest.fixture
+def pair():
+    vector = gymnasium.make_vec('manip_sim/Reach-v0', 2)
+    yield vector
+    vector.close()
+
+
+def test_bad_options_and_seeds_reset_nothing(pair):
+    one = {'reset_mask': np.array([True, False])}
+    with pytest.raises(gymnasium.error.ResetNeeded, match='call reset.. without reset_mask first'):
+        pair.reset(seed=1, options=one)
+    pair.reset(seed=1)
+    before = pair.digest()
+    with pytest.raises(UnknownNameError, match="option of reset 'reset_msk': did you mean"):
+        pair.reset(options={'reset_msk': np.ones(2, dtype=bool)})
+    for seed in ([3, -1], [3, 1.5], [3, '4'], -2):
+        with pytest.raises(ModelError, match='seed must be a whole number from 0'):
+            pair.reset(seed=seed)
+    with pytest.raises(ModelError, match='expected 2 seeds'):
+        pair.reset(seed=[1], options=one)
+    assert pair.digest() == before
+    pair.reset(seed=[3, -1], options=one)  # The seed of one that goes on does not count.
+    assert pair.digest()[1] == before[1] and pair.digest()[0] != before[0]
+
+
+def test_without_autoreset_a_step_after_an_end_is_rejected(monkeypatch):
+    vector = gymnasium.make_vec('manip_sim/Reach-v0', 2, autoreset_mode='Disabled')
+    vector.reset(seed=1)
+    monkeypatch.setattr(type(vector.episodes[0].task), 'horizon_s', 0.1)
+    vector.episodes[0].periods = 1
+    _, _, terminated, truncated, _ = vector.step(np.zeros((2, 7)))
+    assert truncated.tolist() == [True, False] and not terminated.any()
+    before = vector.digest()
+    with pytest.raises(gymnasium.error.ResetNeeded, match='episode of environment 0 has ended'):
+        vector.step(np.zeros((2, 7)))
+    assert vector.digest() == before
+    vector.reset(options={'reset_mask': truncated})
+    vector.step(np.zeros((2, 7)))
+    vector.close()
+
+
+def test_an_unknown_autoreset_mode_is_told_with_those_there_are():
+    with pytest.raises(UnknownNameError, match="'SameSetp': did you mean 'SameStep'"):
+        gymnasium.make_vec('manip_sim/Reach-v0', 2, autoreset_mode='SameSetp')
+    with pytest.raises(UnknownNameError, match='unknown autoreset_mode'):
+        gymnasium.make_vec('manip_sim/Reach-v0', 2, autoreset_mode=None)
+
+
+def test_environments_of_a_vector_are_asked_and_changed_as_gymnasiums(pair):
+    assert pair.call('task') == ('reach',) * 2
+    assert all(isinstance(text, str) and text for text in pair.call('task_description'))
+    assert pair.call('_max_episode_steps') == (60,) * 2
+    pair.reset(seed=1)
+    assert pair.get_attr('episode') == pair.episodes and list(pair.call('digest')) == pair.digest()
+    assert pair.get_attr('action_space') == (pair.single_action_space,) * 2
+    assert pair.call('render') == (None, None)
+    pair.set_attr('np_random', [np.random.default_rng(4), np.random.default_rng(4)])
+    seeds = pair.reset()[1]['seed']
+    assert seeds[0] == seeds[1]
+    pair.set_attr('label', 'one')
+    assert pair.get_attr('label') == ('one', 'one')
+    pair.set_attr('task', ['left', 'right'])
+    assert pair.get_attr('task') == ('left', 'right')
+    with pytest.raises(AttributeError, match="no 'task_descripton': did you mean 'task_descript"):
+        pair.call('task_descripton')
+    with pytest.raises(AttributeError, match="'episode' of environments cannot be changed"):
+        pair.set_attr('episode', None)
+    with pytest.raises(ValueError, match="expected 2 values of 'label'"):
+        pair.set_attr('label', [1, 2, 3])
+
+
 @pytest.mark.full
 def test_the_vector_environment_shows_each_world(gl):
     vector = gymnasium.make_vec('manip_sim/Reach-v0', 2, render_mode='rgb_array',
                                 cameras=['frontview'], image_size=(32, 24))
     observation, _ = vector.reset(seed=[1, 2])
     images = vector.render()
+    for image, called in zip(images, vector.call('render')):
+        np.testing.assert_array_equal(image, called)
     assert [image.shape for image in images] == [(360, 480, 3)] * 2
     assert observation['image/frontview'].shape == (2, 24, 32, 3)
     assert not np.array_equal(*images)
