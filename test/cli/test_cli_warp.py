@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""MuJoCo Warp takes exported models as they are; ``benchmark/exported.py`` steps them too."""
+"""MuJoCo Warp takes exported models; ``benchmark/exported.py`` steps those of all robots."""
 
 import mujoco
 import numpy as np
@@ -37,3 +37,19 @@ def test_a_model_that_never_resets_itself_is_not_taken():
     simulation = Simulation(compose('Panda'))
     with pytest.raises(NotImplementedError):
         taken(simulation.model, simulation.data)
+
+
+@pytest.mark.full
+def test_a_cube_stays_on_a_table_with_a_tolerance_for_single_precision(here, tmp_path):
+    file = tmp_path / 'robot.xml'
+    assert here('export', file, '--robot', 'Panda', '--arena', 'table')[0] == 0
+    model = mujoco.MjModel.from_xml_path(str(file))
+    model.opt.ccd_tolerance = 1e-6
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    state, on_warp = taken(model, data)
+    height = model.jnt_qposadr[model.joint('cube_joint').id] + 2
+    before = data.qpos[height]
+    for _ in range(60):
+        warp.step(on_warp, state)
+    np.testing.assert_allclose(state.qpos.numpy()[:, height], before, atol=5e-4)
