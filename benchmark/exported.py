@@ -5,8 +5,9 @@
 Let MuJoCo Warp take what ``manip_sim export`` writes, and compare its steps with MuJoCo's.
 
 On the CPU, in as many worlds as ``--worlds`` says, without any change of the exported file but
-MuJoCo's default ``ccd_tolerance``: Warp computes in single precision, and loses contacts with ours.
-The table has the largest difference of a joint from MuJoCo's after the steps. The exit code is 1 if a robot is not taken or differs by more than 1 mrad or 1 mm.
+MuJoCo's default ``ccd_tolerance``: with ours, Warp loses contacts, as it computes in single
+precision. The table has the largest difference of a joint from MuJoCo's after the steps. The exit
+code is 1 if a robot is not taken or differs by more than 1 mrad or 1 mm.
 
     pip install mujoco-warp
     python3 benchmark/exported.py [--worlds 2] [--steps 50] [--robots Panda UR5e]

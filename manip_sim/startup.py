@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 #: Files with the quota of a cgroup and its period [us], in version 2 and 1.
-_QUOTA_2, _QUOTA_1 = ('cpu.max',), ('cpu.cfs_quota_us', 'cpu.cfs_period_us')
+_QUOTA_2: tuple[str, ...] = ('cpu.max',)
+_QUOTA_1: tuple[str, ...] = ('cpu.cfs_quota_us', 'cpu.cfs_period_us')
 
 
 def run_program(program: Callable[[], int]) -> int:

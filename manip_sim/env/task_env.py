@@ -28,6 +28,9 @@ from manip_sim.validation import whole_number
 
 #: Seeds that are drawn are below this.
 SEEDS = 2**31
+#: Lowest and highest numbers of observations by their type: images, depth, labels, all others.
+_BOUNDS = {'uint8': (0, 255), 'float32': (0.0, np.inf), 'int32': (-1, np.iinfo(np.int32).max),
+           'float64': (-np.inf, np.inf)}
 #: A window needs a screen.
 _SCREEN = sys.platform != 'linux' or any(os.environ.get(name) for name in (
     'DISPLAY', 'WAYLAND_DISPLAY'))
@@ -62,6 +65,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         two steps
     :param chunk: number of actions that :meth:`step` takes at once, shape (chunk, n); None for one
         action, shape (n,)
+    :param image_kinds: what is observed of cameras: ``rgb``, ``depth`` and ``labels``
     :param composition: what else ``compose`` takes, such as ``timestep_s``
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar episode: the episode, with its simulation
@@ -80,12 +84,14 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
                  render_camera: str = 'frontview', render_size: tuple[int, int] = (480, 360),
                  noise: Mapping[str, float] = MappingProxyType({}),
                  answer_time: AnswerTimeLike = NO_ANSWER_TIME, chunk: int | None = None,
+                 image_kinds: Sequence[str] = ('rgb',),
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         check_keywords(composition, TaskEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
-                          image_size, composition, noise, answer_time)
+                          image_size, composition, noise, answer_time,
+                          image_kinds)
         self.episode = setting.create_episode()
         self.task, self.task_description = self.episode.task.name, self.episode.task.instruction
         self._max_episode_steps = self.episode.most_periods
@@ -166,7 +172,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if self.render_mode == 'rgb_array':
             if self._film is None:
                 self._film = Pictures(self.episode.simulation, dict([self._view]))
-            return self._film.take(self.episode.simulation)[self._view[0]]
+            return self._film.take(self.episode.simulation)[self._view[0]].rgb
         return None
 
     def _show(self) -> None:
@@ -236,6 +242,5 @@ def action_space(episode: Episode, chunk: int | None = None) -> gymnasium.spaces
 def observation_space(observation: Observation) -> gymnasium.Space[Observation]:
     """Return the space of observations."""
     return gymnasium.spaces.Dict({  # type: ignore[return-value]
-        key: gymnasium.spaces.Box(0, 255, value.shape, np.uint8) if value.dtype == np.uint8 else
-        gymnasium.spaces.Box(-np.inf, np.inf, value.shape, np.float64)
+        key: gymnasium.spaces.Box(*_BOUNDS[value.dtype.name], value.shape, value.dtype.type)
         for key, value in observation.items()})

@@ -67,6 +67,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         time between two steps, for all of them
     :param chunk: number of actions that :meth:`step` takes at once of each, shape (num_envs,
         chunk, n)
+    :param image_kinds: what is observed of cameras: ``rgb``, ``depth`` and ``labels``
     :param autoreset_mode: one of ``gymnasium.vector.AutoresetMode``, or its value: ``NextStep``,
         ``SameStep`` or ``Disabled``
     :param composition: what else ``compose`` takes
@@ -89,6 +90,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                  render_size: tuple[int, int] = (480, 360), threads: int | None = None,
                  noise: Mapping[str, float] = MappingProxyType({}),
                  answer_time: AnswerTimeLike = NO_ANSWER_TIME, chunk: int | None = None,
+                 image_kinds: Sequence[str] = ('rgb',),
                  autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
@@ -96,7 +98,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         self.autoreset_mode = _mode(autoreset_mode)
         check_keywords(composition, TaskVectorEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
-                          image_size, composition, noise, answer_time)
+                          image_size, composition, noise, answer_time,
+                          image_kinds)
         made = setting.create_task()
         self.worlds = Worlds(made.world, whole_number(num_envs, 1, 'num_envs'), threads)
         pictures = setting.create_pictures(self.worlds.simulations[0], made)
@@ -146,7 +149,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         """
         check_options(options, (_MASK,))
         mask, seeds = self._mask(options), self._seeds(seed)
-        chosen = np.flatnonzero(mask)
+        chosen = np.flatnonzero(mask).tolist()
         for index in chosen:
             if seeds[index] is not None:
                 checked_seed(seeds[index])
@@ -176,9 +179,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """Return a seed for each environment, or None."""
-        seeds = ([None] * self.num_envs if seed is None else
-                 [seed + i for i in range(self.num_envs)] if isinstance(seed, (int, np.integer))
-                 else list(seed))
+        seeds: list[int | None] = (
+            [None] * self.num_envs if seed is None else
+            [seed + i for i in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else
+            list(seed))
         if len(seeds) != self.num_envs:
             raise ModelError(f'expected {self.num_envs} seeds, one for each environment, got '
                              f'{len(seeds)}')
@@ -372,7 +376,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
             return None
         if self._film is None:
             self._film = Pictures(self.worlds.simulations[0], dict([self._view]))
-        return self._film.take(self.worlds.simulations[index])[self._view[0]]
+        return self._film.take(self.worlds.simulations[index])[self._view[0]].rgb
 
     def close_extras(self, **kwargs: Any) -> None:
         """

@@ -20,8 +20,8 @@ from manip_sim.tasks.task import Task
 
 #: Arrays by key.
 Observation = dict[str, NDArray[Any]]
-#: Before the name of a camera, the key of its image.
-IMAGE = 'image/'
+#: Before the name of a camera, the key of its image, of its depth and of its labels.
+IMAGE, DEPTH, LABELS = 'image/', 'depth/', 'labels/'
 _JOINTS = ('joint_position', 'joint_velocity', 'joint_effort')
 
 
@@ -42,7 +42,9 @@ class Observer:
     (arms, 7)), ``eef_twist`` ([m/s] and [rad/s] in the axes of ``world``, shape (arms, 6)) and
     ``external_wrench`` ([N] and [N m] in ``ft_frame``, shape (arms, 6)); ``object_pose`` (as
     ``eef_pose``, shape (objects, 7)) if there are free bodies; ``goal``, as the task has it; and
-    ``image/CAMERA``, rgb, shape (height, width, 3), for each camera.
+    ``image/CAMERA``, rgb, shape (height, width, 3), for each camera. As the pictures have it,
+    there are ``depth/CAMERA``, along the view [m], +Inf where there is nothing, and
+    ``labels/CAMERA``, ids of bodies, -1 where there is none, each of shape (height, width).
 
     All is as old as the latency of states of the robots: images as that of the robot that carries
     the camera, objects and the goal as that of the robot of the task. As with the images of the
@@ -123,9 +125,17 @@ class Observer:
                 scenes[camera], count = seen.snapshot, sensing.instant
             # The noise that the node gives it.
             noise[camera] = ImageNoise(
-                camera, sensing.seed, count, sensing.settings['noise.pixel'], 0.0)
-        return {f'{IMAGE}{camera}': noise[camera].on_colours(image)
-                for camera, image in pictures.take(self._simulation, scenes).items()}
+                camera, sensing.seed, count, sensing.settings['noise.pixel'],
+                sensing.settings['noise.depth'])
+        found: Observation = {}
+        for camera, picture in pictures.take(self._simulation, scenes).items():
+            if picture.rgb is not None:
+                found[f'{IMAGE}{camera}'] = noise[camera].on_colours(picture.rgb)
+            if picture.depth is not None:
+                found[f'{DEPTH}{camera}'] = noise[camera].on_depth(picture.depth)
+            if picture.labels is not None:
+                found[f'{LABELS}{camera}'] = picture.labels
+        return found
 
     def _joints(self) -> Observation:
         rows = [robot.measured().reshape(3, -1) for robot in self._simulation.robots.values()]

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 import json
 import threading
 from types import MappingProxyType
@@ -13,19 +13,20 @@ from typing import Any, Union
 import weakref
 
 import numpy as np
-from numpy.typing import NDArray
 
 from manip_sim.errors import ModelError, SimulationEnded, UnknownNameError
 from manip_sim.models.camera_choice import chosen_cameras, described_cameras
 from manip_sim.models.cameras import MAX_PIXELS
 from manip_sim.models.world import World
 from manip_sim.rendering.gl import choose_gl, create_context
-from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
 #: A camera of the model by its name, or the description of another one, also as YAML.
 CameraLike = Union[str, Mapping[str, Any]]
+#: Kinds of images: colours, depth along the view [m], and ids of bodies.
+KINDS = ('rgb', 'depth', 'labels')
 #: Thread, context and renderer of pictures that nobody closed. To free a renderer deletes what has
 #: its numbers in the context that is current, so it waits until nothing is being rendered.
 _LOST: list[tuple[int, Any, OffscreenRenderer]] = []
@@ -37,12 +38,15 @@ class Pictures:
 
     :param simulation: of the world; all whose pictures are taken must have its plan
     :param views: width and height of the images by camera [pixels]
+    :param kinds: of images, among :data:`KINDS`
     :raises UnknownNameError: if there is no such camera
     :raises ManipSimError: if nothing can be rendered
     """
 
-    def __init__(self, simulation: Simulation, views: Mapping[str, tuple[int, int]]) -> None:
+    def __init__(self, simulation: Simulation, views: Mapping[str, tuple[int, int]],
+                 kinds: Sequence[str] = ('rgb',)) -> None:
         self._views = dict(views)
+        self._kinds = {kind: kind in kinds for kind in KINDS}
         self._world = VisibleWorld(simulation.plan)
         for camera in views:
             if camera not in self._world.cameras:
@@ -62,9 +66,9 @@ class Pictures:
         return list(self._views)
 
     def take(self, simulation: Simulation, scenes: Mapping[str, Snapshot] = MappingProxyType({})
-             ) -> dict[str, NDArray[np.uint8]]:
+             ) -> dict[str, Picture]:
         """
-        Return an image of each camera, shape (height, width, 3), rgb.
+        Return what each camera shows.
 
         :param scenes: what cameras show in place of the present instant, by camera
         :raises SimulationEnded: after :meth:`close`
@@ -73,15 +77,14 @@ class Pictures:
             raise SimulationEnded('these pictures are closed')
         _free_lost()
         self._context.make_current()
-        found: dict[str, NDArray[np.uint8]] = {}
+        found: dict[str, Picture] = {}
         present, shown = take_snapshot(simulation), None
         for camera, (width, height) in self._views.items():
             if scenes.get(camera, present) is not shown:
                 shown = scenes.get(camera, present)
                 self._world.show(shown)
-            picture = self._renderer.render(self._world.data, camera, width, height, depth=False)
-            assert picture.rgb is not None
-            found[camera] = picture.rgb
+            found[camera] = self._renderer.render(
+                self._world.data, camera, width, height, **self._kinds)
         return found
 
     def close(self) -> None:
@@ -131,6 +134,22 @@ def views_of(given: Iterable[CameraLike], world: World, simulation: Simulation,
                          f'{image_size!r:.60}')
     chosen = chosen_cameras(_texts(given), world, simulation.model)
     return {name: image_size or (images.width, images.height) for name, images in chosen.items()}
+
+
+def checked_kinds(given: Sequence[str]) -> tuple[str, ...]:
+    """
+    Return kinds of images, in the order of :data:`KINDS`.
+
+    :raises UnknownNameError: if one is not known
+    :raises ModelError: if there is none, or one twice
+    """
+    for kind in [given] if isinstance(given, str) else given:
+        if kind not in KINDS:
+            raise UnknownNameError('kind of images', kind, KINDS)
+    if isinstance(given, str) or not given or len(set(given)) < len(given):
+        raise ModelError(f'image_kinds must be one or several of {", ".join(KINDS)}, each once, '
+                         f'in a list, got {given!r:.60}')
+    return tuple(kind for kind in KINDS if kind in given)
 
 
 def _texts(given: Iterable[CameraLike]) -> list[str]:

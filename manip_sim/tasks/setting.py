@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import functools
 import logging
@@ -22,7 +22,8 @@ from manip_sim.tasks.episode import Episode
 from manip_sim.tasks.late_answers import (
     AnswerTime, AnswerTimeLike, LateAnswers, NO_ANSWER_TIME)
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
-from manip_sim.tasks.pictures import CameraLike, descriptions, Pictures, views_of
+from manip_sim.tasks.pictures import (
+    CameraLike, checked_kinds, descriptions, Pictures, views_of)
 from manip_sim.tasks.task import create_task, Task
 from manip_sim.validation import fitting_timestep, steps_of
 
@@ -42,6 +43,7 @@ class Setting:
     :ivar image_size: width and height of images [pixels]; None for those of the cameras
     :ivar noise: of all robots, by the names of the node's parameters, such as
         ``noise.joint_position``
+    :ivar image_kinds: of the cameras: ``rgb``, ``depth`` and ``labels``
     :ivar composition: what else ``compose`` takes, such as ``timestep_s``
     :ivar answer_time: how long the policy thinks, see :class:`AnswerTime`
     """
@@ -57,6 +59,7 @@ class Setting:
     composition: Mapping[str, Any] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     answer_time: AnswerTimeLike = NO_ANSWER_TIME
+    image_kinds: Sequence[str] = ('rgb',)
 
     def __post_init__(self) -> None:
         rate = self.control_hz
@@ -65,6 +68,7 @@ class Setting:
             raise ModelError(f'control_hz must be above 0 Hz, got {shown(rate)}')
         object.__setattr__(self, 'latency', Latency.of(self.latency))
         object.__setattr__(self, 'answer_time', AnswerTime.of(self.answer_time))
+        object.__setattr__(self, 'image_kinds', checked_kinds(self.image_kinds))
 
     @property
     def plain_composition(self) -> dict[str, Any]:
@@ -132,7 +136,7 @@ class Setting:
         :raises ManipSimError: if a camera cannot be chosen, or nothing can be rendered
         """
         views = views_of(self.cameras, task.world, simulation, self.image_size)
-        return Pictures(simulation, views) if views else None
+        return Pictures(simulation, views, self.image_kinds) if views else None
 
 
 @functools.cache

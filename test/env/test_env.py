@@ -167,6 +167,10 @@ def test_what_cannot_be_used_is_said(reach):
     ({'action': 'osc'}, "unknown action 'osc': did you mean 'osc_pose'"),
     ({'cameras': ['agent']}, "unknown camera 'agent': did you mean 'agentview'"),
     ({'cameras': ['agentview'], 'image_size': (0, 3)}, 'image_size must be width and height'),
+    ({'image_kinds': ['rgb', 'dept']}, "unknown kind of images 'dept': did you mean 'depth'"),
+    ({'image_kinds': 'depth'}, "image_kinds must be one or several .*, in a list, got 'depth'"),
+    ({'image_kinds': ()}, 'image_kinds must be one or several of rgb, depth, labels'),
+    ({'image_kinds': ['rgb', 'rgb']}, r'each once, in a list, got ..rgb., .rgb.'),
     ({'latency': -0.1}, 'latency of a command must be from 0 to 10 s, got -0.1'),
     ({'latency': {'states': 0.1}}, "unknown key of latency 'states': did you mean 'state'"),
     ({'noise': {'noise.joint_positon': 0.1}}, "did you mean 'noise.joint_position'"),
@@ -381,6 +385,37 @@ def test_the_vector_environment_shows_each_world(gl):
     assert observation['image/frontview'].shape == (2, 24, 32, 3)
     assert not np.array_equal(*images)
     vector.close()
+
+
+@pytest.mark.full
+def test_depth_and_labels_are_observed_beside_colours_or_alone(gl):
+    arguments = {'cameras': ['frontview'], 'image_size': (64, 48)}
+    env = gymnasium.make('manip_sim/PickCube-v0', image_kinds=['labels', 'depth'], **arguments)
+    observation, _ = env.reset(seed=2)
+    assert observation in env.observation_space and 'image/frontview' not in observation
+    depth, labels = observation['depth/frontview'], observation['labels/frontview']
+    assert depth.shape == labels.shape == (48, 64)
+    assert (depth.dtype, labels.dtype) == (np.float32, np.int32)
+    data = env.unwrapped.episode.simulation.data
+    cube, camera = data.body('cube'), data.camera('frontview')
+    away = camera.xmat.reshape(3, 3)[:, 2] @ (camera.xpos - cube.xpos)
+    seen = labels == cube.id
+    assert 2 <= seen.sum() < 100
+    np.testing.assert_allclose(depth[seen], away, atol=0.05)
+    env.close()
+    vector, single = (gymnasium.make_vec(
+        'manip_sim/PickCube-v0', 2, vectorization_mode=mode, **arguments,
+        image_kinds=('rgb', 'depth', 'labels'),
+        noise={'noise.pixel': 3.0, 'noise.depth': 0.01}) for mode in (None, 'sync'))
+    assert vector.observation_space == single.observation_space
+    assert data_equivalence(vector.reset(seed=2), single.reset(seed=2), exact=True)
+    actions = np.ones((2, 7))
+    mine, theirs = vector.step(actions), single.step(actions)
+    assert data_equivalence(mine, theirs, exact=True) and mine[0] in vector.observation_space
+    noisy, clean = vector.reset(seed=2)[0]['depth/frontview'][0], depth
+    assert 0.001 < np.abs(noisy - clean)[seen].max() < 0.2
+    vector.close()
+    single.close()
 
 
 def test_a_bad_action_of_one_world_changes_none():

@@ -26,24 +26,24 @@ def simulation():
 def test_the_first_image_is_that_of_any_later_moment_and_order_of_cameras(
         renderer, simulation, camera):
     alone = Pictures(simulation, {camera: SIZE})
-    first = alone.take(simulation)[camera]
-    assert np.array_equal(alone.take(simulation)[camera], first)
+    first = alone.take(simulation)[camera].rgb
+    assert np.array_equal(alone.take(simulation)[camera].rgb, first)
     alone.close()
     others = Pictures(simulation, {'birdview': SIZE, camera: SIZE})
-    assert np.array_equal(others.take(simulation)[camera], first)
+    assert np.array_equal(others.take(simulation)[camera].rgb, first)
     others.close()
 
 
 @pytest.mark.full
 def test_pictures_that_nobody_closed_leave_those_of_others_alone(renderer, simulation):
     lost = Pictures(simulation, {'agentview': SIZE})
-    wanted = lost.take(simulation)['agentview']
+    wanted = lost.take(simulation)['agentview'].rgb
     pictures = Pictures(simulation, {'agentview': SIZE})
     lost.itself = lost
     del lost
     gc.collect()
     for _ in range(2):
-        assert np.array_equal(pictures.take(simulation)['agentview'], wanted)
+        assert np.array_equal(pictures.take(simulation)['agentview'].rgb, wanted)
     pictures.close()
     with pytest.raises(SimulationEnded, match='these pictures are closed'):
         pictures.take(simulation)
