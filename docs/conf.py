@@ -45,6 +45,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     ('py:.*', r'(gymnasium|mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
     ('py:.*', r'(Any|ArrayLike|(Bool|Float|Int)Array|Callable|Iterable|Mapping|Path|PathLike)'),
+    ('py:.*', 'AutoresetMode'),
     ('py:.*', 'Sequence'),
     ('py:.*', 'Union'),
     ('py:.*', r'(abc\..*|C|P|T|GripperT|.*\.[CPT]|.*\.GripperT|(.*\.)?Sent)'),

@@ -312,7 +312,11 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                      for value in self._attributes(name))
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return what :meth:`call` does."""
+        """
+        Return what :meth:`call` does without arguments.
+
+        :param name: of an attribute or method
+        """
         return self.call(name)
 
     def set_attr(self, name: str, values: Any) -> None:
