@@ -9,12 +9,14 @@ Measure the rest of arms that press on their pedestal, their body or a table; pr
 Each motion is random, by up to 1.6 rad, and ends where the arm is blocked; a reset precedes every
 third. A motion takes 5 s, or 3 s more than the joint that is farthest from its goal takes at
 its velocity limit. For the last 0.3 s the arm must rest: none of its joints may be faster than
-0.003 rad/s (slide joints: m/s) in any physics step. Motions that end without a contact do not
-count. In mode `position` joints get one goal, in `velocity` a velocity for 0.8 s, then zero. In
+0.003 rad/s (slide joints: m/s) in any physics step. A motion that does not rest goes on for up to
+20 s, as an arm whose links rub against each other may still be on its way to the goal. Motions
+that end without a contact do not count. In mode `position` joints get one goal, in `velocity` a velocity for 0.8 s, then zero. In
 `effort` a PD controller outside of the simulation leads the joints to goals with 2.4 Hz,
 critically damped, at 95 % of the effort limit at most, 500 times a second by default.
 
 - moving: how many motions do not end at rest, of how many with contact.
+- for ever: how many of these do not rest in the 20 s after that either.
 - speed: the greatest of a joint in the worst motion, and of its mean over the 0.3 s: a joint that
   slides has both, one that oscillates only the first.
 """
@@ -35,9 +37,9 @@ from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation
 
 PERIOD_S = 0.01
-#: Duration of a motion at least, what is added to its way at full speed, and of its end, in which
-#: it must rest [s].
-MOTION_S, SETTLING_S, END_S = 5.0, 3.0, 0.3
+#: Duration of a motion at least, what is added to its way at full speed, of its end, in which it
+#: must rest, and what it gets if it does not [s].
+MOTION_S, SETTLING_S, END_S, LATER_S = 5.0, 3.0, 0.3, 20.0
 #: Speed of a joint at rest [rad/s or m/s].
 REST = 0.003
 #: Goals are at most so far from the start [rad or m].
@@ -55,12 +57,14 @@ class Outcome:
     :ivar speed: the greatest of a joint [rad/s or m/s]
     :ivar drift: the greatest mean velocity of a joint [rad/s or m/s]
     :ivar contacts: names of the two shapes, as a set
+    :ivar later_s: how much later it rests, infinite if it does not in :data:`LATER_S` [s]
     """
 
     motion: int
     speed: float
     drift: float
     contacts: set[str]
+    later_s: float
 
     @property
     def rests(self) -> bool:
@@ -157,23 +161,35 @@ class Bench:
         return np.array(found)
 
     def run(self, motion: int, seed: int) -> Outcome:
-        """Run a motion, and look at its end in each physics step."""
+        """Run a motion, look at its end in each physics step, and let it rest."""
         random = np.random.default_rng([seed, motion])
         if motion % 3 == 0:
             self.simulation.reset()
-        end: list[Any] = []
         goal = self.goal(random)
         duration_s = self.duration_s(goal)
-        end_s = self.simulation.time_s + duration_s - END_S
-        for _ in self.controller(random, goal, duration_s):
-            if self.simulation.time_s < end_s:
-                self.simulation.advance(self.steps)
-                continue
+        periods = self.controller(random, goal, duration_s + LATER_S + END_S)
+        for _ in range(round((duration_s - END_S) / self.period_s)):
+            next(periods)
+            self.simulation.advance(self.steps)
+        end = self.watch(periods)
+        outcome = Outcome(motion, float(np.abs(end).max()), float(np.abs(np.mean(end, 0)).max()),
+                          self.contacts(), 0.0)
+        while np.abs(end).max() >= REST and outcome.later_s < LATER_S:
+            outcome.later_s += END_S
+            end = self.watch(periods)
+        if np.abs(end).max() >= REST:
+            outcome.later_s = math.inf
+        return outcome
+
+    def watch(self, periods: Iterator[None]) -> Any:
+        """Return the velocities of the joints in each step of the next :data:`END_S`."""
+        velocities = []
+        for _ in range(round(END_S / self.period_s)):
+            next(periods)
             for _ in range(self.steps):
                 self.simulation.advance(1)
-                end.append(self.velocities)
-        return Outcome(motion, float(np.abs(end).max()), float(np.abs(np.mean(end, 0)).max()),
-                       self.contacts())
+                velocities.append(self.velocities)
+        return np.array(velocities)
 
     def contacts(self) -> set[str]:
         """Return the names of the shapes that press on each other."""
@@ -208,20 +224,23 @@ def main() -> None:
     parser.add_argument('--rate', type=float, default=500.0, help='in effort mode [Hz] (500)')
     parser.add_argument('--details', action='store_true', help='a line for each that moves')
     options = parser.parse_args()
-    print('| robot | mode | timestep [ms] | moving, of | speed, mean [rad/s] |')
-    print('|---|---|---|---|---|')
+    print('| robot | mode | timestep [ms] | moving, of | for ever | speed, mean [rad/s] |')
+    print('|---|---|---|---|---|---|')
     for robot in options.robots or robot_names():
         for mode in options.modes:
             for timestep_ms in options.timesteps_ms:
                 outcomes = measure(robot, mode, timestep_ms * 1e-3, range(options.motions),
                                    options.arena, options.seed, options.rate)
                 moving = [outcome for outcome in outcomes if not outcome.rests]
+                ever = sum(math.isinf(outcome.later_s) for outcome in moving)
                 worst = max(outcomes, key=lambda each: each.speed, default=None)
                 print(f'| `{robot}` | {mode} | {timestep_ms:g} | {len(moving)}, {len(outcomes)} | '
+                      f'{ever} | '
                       + (f'{worst.speed:.4f}, {worst.drift:.4f} |' if worst else '- |'),
                       flush=True)
                 for outcome in moving if options.details else []:
-                    print(f'  motion {outcome.motion}: {outcome.speed:.4f}, {outcome.drift:.4f}: '
+                    print(f'  motion {outcome.motion}: {outcome.speed:.4f}, {outcome.drift:.4f}, '
+                          f'rests {outcome.later_s:.1f} s later: '
                           + ', '.join(sorted(outcome.contacts)[:4]), flush=True)
 
 

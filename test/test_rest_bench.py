@@ -47,6 +47,8 @@ def test_the_page_says_that_arms_rest_in_time():
     ('IIWA', 'position', 0.005, 'table', [0], 1),
     ('Sawyer', 'position', 0.005, 'empty', [0, 12, 13, 14], 1),
     ('UR5e', 'velocity', 0.001, 'empty', [0, 1, 2], 1),
+    ('UR5e', 'position', 0.002, 'empty', [42], 21),
+    ('SO101', 'velocity', 0.002, 'empty', [6, 7, 8], 1),
     ('GR1', 'velocity', 0.005, 'table', [12], 3),
     ('FR3', 'velocity', 0.002, 'table', [21, 22], 3),
     ('GR1', 'position', 0.005, 'table', [3, 4, 5], 1),
@@ -57,3 +59,10 @@ def test_arms_that_press_on_something_come_to_rest(
     outcomes = benchmark_module('resting').measure(robot, mode, timestep_s, motions, arena, seed)
     assert outcomes
     assert [outcome for outcome in outcomes if not outcome.rests] == []
+
+
+def test_a_motion_that_slides_on_is_given_time_to_arrive(benchmark_module):
+    resting = benchmark_module('resting')
+    outcomes = resting.measure('UR5e', 'position', 0.005, [3, 4, 5], seed=21)
+    late = [outcome for outcome in outcomes if not outcome.rests]
+    assert [outcome.motion for outcome in late] == [5] and 0.0 < late[0].later_s < resting.LATER_S

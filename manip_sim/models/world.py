@@ -29,12 +29,13 @@ from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.spec_edits import soften_contacts
 from manip_sim.validation import start_by_joint, whole_nanoseconds
 
-#: Ratio of frictional to normal constraint impedance: friction gives less than the contact.
-_IMPRATIO = 10.0
+#: Ratio of frictional to normal constraint impedance: friction gives less than the contact. From 500
+#: on, MuJoCo's solver needs twice as many iterations for rounded fingers.
+_IMPRATIO = 300.0
 #: Iterations after the solver that take the rest of that out, so that grasped objects do not creep
 #: (mujoco.readthedocs.io, modeling, "Preventing slip"), and when they may end sooner. Grasps need
 #: up to five, arms that press with several links at hundreds of newtons up to forty.
-_NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 50, 1e-7
+_NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 50, 1e-10
 #: Tolerance of collisions of convex shapes [m]. With MuJoCo's, the points where a cylinder touches
 #: jump by millimetres from step to step, and what presses on it never rests.
 _CCD_TOLERANCE = 1e-12

@@ -23,6 +23,12 @@ from manip_sim.models.world import World
 from manip_sim.physics.object_spawning import plan_with, plan_world
 
 
+class Hall(Arena):
+    """An arena of a file."""
+
+    arena_name = 'hall'
+
+
 def height_above_floor(model, geom_name):
     """Return the lowest and the highest corner of a box geom whose body is not turned [m]."""
     data = mujoco.MjData(model)
@@ -196,9 +202,6 @@ def test_options_and_visual_settings_are_those_of_the_arena(panda):
 
 
 def test_defaults_of_an_arena_stay_its_own_and_are_written(panda, mjcf):
-    class Hall(Arena):
-        arena_name = 'hall'
-
     path = mjcf('<geom name="ground" type="plane" size="1 1 0.1"/>'
                 '<body name="post" childclass="arena"><geom name="post" size="0.1"/></body>',
                 '<default><geom friction="0.3 0.1 0.1"/><default class="arena">'
@@ -217,17 +220,29 @@ def test_composing_warns_of_nothing(one_joint_arm, caplog):
     model = World([robot]).compile()
     assert caplog.records == []
     assert (model.narena, model.nuserdata) == (20 * 2**20, 3)
-    assert model.opt.impratio == 10.0
+    assert model.opt.impratio == 300.0
 
 
 def test_a_part_keeps_its_own_options_against_slip(one_joint_arm, panda):
     own = '<option noslip_iterations="{}" noslip_tolerance="{}"/>'
     weak, strong = (one_joint_arm(sections=own.format(*values), idn=number)
                     for number, values in ((1, (2, 1e-3)), (2, (30, 1e-5))))
-    for robots, wanted in (([panda], (50, 1e-7)), ([panda, weak], (2, 1e-3)),
+    for robots, wanted in (([panda], (50, 1e-10)), ([panda, weak], (2, 1e-3)),
                            ([weak, strong], (30, 1e-5))):
         option = World(robots).compile().opt
         assert (option.noslip_iterations, option.noslip_tolerance) == wanted
+
+
+def test_friction_holds_what_can_slide_in_one_direction_only(panda, mjcf):
+    """There, MuJoCo's iterations against slip do nothing."""
+    path = mjcf('<geom name="ground" type="plane" size="1 1 0.1"/><body name="block" pos="0 0 0.1">'
+                '<joint name="x" type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>'
+                '<geom type="sphere" size="0.1" mass="2"/></body>')
+    model = World([panda], Hall(path)).compile()
+    data = mujoco.MjData(model)
+    data.body('block').xfrc_applied[:3] = 350.0, 0.0, -500.0  # Friction has a coefficient of 1.
+    mujoco.mj_step(model, data, 500)
+    assert 0.0 < data.joint('x').qvel[0] < 1e-3
 
 
 @pytest.mark.parametrize(('own', 'tolerance'), [
