@@ -124,13 +124,26 @@ def _referred(path: Path, tree: ast.Module) -> Iterator[Path]:
                 folders = [path.parents[node.level - 1]]
             parents = [node.module] if node.module else []
             names = [*parents, *('.'.join([*parents, alias.name]) for alias in node.names)]
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        for text in _texts(node):
             # Any text, which os.path.isfile takes: pathlib raises for some.
-            yield from (file.resolve() for file in (Path(node.value), path.parent / node.value)
+            yield from (file.resolve() for file in (Path(text), path.parent / text)
                         if os.path.isfile(file) and os.access(file, os.R_OK)
                         and not any(map(file.is_relative_to, _KERNEL)))
         sources = (_source(name, folders) for name in names)
         yield from (source.resolve() for source in sources if source is not None)
+
+
+def _texts(node: ast.AST) -> Iterator[str]:
+    """Yield the texts of a node that may name a file: a constant, or several that are joined."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+    elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):  # HERE / 'folder' / 'file'
+        right = next(_texts(node.right), '')
+        yield from (os.path.join(left, right) for left in (*_texts(node.left), '') if right)
+    elif isinstance(node, ast.Call):  # os.path.join(HERE, 'folder', 'file')
+        parts = [text for argument in node.args if isinstance(argument, ast.Constant)
+                 for text in _texts(argument)]
+        yield from [os.path.join(*parts)] if parts else []
 
 
 def _source(module: str, folders: Iterable[Path | str]) -> Path | None:
@@ -213,6 +226,8 @@ def _module(where: str) -> Any:
                 sys.path.insert(0, '')
             return importlib.import_module(where)
         file = Path(where).resolve()
+        if str(file.parent) not in sys.path:  # Last, where its modules replace none of others.
+            sys.path.append(str(file.parent))
         # A name of its own: a policy in random.py must not replace the module random.
         spec = importlib.util.spec_from_file_location(f'policy_{file.stem}', file)
         assert spec is not None and spec.loader is not None

@@ -380,6 +380,32 @@ def test_what_a_policy_imports_and_names_is_a_part_of_it(policy_files, tmp_path,
     assert policy_content(policy_files) != before
 
 
+@pytest.mark.parametrize('line', [
+    "W = HERE / 'nets' / 'old' / 'gain.json'", "W = os.path.join(HERE, 'nets', 'old/gain.json')",
+    "W = Path('nets') / 'old' / 'gain.json'"])
+def test_a_file_that_a_policy_names_by_its_folders_is_a_part_of_it(tmp_path, line):
+    (tmp_path / 'policy.py').write_text(line)
+    weights = tmp_path / 'nets' / 'old' / 'gain.json'
+    weights.parent.mkdir(parents=True)
+    contents = set()
+    for text in ('1', '2'):
+        weights.write_text(text)
+        contents.add(policy_content(f'{tmp_path / "policy.py"}:act'))
+    assert len(contents) == 2
+
+
+def test_the_file_of_a_policy_imports_those_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, 'path', sys.path.copy())
+    (tmp_path / 'gains_beside.py').write_text('GAIN = 2.0\n')
+    (tmp_path / 'json.py').write_text('raise ValueError\n')
+    (tmp_path / 'policy.py').write_text(
+        'import json\nfrom gains_beside import GAIN\n\n\ndef act(observation):\n'
+        '    return [GAIN] * 7\n')
+    policy = load_policy(f'{tmp_path / "policy.py"}:act', None)
+    assert policy.act({}) == [2.0] * 7
+    del sys.modules['gains_beside']
+
+
 def test_an_experiment_is_described_once_also_for_its_workers(policy_files, tmp_path):
     experiment = Experiment(Setting('reach'), policy_files)
     described = experiment.description
