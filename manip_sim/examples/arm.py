@@ -40,8 +40,19 @@ _UNMOVED_S = 2.0
 _ALL, _ARM, _FINGERS, _WRENCH = (
     'joint_states', 'arm/joint_states', 'right/gripper/joint_states', 'right/wrench')
 _FOLLOWED = {_ALL: JointState, _ARM: JointState, _FINGERS: JointState, _WRENCH: WrenchStamped}
+#: Forces on the gripper below this are its own inertia, or what it carries [N].
+_PUSHED_N = 20.0
 #: Number of random postures to start from if the present one leads to no solution.
 _STARTS = 40
+
+
+def _obstacle(force_n: float) -> str:
+    """Return what is to be said of a force on a gripper that does not reach its goal [N]."""
+    if force_n < _PUSHED_N:
+        return ''
+    return (f'; its gripper presses on something with {force_n:.0f} N: if the fingers reach far '
+            'beyond the grasp point, move that towards their ends (grasp_point in '
+            'docs/how_to/add_your_own.md)')
 
 
 class InverseKinematics:
@@ -237,11 +248,12 @@ class Arm:
             time_from_start=Duration(sec=int(duration_s), nanosec=int(duration_s % 1.0 * 1e9)))
         self._trajectory.publish(JointTrajectory(joint_names=self._latest(_ARM).name,
                                                  points=[point]))
-        end_s = self._task.now_s + duration_s
+        end_s, force = self._task.now_s + duration_s, self.force
         while self._task.now_s < end_s or np.abs(self.joints - goal).max() > _NEAR:
             if self._task.now_s > end_s + _LATE_S:
                 raise TaskFailed(f'{self.name or "the arm"} does not reach its goal: its '
-                                 f'joints are off by {np.abs(self.joints - goal).max():.3f} rad')
+                                 f'joints are off by {np.abs(self.joints - goal).max():.3f} rad'
+                                 + _obstacle(float(np.linalg.norm(self.force - force))))
             self._task.next_state()
 
     def open(self) -> None:

@@ -53,6 +53,39 @@ def test_arms_with_other_hands_pick_it_up_too(name, serve, process):
     assert controller.returncode == 0, output + errors
 
 
+#: A gripper whose fingers reach 4 cm beyond the grasp point that is inferred.
+CLAW = """
+<mujoco>
+  <compiler autolimits="true"/>
+  <worldbody>
+    <body name="claw">
+      <geom type="cylinder" size="0.045 0.02" pos="0 0 0.02" mass="0.5"/>
+      <body name="left_finger" pos="0 0.04 0.045">
+        <joint name="left" axis="1 0 0" range="-10 40" armature="0.01" damping="0.5"/>
+        <geom type="capsule" size="0.008" fromto="0 0 0 0 0 0.08" mass="0.04"/>
+      </body>
+      <body name="right_finger" pos="0 -0.04 0.045">
+        <joint name="right" axis="-1 0 0" range="-10 40" armature="0.01" damping="0.5"/>
+        <geom type="capsule" size="0.008" fromto="0 0 0 0 0 0.08" mass="0.04"/>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="right" joint2="left"/></equality>
+  <actuator><position joint="left" kp="40" kv="2" forcerange="-3 3" inheritrange="1"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.full
+def test_fingers_that_press_on_the_table_are_told(tmp_path, serve, process):
+    (tmp_path / 'claw.xml').write_text(CLAW)
+    serve(robot='UR5e', gripper=str(tmp_path / 'claw.xml'), arena='table', real_time_factor=3.0)
+    controller = process('pick_cube', module='manip_sim.examples')
+    output, errors = controller.communicate(timeout=300.0)
+    assert controller.returncode == 1, output
+    assert re.search(r'the arm does not reach its goal: its joints are off by 0.\d+ rad; its gripper '
+                     r'presses on something with \d+ N: .* \(grasp_point in docs', errors)
+
+
 @pytest.mark.full
 def test_it_works_in_a_namespace_with_any_names(process, client):
     namespace = ('--ros-args', '-r', '__ns:=/cell/left')
