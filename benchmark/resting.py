@@ -11,9 +11,10 @@ third. A motion takes 5 s, or 3 s more than the joint that is farthest from its 
 its velocity limit. For the last 0.3 s the arm must rest: none of its joints may be faster than
 0.003 rad/s (slide joints: m/s) in any physics step. A motion that does not rest goes on for up to
 20 s, as an arm whose links rub against each other may still be on its way to the goal. Motions
-that end without a contact do not count. In mode `position` joints get one goal, in `velocity` a velocity for 0.8 s, then zero. In
-`effort` a PD controller outside of the simulation leads the joints to goals with 2.4 Hz,
-critically damped, at 95 % of the effort limit at most, 500 times a second by default.
+that end without a contact do not count. In mode `position` joints get one goal, in `velocity` a
+velocity for 0.8 s, then zero. In `effort` a PD controller outside of the simulation leads the
+joints to goals with 2.4 Hz, critically damped, at 95 % of the effort limit at most, 500 times a
+second by default.
 
 - moving: how many motions do not end at rest, of how many with contact.
 - for ever: how many of these do not rest in the 20 s after that either.

@@ -387,7 +387,7 @@ def _add_run(commands: Any) -> None:
 
 def _add_merge(commands: Any) -> None:
     parser = _command(
-        commands, 'merge', 'run', 'merge the folders of shards that ran separately', '',
+        commands, 'merge', 'run', 'merge the folders of shards, or of runs with other seeds', '',
         'example: manip_sim merge shard1 shard2 --out results')
     parser.add_argument('folders', nargs='+', type=Path, metavar='DIR', help='folders of a run')
     parser.add_argument('--out', required=True, type=Path, metavar='DIR',

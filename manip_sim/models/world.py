@@ -29,8 +29,8 @@ from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.spec_edits import soften_contacts
 from manip_sim.validation import start_by_joint, whole_nanoseconds
 
-#: Ratio of frictional to normal constraint impedance: friction gives less than the contact. From 500
-#: on, MuJoCo's solver needs twice as many iterations for rounded fingers.
+#: Ratio of frictional to normal constraint impedance: friction gives less than the contact. From
+#: 500 on, MuJoCo's solver needs twice as many iterations for rounded fingers.
 _IMPRATIO = 300.0
 #: Iterations after the solver that take the rest of that out, so that grasped objects do not creep
 #: (mujoco.readthedocs.io, modeling, "Preventing slip"), and when they may end sooner. Grasps need

@@ -82,8 +82,8 @@ def test_fingers_that_press_on_the_table_are_told(tmp_path, serve, process):
     controller = process('pick_cube', module='manip_sim.examples')
     output, errors = controller.communicate(timeout=300.0)
     assert controller.returncode == 1, output
-    assert re.search(r'the arm does not reach its goal: its joints are off by 0.\d+ rad; its gripper '
-                     r'presses on something with \d+ N: .* \(grasp_point in docs', errors)
+    assert re.search(r'the arm does not reach its goal: its joints are off by 0.\d+ rad; its '
+                     r'gripper presses on something with \d+ N: .* \(grasp_point in docs', errors)
 
 
 @pytest.mark.full
