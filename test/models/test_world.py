@@ -236,7 +236,8 @@ def test_a_part_keeps_its_own_options_against_slip(one_joint_arm, panda):
 def test_friction_holds_what_can_slide_in_one_direction_only(panda, mjcf):
     """There, MuJoCo's iterations against slip do nothing."""
     path = mjcf('<geom name="ground" type="plane" size="1 1 0.1"/>'
-                '<body name="block" pos="0 0 0.1"><joint name="x" type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>'
+                '<body name="block" pos="0 0 0.1"><joint name="x" type="slide" axis="1 0 0"/>'
+                '<joint type="slide" axis="0 0 1"/>'
                 '<geom type="sphere" size="0.1" mass="2"/></body>')
     model = World([panda], Hall(path)).compile()
     data = mujoco.MjData(model)
