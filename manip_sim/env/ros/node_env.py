@@ -234,7 +234,8 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._call(self._reset, Trigger.Request())
         self._periods = 0
         observation = self._observe(before)
-        return observation, {'seed': own, 'success': self._task['success'],
+        success = self._task['success']
+        return observation, {'seed': own, 'success': success, 'is_success': success,
                              'digest': self.digest()}
 
     def step(self, action: ArrayLike
@@ -255,7 +256,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._periods += 1
         self._like.periods = self._periods
         terminated, truncated = self._task['success'], self._like.time_is_up
-        info = {'success': terminated}
+        info = {'success': terminated, 'is_success': terminated}
         if terminated or truncated:
             info['digest'] = self.digest()
         return observation, self._task['reward'], terminated, truncated, info
