@@ -1,13 +1,21 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How long until the first state comes, against importing what anyone needs and compiling."""
+"""
+The time until the first state comes, against importing what anyone needs and compiling.
+
+With laws of control that are kept, as at each start but the first one of an installation; and
+without any, as then: they are compiled while the first states come.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 import contextlib
+import os
 from pathlib import Path
+import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -41,6 +49,37 @@ def measure(settings: Settings) -> Iterator[Figure]:
     yield Figure('start', 'start to first `joint_states`, over imports and compiling',
                  [node / bare for bare, node, _ in rounds], target=Target('<=', TARGET),
                  plain=[plain / bare for bare, _, plain in rounds], more_is_better=False)
+    settings.report('start, cold cache')
+    yield from _cold(statistics.median(bare for bare, _, _ in rounds))
+
+
+def _cold(bare_s: float) -> Iterator[Figure]:
+    """Measure a start where no laws are kept, and how long all of them take then, and later."""
+    with tempfile.TemporaryDirectory() as cache, _environment(XDG_CACHE_HOME=cache):
+        yield Figure('start', 'the same with a cold cache of laws', [_first_state_s() / bare_s],
+                     more_is_better=False)
+    with tempfile.TemporaryDirectory() as cache, _environment(XDG_CACHE_HOME=cache):
+        for kind in ('cold', 'warm'):
+            begin = time.monotonic()
+            subprocess.run([sys.executable, '-m', 'manip_sim.control.law.loading'], check=True,
+                           stderr=subprocess.DEVNULL)
+            yield Figure('start', f'all laws from a {kind} cache', [time.monotonic() - begin],
+                         's', digits=1, more_is_better=False)
+
+
+@contextlib.contextmanager
+def _environment(**changes: str) -> Iterator[None]:
+    """Let processes that are started meanwhile have other environment variables."""
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _bare_s(model: Path) -> float:
