@@ -47,7 +47,7 @@ ROWS = {
     'effect': ('answers', 'measure_effect', True, 90.0),
     'lockstep': ('answers', 'measure_lockstep', True, 60.0),
     'robots': ('robots', 'measure', False, 90.0),
-    'start': ('start', 'measure', True, 240.0),
+    'start': ('start', 'measure', True, 360.0),
     'memory': ('memory', 'measure', True, 200.0),
     'period': ('period', 'measure', False, 60.0),
     'worlds': ('many_worlds', 'measure', False, 150.0),
