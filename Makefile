@@ -92,7 +92,7 @@ PYTEST = $(BIN)/python -m $(if $(COVER),coverage run -m )pytest $(TEST_DIST)
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
 
-# What runs beside a node takes the environment as it is, also if setup.py is newer: pip would change
+# A program beside a node takes the environment as it is, also if setup.py is newer: pip would change
 # it under the node.
 AS_IT_IS = $(if $(wildcard $(READY)),,$(READY))
 

@@ -66,7 +66,7 @@ def test_every_row_of_the_entrance_has_its_function(bench):
         source = (ROOT / 'benchmark' / 'targets' / f'{module}.py').read_text()
         assert f'\ndef {function}(settings: Settings)' in source
         assert limit_s > 0.0
-    # What is measured without more ado ends within half an hour, whatever hangs.
+    # All rows together end within half an hour, whatever hangs.
     assert sum(limit_s for *_, limit_s in entrance.ROWS.values()) < 1800.0
 
 

@@ -14,7 +14,7 @@ from manip_sim.errors import ManipSimError
 
 
 class UsageError(ManipSimError):
-    """What a command was given cannot be used; exit code 2, as for a wrong command line."""
+    """Arguments that cannot be used; exit code 2, as for a wrong command line."""
 
 
 def check_folder(file: Path) -> None:

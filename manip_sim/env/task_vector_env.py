@@ -122,7 +122,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         self._given: dict[str, Sequence[Any]] = {}
         self.single_action_space = action_space(self._episodes[0], chunk)
         first = self._episodes[0].observation
-        #: What was observed last in each environment, by key.
+        #: The last observation of each environment, by key.
         self._observed = {key: np.zeros((self.num_envs, *value.shape), value.dtype)
                           for key, value in first.items()}
         self.single_observation_space = observation_space(first)

@@ -18,7 +18,7 @@ from manip_sim.experiments.summary import Row, wilson_interval, Z_95
 from manip_sim.quoting import counted, shown
 from manip_sim.records.recorded import Record, RecordedEpisode
 
-#: What may differ between runs that are compared; versions are noted.
+#: Keys that may differ between runs that are compared; versions are noted.
 _FREE = frozenset({'policy', 'policy_content', 'versions'})
 #: Halvings of an interval of length 1 until it is as short as a float can tell.
 _HALVINGS = 60
@@ -182,7 +182,7 @@ class Comparison:
 
     @property
     def notes(self) -> list[str]:
-        """What a reader should know: seeds that are left out, errors, versions."""
+        """Remarks for a reader: seeds that are left out, errors, versions."""
         found, first, compared = [], self.runs[0], set(self.seeds)
         for run in self.runs:
             if len(run.rows) < len(run.seeds):

@@ -134,7 +134,7 @@ class Worker:
 
     @property
     def interface(self) -> dict[str, Any]:
-        """What the policy gets and gives, as JSON can hold it."""
+        """Inputs and outputs of the policy, as JSON can hold them."""
         return interface_of(self._episode)
 
     def run(self, seed: int) -> Row:

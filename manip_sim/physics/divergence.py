@@ -49,7 +49,7 @@ class DivergenceWatch:
 
     @property
     def warns(self) -> bool:
-        """Whether MuJoCo has warned of bad numbers since then."""
+        """True if MuJoCo has warned of bad numbers since then."""
         return bool(self._warnings.tobytes() != self._warned)
 
     def reason(self) -> str | None:

@@ -74,7 +74,7 @@ class PhysicsSteps:
 
     def _look_at_tools(self) -> None:
         self._touch = TouchWatch(self._model, self._data, self.tools)
-        #: Whether nothing but contacts, and what :attr:`_touch` sees, exerts forces on tools.
+        #: True if only contacts, and forces that :attr:`_touch` sees, act on tools.
         self._only_touched = all(tool.is_only_touched for tool in self.tools)
         #: Room for the notes of compiled steps, by their number.
         self.notes = Derived()
@@ -131,7 +131,7 @@ class PhysicsSteps:
 
     @property
     def _may_resume(self) -> bool:
-        """Whether a step may go on from what has been computed, if the state is the same."""
+        """True if a step may go on from the last computation, as long as the state is the same."""
         options = self._options
         return (self._computed and int(options.integrator) in _RESUMABLE
                 and not options.enableflags)

@@ -24,7 +24,7 @@ from manip_sim.tasks import start, Task
 
 #: Of how many episodes the digests are kept for states that are restored.
 _REMEMBERED = 1000
-#: How often what has come is published, wall time [s].
+#: Interval at which new content is published, wall time [s].
 _JOURNAL_S = 0.05
 
 

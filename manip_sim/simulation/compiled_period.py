@@ -86,15 +86,15 @@ class CompiledPeriod:
         :param begins: whether they begin a period, of which the state is remembered
         :param ends: whether they end it, and all of the last instant is computed
         """
-        room, physics_steps = self._room(), self._steps
+        room, steps = self._room(), self._steps
         room.orders[:] = begins, ends, (
-            physics_steps.begin_by_law() if begins else physics_steps.take_resumes())
+            steps.begin_by_law() if begins else steps.take_resumes())
         notes = self._derived.of['notes'] = self.notes(left)
         for run in runs:
             run.room.row.write((run.joints, run.targets, run.grippers, run.room.moved_s))
         robots = self._derived.made_of(_addresses, *[run.room for run in runs])
         room.row.write((room.place, room.time, room.orders, intervals,
-                        physics_steps.physics.arrays, robots, notes, room.watch, room.outcome))
+                        steps.physics.arrays, robots, notes, room.watch, room.outcome))
 
     def _room(self) -> _Room:
         """Return what is the same as long as there is the same model."""
@@ -134,7 +134,7 @@ class CompiledPeriod:
 
     @property
     def orders(self) -> IntArray:
-        """What was wanted of the last run, by ``BEGINS``, ``ENDS`` and ``RESUMES`` of the law."""
+        """Orders of the last run, by ``BEGINS``, ``ENDS`` and ``RESUMES`` of the law."""
         return self._room().orders
 
     def outcome(self) -> tuple[int, bool, Any]:

@@ -51,7 +51,7 @@ class ControlPeriods:
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         self._cuts: dict[int, IntArray] = {}
         self.compiled = CompiledPeriod(steps, clock, timestep_s)
-        #: What it was prepared for: robots, what they do, and whether a period ends with it.
+        #: The robots and runs that it was prepared for; true if a period ends with them.
         self._prepared: tuple[
             Sequence[SimulatedRobot], Sequence[RobotRun], bool] | None = None
         #: Of this period: whether it has begun for the physics, whether all of its last instant is

@@ -417,7 +417,7 @@ class SimulatedRobot:
 
     @property
     def has_latency(self) -> bool:
-        """Whether commands are on their way, or states are measured before they arrive."""
+        """True if commands are on their way, or states are measured before they arrive."""
         return bool(self._late) or self.sensing.settings.delays
 
     def next_arrival(self, count: int, end: int) -> int:

@@ -31,7 +31,7 @@ _LONGEST_CHUNK = 10_000
 @dataclass(frozen=True)
 class AnswerTime:
     """
-    How long a policy thinks, in simulated time, and what it does with chunks of actions.
+    The time that a policy thinks, simulated, and its use of chunks of actions.
 
     :ivar mean_s: from the observation to the effect of the first action [s]
     :ivar jitter_s: standard deviation of the single times, drawn from the seed [s]

@@ -32,7 +32,7 @@ _COLUMNS = {
 #: By key, the units of hinges and of slide joints.
 _OF_JOINTS = {'joint_position': ('rad', 'm'), 'joint_velocity': ('rad/s', 'm/s'),
               'joint_effort': ('N m', 'N')}
-#: What a file may hold, by the key of its part.
+#: Content of a file, by the key of its part.
 _KNOWN: Mapping[str, tuple[str, ...]] = {
     '': ('format', 'control_hz', 'action', 'observation'),
     'action': ('kind', 'names', 'units', 'bounds'),

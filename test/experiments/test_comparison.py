@@ -17,7 +17,7 @@ pytest.importorskip('tqdm', reason='tqdm is not installed')
 
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ModelError  # noqa: E402
-from manip_sim.experiments import Experiment, Worker  # noqa: E402
+from manip_sim.experiments import Experiment  # noqa: E402
 from manip_sim.experiments.comparison import (  # noqa: E402
     compare, difference_interval, first_difference, mcnemar_p, seeds_to_add)
 from manip_sim.experiments.run_folder import read_run, read_rows, spans  # noqa: E402
@@ -323,15 +323,6 @@ def test_the_description_of_a_run_makes_the_same_run(setting):
     for key in ('task', 'latency', 'cameras', 'image_size', 'policy'):
         with pytest.raises(ModelError, match='the description of a run cannot be used'):
             Experiment.of({name: value for name, value in stored.items() if name != key})
-
-
-@pytest.fixture
-def in_this_process(monkeypatch):
-    """Run episodes here: each process would import all again."""
-    def run_here(experiment, seeds, count):
-        worker = Worker(experiment)
-        return (worker.run(seed) for seed in seeds)
-    monkeypatch.setattr('manip_sim.cli.run.run_in_processes', run_here)
 
 
 def run(out, policy, seeds, *more):

@@ -57,15 +57,6 @@ def whole(tmp_path_factory):
     return out
 
 
-@pytest.fixture
-def in_this_process(monkeypatch):
-    """Run episodes here, in tests of rows and folders: each process would import all again."""
-    def run_here(experiment, seeds, count):
-        worker = Worker(experiment)
-        return (worker.run(seed) for seed in seeds)
-    monkeypatch.setattr('manip_sim.cli.run.run_in_processes', run_here)
-
-
 @pytest.mark.full
 def test_a_run_has_the_rows_of_episodes_that_are_run_by_hand(whole):
     worker = Worker(Experiment(Setting('reach'), f'{POLICIES}:Towards'))

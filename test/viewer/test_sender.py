@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker  # noqa: E402
 from manip_sim.viewer.page.diagnosis import ShownStatus  # noqa: E402
 from manip_sim.viewer.ros.command_sender import CommandSender  # noqa: E402
 
-#: How long to wait for what has to come, on a busy machine too [s].
+#: Longest wait for an answer that has to come, on a busy machine too [s].
 PATIENCE_S = 300.0
 
 

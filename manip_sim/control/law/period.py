@@ -49,7 +49,7 @@ class Time(NamedTuple):
 
 class Robot(NamedTuple):
     """
-    What a robot does in a period.
+    The part of a robot in a period.
 
     :ivar joints: of the robot
     :ivar targets: of its end effectors

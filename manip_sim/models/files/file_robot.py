@@ -53,7 +53,7 @@ class FileRobot(RobotModel, registered=False):
     def _compile_alone(self) -> mujoco.MjModel:
         if self._spec_is_shared:
             return super()._compile_alone()
-        # How hands close is tried with their shapes; nothing else asks for any.
+        # Closings of hands are tried with their shapes; nothing else asks for any.
         roots = [self._spec.body(hand.body) for hand in self._own_hands.values()]
         return compile_without_meshes(self._spec, self.name, {
             body.name for root in roots for body in (root, *root.find_all('body'))})

@@ -69,7 +69,7 @@ class RobotModel(Subsystems, ABC):
         self._base: RobotBaseModel | None = None
         #: Where :meth:`set_base_xpos` and :meth:`set_base_ori` want the robot.
         self._floor_xpos: FloatArray | None = None
-        #: Whether the height of that place is nobody's choice.
+        #: True if nobody has chosen the height of that place.
         self._may_be_raised = True
         self._root_quat: FloatArray | None = None
         self._laws: dict[tuple[MujocoXMLModel, str], FrictionLaw] = {}
