@@ -430,6 +430,25 @@ def test_limits_that_cannot_be_are_rejected_with_joint_and_file(tmp_path, limit,
     assert str(error.value) == f"{file}: joint 'elbow': {message}"
 
 
+@pytest.mark.parametrize(('kind', 'more', 'message'), [
+    ('revolute', '<limit lower="-1" upper="1" effort="-5" velocity="1"/>',
+     'effort of its <limit> is negative: -5; write 5, or 0 for none'),
+    ('continuous', '<limit effort="5" velocity="-1"/>',
+     'velocity of its <limit> is negative: -1; write 1, or 0 for none'),
+    ('continuous', '<dynamics damping="-0.2"/>',
+     'damping of its <dynamics> is negative: -0.2; write 0.2, or 0 for none'),
+    ('continuous', '<dynamics damping="1" friction="-1e-3"/>',
+     'friction of its <dynamics> is negative: -0.001; write 0.001, or 0 for none'),
+    ('continuous', '<dynamics damping="nan"/>',
+     "damping of its <dynamics> must be a finite number, got 'nan'")])
+def test_negative_limits_and_losses_are_rejected_with_joint_file_and_remedy(
+        tmp_path, kind, more, message):
+    file = write(tmp_path / 'arm.urdf', arm_with(kind, more))
+    with pytest.raises(ModelError) as error:
+        load_robot(file)
+    assert str(error.value) == f"{file}: joint 'elbow': {message}"
+
+
 @pytest.mark.parametrize('limit', ['lower="0.5" upper="0.5"', 'lower="0" upper="0.5"'])
 @pytest.mark.parametrize(('origin', 'axis', 'message'), [
     ('<origin xyz="0 0 x"/>', '0 0 1', "bad format in attribute 'xyz'"),

@@ -53,7 +53,8 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     unlimited, swapped = [], []
     for name, joint in joints.items():
         limit, kind = joint.find('limit'), joint.get('type')
-        _numbers(limit, ('effort', 'velocity'), name, file)
+        _reject_negative(limit, ('effort', 'velocity'), name, file)
+        _reject_negative(joint.find('dynamics'), ('damping', 'friction'), name, file)
         if kind not in _WITH_RANGE:
             continue
         if limit is None or not {'lower', 'upper'} & set(limit.keys()):
@@ -100,6 +101,15 @@ def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joi
                              f'must be a finite number, got {quoted(given)}')
         values.append(value)
     return values
+
+
+def _reject_negative(element: ElementTree.Element | None, attributes: Sequence[str], joint: str,
+                     file: Path) -> None:
+    for attribute, value in zip(attributes, _numbers(element, attributes, joint, file)):
+        if element is not None and value < 0.0:
+            raise ModelError(
+                f'{file}: joint {quoted(joint)}: {attribute} of its <{element.tag}> is negative: '
+                f'{value:g}; write {-value:g}, or 0 for none')
 
 
 def _declare_links(robot: ElementTree.Element, file: Path) -> list[str]:
