@@ -204,20 +204,20 @@ class _NodeRecorder:
         self.messages += 1
         self._bytes += len(content)
 
-    def _attach(self, content: bytes) -> None:
+    def _attach(self, content: bytes, _: dict[str, int]) -> None:
         assert self._file is not None
         archive = bytes(deserialize_message(content, UInt8MultiArray).data)
         self._file.attach(MODEL, 'application/zip', archive, time.time_ns())
 
     def run(self, ended: EndSignals, end_s: float | None, show: Callable[[int, str], object]
             ) -> None:
-        """Record until a signal or an instant of the monotonic clock [s]."""
+        """Record what comes until a signal or an instant of the monotonic clock [s]."""
         assert self._file is not None
         look_s = 0.0
         while not ended.wait(0.0):
             now_s = time.monotonic()
             if end_s is not None and now_s >= end_s:
-                return
+                break
             if now_s >= look_s:
                 look_s = now_s + _LOOK_S
                 self._look()
@@ -227,7 +227,19 @@ class _NodeRecorder:
             try:
                 self._executor.spin_once(timeout_sec=0.1)
             except ExternalShutdownException:
-                return
+                break
+        self._take_waiting()
+
+    def _take_waiting(self) -> None:
+        """Record what has come until now and waits; no more, as topics may be faster than this."""
+        now_ns = time.time_ns()
+        for subscription in self._node.subscriptions:
+            received_ns = 0
+            with subscription.handle:
+                while received_ns <= now_ns and (taken := subscription.handle.take_message(
+                        subscription.msg_type, subscription.raw)) is not None:
+                    subscription.callback(*taken)
+                    received_ns = taken[1]['received_timestamp']
 
     def _size(self) -> str:
         return f'{self._bytes / 1e6:.1f} MB'

@@ -7,9 +7,12 @@ import resource
 import signal
 import subprocess
 import sys
+from unittest.mock import Mock
 
-from harness import END_SIGNALS
+from harness import END_SIGNALS, START_S
 import pytest
+from rclpy.duration import Duration
+from std_msgs.msg import Float64MultiArray
 import yaml
 
 for needed in ('mcap', 'rosbags'):
@@ -20,6 +23,7 @@ from mcap.stream_reader import StreamReader  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 
 from manip_sim.models.archive import load_archive  # noqa: E402
+from manip_sim.records import node_recorder  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 
 WAIT_S = 300.0
@@ -96,6 +100,38 @@ def test_all_topics_of_a_node_are_recorded_until_a_signal(
     (model,) = typed(path, '/manip_sim/mjcf')
     assert '<mujoco' in model.data
     assert_shown(path, states[-1])
+
+
+@pytest.fixture
+def waiting(client, tmp_path):
+    """Return a recorder, and its file, for which 200 messages have come that it has not taken."""
+    publisher = client.node.create_publisher(Float64MultiArray, 'waiting', 1000)
+    recorder = node_recorder._NodeRecorder(client.node, client.executor, '/client', ['waiting'])
+    recorder.open(tmp_path / 'waiting.mcap')
+    client.spin_until(lambda: publisher.get_subscription_count() == 1)
+    for number in range(200):
+        publisher.publish(Float64MultiArray(data=[number]))
+    assert publisher.wait_for_all_acked(Duration(seconds=START_S))
+    return recorder, tmp_path / 'waiting.mcap'
+
+
+def end(recorder):
+    """Let a recorder end at once."""
+    recorder.run(Mock(wait=lambda timeout_s: True), None, print)
+    recorder.close()
+
+
+def test_what_has_come_before_the_end_and_waits_is_recorded(waiting):
+    recorder, path = waiting
+    end(recorder)
+    assert [message.data[0] for message in typed(path, '/waiting')] == list(range(200))
+
+
+def test_what_comes_after_the_end_is_not_waited_for(waiting, monkeypatch):
+    recorder, path = waiting
+    monkeypatch.setattr(node_recorder.time, 'time_ns', lambda: 0)
+    end(recorder)
+    assert [message.data[0] for message in typed(path, '/waiting')] == [0.0]
 
 
 @pytest.mark.full
