@@ -47,7 +47,7 @@ def test_what_is_not_executed_is_counted_and_what_others_test_is_tested():
         assert block.tested_by <= tests, block.where
 
 
-@pytest.mark.parametrize('page', PAGES, ids=name)
+@pytest.mark.parametrize('page', [*PAGES, *sorted((ROOT / 'assets').rglob('*.md'))], ids=name)
 def test_every_link_leads_to_a_file_and_a_heading(page):
     for target, heading in links(page):
         assert target.exists(), target
