@@ -225,6 +225,27 @@ def test_another_robot_takes_the_place_of_one_that_still_counts_as_present(clien
                   == (-0.5, 0.25))
 
 
+def test_the_former_parts_stay_until_all_is_known_of_other_ones(client, other):
+    finding = Finding(client, NAME)
+    found = finding.whole()
+    (robot,) = found.robots()
+    other.node.create_subscription(JointState, 'torso/joint_command', print, 10)
+    (arm,) = [each for each in other.node.subscriptions if each.topic_name == '/arm/joint_command']
+    other.node.destroy_subscription(arm)
+    finding.until(lambda found: [part for each in found._seen.robots for part in each.parts]
+                  == ['torso'])
+    for _ in range(3):
+        finding.discovery.look()
+    assert found.robots() == [robot]
+    states = other.node.create_publisher(JointState, 'torso/joint_states', 10)
+
+    def arrived(_):
+        states.publish(other.states()['arm/joint_states'])
+        return [part.name for part in found.robots()[0].parts] == ['torso']
+    finding.until(arrived)
+    assert found._joints.keys() == {'/torso'}
+
+
 def test_a_part_without_usable_names_of_joints_is_waited_for(client, other):
     finding = Finding(client, NAME)
     other._timer.cancel()

@@ -111,9 +111,6 @@ class Discovery:
         """Take over a layout when the joints of all parts and all limits are known."""
         spaces = [robot.space for robot in layout.robots]
         parts = [robot.space + name for robot in layout.robots for name in robot.parts]
-        # A robot that is gone may come again as another one.
-        self._limits = {space: found for space, found in self._limits.items() if space in spaces}
-        self._joints = {part: found for part, found in self._joints.items() if part in parts}
         # Another description may come at any time, the names of joints come many times a second.
         wanted: dict[str, tuple[Any, ...]] = {f'{space}robot_description': (
             String, partial(self._take_urdf, space), LATCHED, _MAX_URDF_BYTES)
@@ -126,8 +123,11 @@ class Discovery:
         for topic, (kind, *rest) in wanted.items():
             if topic not in self._subscriptions:
                 self._subscriptions[topic] = self._readers.subscribe(kind, topic, *rest)
-        if len(self._limits) == len(spaces) and len(self._joints) == len(parts):
+        if self._limits.keys() >= set(spaces) and self._joints.keys() >= set(parts):
             self.layout = layout
+            # A robot that is gone may come again as another one.
+            self._limits = {space: self._limits[space] for space in spaces}
+            self._joints = {part: self._joints[part] for part in parts}
 
     def _take_urdf(self, space: str, message: String) -> None:
         try:
