@@ -8,8 +8,7 @@ WORKDIR /ws
 COPY . src/manip_sim
 # What pip installs has the versions of requirements/, but for NumPy: ROS packages from apt were
 # built with NumPy 1.
-RUN grep -oE '^[a-z0-9.-]+==[^\\]+' src/manip_sim/requirements/run.txt \
-    | grep -v '^numpy==' > locked.txt \
+RUN src/manip_sim/.ci/constraints run numpy > locked.txt \
     && echo 'numpy==1.26.4' >> locked.txt
 # rosdep installs what package.xml names; numba from pip is built for this Python. OpenGL is for
 # cameras, viser and trimesh for the viewer.

@@ -65,7 +65,7 @@ TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
 # $(call install,NAME,ARGUMENTS): let pip install, and show in one line what it does; all if it fails.
 define install
 @echo 'Installing $(1) into $(VENV), once'; \
-$(BIN)/python -m pip install --progress-bar off $(2) > $(VENV)/pip.log 2>&1 & pip=$$!; seconds=0; \
+$(BUILT_WITH) $(BIN)/python -m pip install --progress-bar off $(2) > $(VENV)/pip.log 2>&1 & pip=$$!; seconds=0; \
 while kill -0 $$pip 2> /dev/null; do sleep 1; seconds=$$((seconds + 1)); [ ! -t 1 ] || \
 	printf '\r\033[K  %s s  %.60s' $$seconds "$$(grep -v '^ *Using' $(VENV)/pip.log | tail -n 1)"; done; \
 [ ! -t 1 ] || printf '\r\033[K'; \
@@ -79,7 +79,12 @@ $(error make: LOCKED=1 is for ROS 2 Jazzy from wheels, and another one is source
 endif
 RUN_PACKAGES = --require-hashes --requirement requirements/run.txt
 TEST_PACKAGES = --require-hashes --requirement requirements/test.txt
+# What builds packages that come without a wheel has no hashes, but a version; pip has the second
+# name for it since 25.3.
+PREPARE = .ci/constraints test > $(VENV)/locked.txt
+BUILT_WITH = PIP_CONSTRAINT=$(VENV)/locked.txt PIP_BUILD_CONSTRAINT=$(VENV)/locked.txt
 else
+PREPARE = $(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
 RUN_PACKAGES = --editable '.[$(RUN_EXTRAS)]'
 # The package that is installed stays as it is, whatever runs with it.
 TEST_PACKAGES = 'manip_sim[$(TEST_EXTRAS)]'
@@ -146,7 +151,7 @@ $(READY): setup.py
 	@$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), sys.version' \
 		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.13' >&2; exit 1; }
 	@$(PYTHON) -m venv $(if $(wildcard $(VENV)/.ready-$(ROS_NOT_FROM)),--clear) $(VENV_ARGS) $(VENV)
-	@[ '$(LOCKED)' = 1 ] || $(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
+	@$(PREPARE)
 	$(call install,the package and what it runs with,$(RUN_PACKAGES))
 	@[ '$(LOCKED)' != 1 ] \
 		|| $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
@@ -159,9 +164,11 @@ $(TEST_READY): $(READY)
 
 # All extras, but not those of hundreds of megabytes that tests do without.
 LOCKED_EXTRAS = docs env jazzy jazzy-test meshes mutate onnx records run test viewer xacro
-# For all Pythons at once, users and tests with the same versions.
+# For all Pythons at once, users and tests with the same versions. Without the extras that packages
+# ask for, pip before 23.3, which Python 3.10 brings, takes a version for missing.
 COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --generate-hashes \
-	--no-annotate --custom-compile-command 'make requirements' $(REQUIREMENTS_ARGS) setup.py
+	--no-strip-extras --no-annotate --custom-compile-command 'make requirements' \
+	$(REQUIREMENTS_ARGS) setup.py
 
 requirements: $(READY)
 	$(BIN)/python -m pip install --quiet uv

@@ -3,6 +3,7 @@
 
 """What ``requirements/`` locks: all that setup.py asks for, with hashes, and from anywhere."""
 
+import importlib.metadata
 import importlib.util
 import json
 from pathlib import Path
@@ -108,8 +109,45 @@ def test_make_installs_what_is_locked_where_that_is_asked_for(target, file):
             f'requirements/{file}.txt') in bound
     # Nothing else is installed without a hash.
     assert [line for line in bound if '--require-hashes' not in line] == [
-        'pip install --quiet --upgrade pip setuptools wheel',
         'pip install --quiet --no-deps --no-build-isolation --editable .']
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
+def test_what_builds_packages_without_a_wheel_is_locked_too(tmp_path):
+    done = subprocess.run(
+        ['make', '--dry-run', '--always-make', 'ROS_DISTRO=', f'VENV={tmp_path}', 'LOCKED=1',
+         f'{tmp_path}/.ready-to-test-wheels'], cwd=ROOT, capture_output=True, text=True,
+        check=True)
+    (prepare,) = re.findall(r'^\.ci/constraints .*', done.stdout, re.MULTILINE)
+    subprocess.run(['sh', '-ec', prepare], cwd=ROOT, check=True)
+    file = tmp_path / 'locked.txt'
+    constraints = list(map(Requirement, file.read_text().splitlines()))
+    assert len(constraints) == len(entries('test'))
+    assert 'setuptools' in {one.name for one in constraints}
+    assert not [one for one in constraints if one.extras]  # pip takes none here.
+    installs = re.findall(r'^.*--require-hashes.*', done.stdout, re.MULTILINE)
+    assert len(installs) == 2
+    for line in installs:
+        assert (f'PIP_CONSTRAINT={file} PIP_BUILD_CONSTRAINT={file} {tmp_path}/bin/python -m pip '
+                'install') in line
+
+
+def test_packages_are_locked_with_the_extras_that_others_ask_for():
+    # Otherwise pip before 23.3 takes the version of these for missing, as of Python 3.10.
+    locked_extras = {}
+    for requirement in (Requirement(entry.partition(' --hash=')[0]) for entry in entries('test')):
+        locked_extras.setdefault(canonicalize_name(requirement.name), set()).update(
+            requirement.extras)
+    asking = []
+    for distribution in importlib.metadata.distributions():
+        if canonicalize_name(distribution.name) not in locked_extras:
+            continue
+        for one in map(Requirement, distribution.requires or ()):
+            if one.extras and (one.marker is None or one.marker.evaluate({'extra': ''})):
+                asking.append(one)
+    assert asking
+    for one in asking:
+        assert one.extras <= locked_extras[canonicalize_name(one.name)], one
 
 
 @pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
@@ -137,8 +175,8 @@ def test_the_bill_of_materials_of_a_release_names_what_is_locked_with_its_hashes
     bill = json.loads(target.read_text())
     assert bill['bomFormat'] == 'CycloneDX'
     found = {(part['name'], part['version']) for part in bill['components']}
-    wanted = {tuple(entry.split()[0].split('==')) for entry in entries('run')}
+    locked = [Requirement(entry.split()[0]) for entry in entries('run')]
     assert {(canonicalize_name(name), version) for name, version in found} == {
-        (canonicalize_name(name), version) for name, version in wanted}
+        (canonicalize_name(one.name), str(one.specifier).removeprefix('==')) for one in locked}
     assert all(any(reference.get('hashes') for reference in part['externalReferences'])
                for part in bill['components'])
