@@ -26,7 +26,7 @@ from manip_sim.quoting import quoted, shown
 from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.late_answers import AnswerTimeLike, NO_ANSWER_TIME
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
-from manip_sim.tasks.observation import Observation
+from manip_sim.tasks.observation import Observation, observe
 from manip_sim.tasks.pictures import CameraLike, Pictures
 from manip_sim.validation import whole_number
 from manip_sim.worlds import Worlds
@@ -293,9 +293,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
 
     def _observe(self, mask: NDArray[np.bool_]) -> Observation:
         """Observe some environments, and return the last observation of each, copies."""
-        for index in np.flatnonzero(mask):
-            for key, value in self._episodes[index].observation.items():
-                self._observed[key][index] = value
+        chosen = np.flatnonzero(mask)
+        for key, rows in observe([self._episodes[i].observer for i in chosen]).items():
+            self._observed[key][chosen] = rows
         return {key: value.copy() for key, value in self._observed.items()}
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:

@@ -15,18 +15,22 @@ The effort that moved the joint is ``qfrc_actuator - kv (v1 - v0)``.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.derived import Derived
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.uncollected_forces import is_spatial
 
 _SITE, _BODY, _CRANK, _TENDON = (int(getattr(mujoco.mjtTrn, f'mjTRN_{name}')) for name in (
     'SITE', 'BODY', 'SLIDERCRANK', 'TENDON'))
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 #: Integrators that treat the damping of actuators implicitly.
 _IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
              int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
@@ -61,6 +65,35 @@ def _explicit_at_limits() -> tuple[bool, bool]:
     return at_actuator, at_joint
 
 
+class _World(NamedTuple):
+    """
+    What efforts depend on beside the last step, as views of the model and the data.
+
+    :ivar sizes: numbers of degrees of freedom, actuators and joints
+    :ivar places: actuator and degree of freedom of each moment; None if they change
+    :ivar moments: ``actuator_moment``
+    :ivar bias_types: ``actuator_biastype``
+    :ivar options: of the model
+    :ivar limits: of joints, whether there are, first degrees of freedom, and ranges
+    """
+
+    sizes: tuple[int, int, int]
+    places: tuple[IntArray, IntArray] | None
+    moments: FloatArray
+    bias_types: IntArray
+    options: mujoco.MjOption
+    limits: tuple[BoolArray, IntArray, FloatArray]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> _World:
+        """Return that of a world, after ``mj_forward``."""
+        actuators, dofs, found = _entries(data)
+        whole = len(found) == len(data.actuator_moment)  # Else rows have room left.
+        return cls((model.nv, model.nu, model.njnt), (actuators, dofs.copy()) if whole else None,
+                   data.actuator_moment, model.actuator_biastype, model.opt,
+                   (model.jnt_actfrclimited, model.jnt_dofadr, model.jnt_actfrcrange))
+
+
 class ActuatorEfforts:
     """
     The efforts of all actuators at the degrees of freedom, in the step before the present instant.
@@ -72,13 +105,13 @@ class ActuatorEfforts:
     """
 
     #: Of the step that has passed; nothing in the next one depends on it.
-    not_in_digest = ('_last', '_parts', '_values', '_loads', '_loaded')
+    not_in_digest = ('_last', '_values', '_loads', '_loaded')
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
-        self._explicit_at_limits = _explicit_at_limits()
         self._values: FloatArray | None = np.zeros(0)
         self._loaded: FloatArray | float = 0.0
+        self._derived = Derived()
         physics.on_change(self._find_views)
 
     def _find_views(self) -> None:
@@ -89,13 +122,7 @@ class ActuatorEfforts:
                        model.actuator_forcelimited)
         #: Those of the last step: as at its beginning, but the velocity at its end.
         self._last = np.concatenate(self._views)
-        nv, nu = model.nv, model.nu
-        of_actuators = self._last[2 * nv:]
-        #: Parts of the same: the last four are damping, the two force limits and if they are used.
-        self._parts = (self._last[:nv], self._last[nv:2 * nv], of_actuators[:nu],
-                       of_actuators[nu:2 * nu], of_actuators[2 * nu:3 * nu],
-                       of_actuators[3 * nu:5 * nu:2], of_actuators[3 * nu + 1:5 * nu:2],
-                       of_actuators[5 * nu:])
+        self._derived.of.clear()
         self._loads = _loads(model)
         self.restart()
         old, new = self._physics.kept_dofs
@@ -149,29 +176,92 @@ class ActuatorEfforts:
     def values(self) -> FloatArray:
         """The efforts [N m or N], shape (nv,)."""
         if self._values is None:
-            self._values = self._acted()
+            compute([self])
+        assert self._values is not None
         return self._values
 
-    def _acted(self) -> FloatArray:
-        model, data = self._physics.model, self._physics.data
-        acted, end, force, velocity, damping, lowest, highest, limited = self._parts
-        if int(model.opt.integrator) not in _IMPLICIT:
-            return np.array(acted - self._loaded)
-        at_actuator, at_joint = self._explicit_at_limits
-        explicit = at_actuator & (limited != 0) & ((force <= lowest) | (force >= highest))
-        affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        actuators, dofs, moment = _entries(data)
-        change = np.bincount(actuators, moment * end[dofs], len(force)) - velocity
-        missing = np.where(affine & ~explicit, damping * change, 0.0)
-        missing = moment * missing[actuators]
-        if self._loads is not None:
-            missing[self._loads[actuators, dofs]] = 0.0
-        missing = np.bincount(dofs, missing, model.nv)
-        if at_joint:
-            joints = np.flatnonzero(model.jnt_actfrclimited)
-            own, (low, high) = model.jnt_dofadr[joints], model.jnt_actfrcrange[joints].T
-            missing[own[(acted[own] <= low) | (acted[own] >= high)]] = 0.0
-        return np.asarray(acted + missing - self._loaded)
+    @property
+    def _world(self) -> _World:
+        found: _World | None = self._derived.of.get('world')
+        if found is None:
+            found = self._derived.of['world'] = _World.of(self._physics.model, self._physics.data)
+        return found
+
+    def _moments(self) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+        """Return the entries of moments, and the moments again, 0 where they are those of loads."""
+        world = self._world
+        actuators, dofs, moment = (
+            (*world.places, world.moments) if world.places else _entries(self._physics.data))
+        drives = moment if self._loads is None else np.where(
+            self._loads[actuators, dofs], 0.0, moment)
+        return actuators, dofs, moment, drives
+
+
+def compute(efforts: Iterable[ActuatorEfforts]) -> None:
+    """
+    Compute the efforts of several worlds together, which costs less than one by one.
+
+    :param efforts: of each world; where they are not due, nothing happens
+    """
+    alike: dict[tuple[int, int, int], list[ActuatorEfforts]] = {}
+    for one in efforts:
+        if one._values is None:
+            alike.setdefault(one._world.sizes, []).append(one)
+    for (nv, nu, njnt), some in alike.items():
+        for one, acted in zip(some, _acted(some, nv, nu, njnt)):
+            one._values = acted - one._loaded
+
+
+def _rows(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays of one shape with a leading axis; of a single one, a view."""
+    if len(arrays) == 1:
+        return arrays[0][None]
+    return np.concatenate(arrays).reshape(len(arrays), *arrays[0].shape)
+
+
+def _acted(efforts: Sequence[ActuatorEfforts], nv: int, nu: int, njnt: int) -> FloatArray:
+    """Return what acted in worlds with arrays of equal shapes, loads included, (count, nv)."""
+    count, worlds = len(efforts), [one._world for one in efforts]
+    last = _rows([one._last for one in efforts])
+    acted, of_actuators = last[:, :nv], last[:, 2 * nv:]
+    at_actuator, at_joint = _explicit_at_limits()
+    damped = _rows([world.bias_types for world in worlds]) == _AFFINE
+    if at_actuator:
+        force, limits = of_actuators[:, :nu], of_actuators[:, 3 * nu:5 * nu]
+        damped &= ((force > limits[:, ::2]) & (force < limits[:, 1::2])) | (
+            of_actuators[:, 5 * nu:] == 0.0)
+    for row, world in zip(damped, worlds):
+        if int(world.options.integrator) not in _IMPLICIT:
+            row[:] = False
+    actuators, dofs, moment, drives = _entries_together(efforts, nv, nu)
+    speed = np.bincount(actuators, moment * last[:, nv:2 * nv].ravel()[dofs], count * nu)
+    change = speed.reshape(count, nu) - of_actuators[:, nu:2 * nu]
+    missing = np.where(damped, of_actuators[:, 2 * nu:3 * nu] * change, 0.0).ravel()
+    missing = np.bincount(dofs, drives * missing[actuators], count * nv)
+    if at_joint:
+        limited, first, ranges = map(_rows, zip(*[world.limits for world in worlds]))
+        joints = limited.ravel().nonzero()[0]
+        if joints.size:
+            own = first.ravel()[joints] + joints // njnt * nv
+            low, high = ranges.reshape(-1, 2)[joints].T
+            at_limit = acted.ravel()[own]
+            missing[own[(at_limit <= low) | (at_limit >= high)]] = 0.0
+    return np.asarray(acted + missing.reshape(count, nv))
+
+
+def _entries_together(efforts: Sequence[ActuatorEfforts], nv: int, nu: int
+                      ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """
+    Return the entries of moments of all worlds, with numbers as if they were one world.
+
+    The last are the moments, 0 where an actuator is a load.
+    """
+    found = [one._moments() for one in efforts]
+    if len(found) == 1:
+        return found[0]
+    actuators, dofs, moment, drives = map(np.concatenate, zip(*found))
+    number = np.repeat(np.arange(len(found)), [len(own) for own, *_ in found])
+    return actuators + number * nu, dofs + number * nv, moment, drives
 
 
 def _entries(data: mujoco.MjData) -> tuple[IntArray, IntArray, FloatArray]:

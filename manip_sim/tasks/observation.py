@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from manip_sim.arrays import FloatArray
+from manip_sim.physics.efforts import ActuatorEfforts, compute
 from manip_sim.sensing.images import ImageNoise
 from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation import Simulation
@@ -23,6 +25,8 @@ Observation = dict[str, NDArray[Any]]
 #: Before the name of a camera, the key of its image, of its depth and of its labels.
 IMAGE, DEPTH, LABELS = 'image/', 'depth/', 'labels/'
 _JOINTS = ('joint_position', 'joint_velocity', 'joint_effort')
+#: Channels of an arm, by key.
+_OF_ARMS = {'eef_pose': 'pose', 'eef_twist': 'twist', 'external_wrench': 'external_wrench'}
 
 
 class _Scene(NamedTuple):
@@ -63,10 +67,6 @@ class Observer:
         self._sensing = simulation.robots[task.robot.name_in_world].sensing
         for robot in simulation.robots.values():
             robot.sensing.record_too(self._remember)
-        self._readers: dict[str, Callable[[], NDArray[Any]]] = {
-            'eef_pose': lambda: self._ends('pose'),
-            'eef_twist': lambda: self._ends('twist'),
-            'external_wrench': lambda: self._ends('external_wrench')}
         #: Exact readers, of the present instant.
         self._surroundings: dict[str, Callable[[], NDArray[Any]]] = {}
         if simulation.entities.free_names:
@@ -82,22 +82,26 @@ class Observer:
         arms = [f'{robot.name}/{arm}' for robot in robots for arm in robot.end_effectors]
         return {key: joints if key in _JOINTS else
                 self._simulation.entities.free_names if key == 'object_pose' else arms
-                for key in (*_JOINTS, *self._readers, *self._surroundings) if key != 'goal'}
+                for key in (*_JOINTS, *_OF_ARMS, *self._surroundings) if key != 'goal'}
 
     def read(self) -> Observation:
         """Return what is observed at the present instant, copies."""
-        found = {**self._joints(), **{key: read() for key, read in self._readers.items()}}
-        seen = self._scene(self._sensing)
-        found |= self._look() if seen is None else {
-            key: value.copy() for key, value in seen.surroundings.items()}
-        if self.pictures is not None:
-            found |= self._images(self.pictures)
-        return found
+        return {key: rows[0] for key, rows in observe([self]).items()}
+
+    @property
+    def efforts(self) -> ActuatorEfforts:
+        """The efforts of the actuators of the simulation."""
+        return self._simulation.efforts
 
     def end_period(self) -> None:
         """Observe what a task has changed at the end of a control period."""
         if self._sensing.count in self._scenes:
             self._remember()
+
+    def surroundings(self) -> Observation:
+        """Return objects and the goal as they are seen at present, not to be changed."""
+        seen = self._scene(self._sensing)
+        return self._look() if seen is None else seen.surroundings
 
     def _look(self) -> Observation:
         return {key: read() for key, read in self._surroundings.items()}
@@ -115,7 +119,11 @@ class Observer:
         instant = sensing.instant
         return None if instant == sensing.count else self._scenes.get(instant)
 
-    def _images(self, pictures: Pictures) -> Observation:
+    def images(self) -> Observation:
+        """Return the images of all cameras."""
+        pictures = self.pictures
+        if pictures is None:
+            return {}
         model, scenes, noise = self._simulation.model, {}, {}
         for camera in pictures.cameras:
             sensing = self._simulation.instruments.sensing_of(
@@ -137,15 +145,32 @@ class Observer:
                 found[f'{LABELS}{camera}'] = picture.labels
         return found
 
-    def _joints(self) -> Observation:
+    def joints(self) -> FloatArray:
+        """Return positions, velocities and efforts of all joints, shape (3, n)."""
         rows = [robot.measured().reshape(3, -1) for robot in self._simulation.robots.values()]
-        return dict(zip(_JOINTS, np.concatenate(rows, axis=1)))
+        return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)
 
-    def _ends(self, what: str) -> NDArray[Any]:
-        return np.stack([robot.sensing.measured(f'{arm}/{what}')
-                         for robot in self._simulation.robots.values()
-                         for arm in robot.end_effectors])
+    def arms(self, channel: str) -> list[FloatArray]:
+        """Return what is measured of each arm with a gripper."""
+        return [robot.sensing.measured(f'{arm}/{channel}')
+                for robot in self._simulation.robots.values() for arm in robot.end_effectors]
 
     def _objects(self) -> NDArray[Any]:
         entities, data = self._simulation.entities, self._simulation.data
-        return np.stack([entities.pose(data, name) for name in entities.free_names])
+        return np.array([entities.pose(data, name) for name in entities.free_names])
+
+
+def observe(observers: Sequence[Observer]) -> Observation:
+    """
+    Return what is observed in several simulations of one world, at the present instant of each.
+
+    :param observers: of the simulations
+    :returns: the arrays of all with a leading axis, copies
+    """
+    compute(observer.efforts for observer in observers)
+    found = dict(zip(_JOINTS, np.stack([observer.joints() for observer in observers], axis=1)))
+    for key, channel in _OF_ARMS.items():
+        rows = [row for observer in observers for row in observer.arms(channel)]
+        found[key] = np.stack(rows).reshape(len(observers), -1, len(rows[0]))
+    others = [observer.surroundings() | observer.images() for observer in observers]
+    return found | {key: np.stack([seen[key] for seen in others]) for key in others[0]}
