@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import zip_longest
 import time
 from types import MappingProxyType
 from typing import Any
@@ -214,21 +213,32 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         self._check_begun()
         acting = ~self._ended
         self._take(actions, acting)
-        rewards, infos = self._advance(acting), dict[str, Any]()
-        terminated, truncated = (np.zeros(self.num_envs, dtype=bool) for _ in range(2))
-        for index in range(self.num_envs):
-            if acting[index]:
-                terminated[index], truncated[index], info = self._outcome(index)
-                if self._ended[index] and self.autoreset_mode == AutoresetMode.SAME_STEP:
-                    final = {'final_obs': self._episodes[index].observation, 'final_info': info}
-                    infos = self._add_info(infos, final, index)
-                    info = self._begin(index, None)
-            else:
-                info = self._begin(index, None)
-            infos = self._add_info(infos, info, index)
+        rewards, success = self._advance(acting)
+        diverged = acting & self.worlds.diverged
+        terminated = success & ~diverged
+        truncated = diverged | acting & self._time_is_up()
+        self._ended = terminated | truncated
+        infos: dict[str, Any] = {}
+        for name in ('success', 'is_success'):
+            infos |= {name: success.copy(), f'_{name}': acting.copy()}
+        for index in np.flatnonzero(self._ended | ~acting).tolist():
+            infos = self._end_or_begin(index, bool(acting[index]), infos)
         observation = self._observe(np.ones(self.num_envs, dtype=bool))
         self._asked_s = time.perf_counter()
         return observation, rewards, terminated, truncated, infos
+
+    def _end_or_begin(self, index: int, ended: bool, infos: dict[str, Any]) -> dict[str, Any]:
+        """Add the end of an episode to the infos, or the start of the next one, or both."""
+        if not ended:
+            return self._add_info(infos, self._begin(index, None), index)
+        episode = self._episodes[index]
+        reason, success = episode.simulation.diverged, episode.success
+        info = {**({} if reason is None else {'diverged': reason}), 'success': success,
+                'is_success': success, 'digest': episode.digest}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            final = {'final_obs': episode.observation, 'final_info': info}
+            infos, info = self._add_info(infos, final, index), self._begin(index, None)
+        return self._add_info(infos, info, index)
 
     def _check_begun(self) -> None:
         """Check that each environment is in an episode, or begins the next one by itself."""
@@ -239,45 +249,39 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                 f'the episode of environment {int(np.argmax(self._ended))} has ended: call '
                 f"reset(options={{'{_MASK}': terminated | truncated}})")
 
-    def _outcome(self, index: int) -> tuple[bool, bool, dict[str, Any]]:
-        """Return terminated, truncated and info of an environment after a period."""
-        episode = self._episodes[index]
-        diverged = episode.simulation.diverged
-        success = episode.success
-        terminated = diverged is None and success
-        truncated = diverged is not None or episode.time_is_up
-        self._ended[index] = terminated or truncated
-        info: dict[str, Any] = {} if diverged is None else {'diverged': diverged}
-        info['success'] = info['is_success'] = success
-        if self._ended[index]:
-            info['digest'] = episode.digest
-        return terminated, truncated, info
+    def _time_is_up(self) -> NDArray[np.bool_]:
+        """Return in which environments the horizon of the task has been reached."""
+        periods = np.array([episode.periods for episode in self._episodes])
+        return np.asarray(periods >= self._episodes[0].most_periods)
 
-    def _advance(self, acting: NDArray[np.bool_]) -> NDArray[Any]:
-        """Run some worlds until their policies are asked, and return the sums of rewards."""
-        rewards, running = np.zeros(self.num_envs), acting.copy()
+    def _advance(self, acting: NDArray[np.bool_]
+                 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """
+        Run some worlds until their policies are asked or their episodes end.
+
+        :returns: the sums of their rewards, and whether they succeed at the end
+        """
+        rewards, success, running = np.zeros(self.num_envs), np.zeros_like(acting), acting.copy()
         while running.any():
-            self._run_period(running)
-            for index in np.flatnonzero(running):
+            indices = np.flatnonzero(running).tolist()
+            for index in indices:
+                self._answers[index].begin_period()
+            self.worlds.advance(self._episodes[0].steps, where=running)
+            for index in indices:
                 episode = self._episodes[index]
+                episode.end_period()
+                success[index] = episode.success
                 if episode.simulation.diverged is not None:
                     rewards[index], running[index] = 0.0, False
                     continue
                 rewards[index] += episode.reward
-                running[index] = not (self._answers[index].asks or episode.over)
-        return rewards
-
-    def _run_period(self, running: NDArray[np.bool_]) -> None:
-        """Run a control period in some worlds, which all divide it alike."""
-        indices = np.flatnonzero(running)
-        for index in indices:
-            self._answers[index].begin_period()
-        for steps, *_ in zip_longest(*(self._episodes[index].period() for index in indices)):
-            self.worlds.advance(steps, where=running)  # It runs all of them to their ends.
+                running[index] = not self._answers[index].asks
+            running &= ~success & ~self._time_is_up()
+        return rewards, success
 
     def _take(self, actions: ArrayLike, acting: NDArray[np.bool_]) -> None:
         try:
-            numbers = np.asarray(actions, dtype=float)
+            numbers = np.array(actions, dtype=float)
         except (TypeError, ValueError) as error:
             raise CommandError(f'actions must be numbers, got {actions!r:.60}') from error
         shape = self.action_space.shape
@@ -288,8 +292,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
             raise CommandError(f'the action of environment {index} must be finite, got '
                                f'{numbers[index].tolist()!r:.120}')
         took_s = time.perf_counter() - self._asked_s
+        chunks = numbers.reshape(self.num_envs, -1, shape[-1])
         for index in np.flatnonzero(acting):
-            self._answers[index].answer(numbers[index], took_s)
+            self._answers[index].take(chunks[index], took_s)
 
     def _observe(self, mask: NDArray[np.bool_]) -> Observation:
         """Observe some environments, and return the last observation of each, copies."""

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 import math
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.simulation import Simulation
@@ -122,8 +121,7 @@ class Episode:
         :param delay_steps: timesteps after which it takes effect, before the latency is added
         :raises CommandError: if it cannot be used; then nothing changes
         """
-        numbers = finite_command_numbers(action, self.actions.size, 'an action')
-        self.actions.apply(numbers, self.period_s, delay_steps)
+        self.actions.apply(self.actions.checked(action), self.period_s, delay_steps)
 
     def advance(self) -> None:
         """
@@ -131,17 +129,11 @@ class Episode:
 
         :raises DivergenceError: if the physics diverges
         """
-        for steps in self.period():
-            self.simulation.advance(steps)
+        self.simulation.advance(self._steps)
+        self.end_period()
 
-    def period(self) -> Iterator[int]:
-        """
-        Run one control period as :meth:`advance`, but leave the physics to the caller.
-
-        :returns: numbers of physics steps, each to be advanced before the next is asked for; they
-            are the same in every period of all episodes with the same length of a period
-        """
-        yield self._steps
+    def end_period(self) -> None:
+        """End a control period that the simulation has run."""
         self.periods += 1
         self.task.end_period(self.simulation)
         self.observer.end_period()

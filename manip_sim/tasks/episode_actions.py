@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.algebra import length, product
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import finite_command_numbers
+from manip_sim.control.cartesian.cartesian_commands import PoseAction
 from manip_sim.control.cartesian.kinematic_chains import find_chains, KinematicChain
-from manip_sim.control.commands import Command
+from manip_sim.control.commands import Command, GripperAction
 from manip_sim.control.modes import MODES
 from manip_sim.errors import UnknownNameError
 from manip_sim.quaternion import rotation_vector
@@ -43,6 +44,8 @@ class ArmAction:
     :ivar names: what its goals are
     :ivar goals: where they are
     :ivar gripper: where the number of the gripper is; empty if nothing in it moves
+    :ivar fingers: part and actuators of the gripper
+    :ivar joints: parts and joints of the arm
     """
 
     robot: SimulatedRobot
@@ -51,6 +54,23 @@ class ArmAction:
     names: Sequence[str]
     goals: slice
     gripper: slice
+    fingers: tuple[frozenset[str], IntArray]
+    joints: tuple[frozenset[str], IntArray]
+
+    @property
+    def dof(self) -> int:
+        """Length of an action of the gripper."""
+        return self.robot.grippers[f'{self.arm}/gripper'].dof
+
+    def close(self, number: FloatArray) -> GripperAction:
+        """
+        Return the command for the gripper.
+
+        :param number: in [-1, 1], shape (1,)
+        """
+        parts, indices = self.fingers
+        return GripperAction(robot=self.robot.robot_model, parts=parts, indices=indices,
+                             action=np.repeat(number, self.dof))
 
 
 class Actions(ABC):
@@ -73,11 +93,14 @@ class Actions(ABC):
             chains = find_chains(simulation.model, robot.robot_model, robot.parts,
                                  robot.end_effectors)
             for arm, chain in chains.items():
-                names = self._names_of(robot, arm)
+                names, part = self._names_of(robot, arm), f'{arm}/gripper'
                 goals = slice(self.size, self.size + len(names))
-                gripper = slice(goals.stop,
-                                goals.stop + (robot.grippers[f'{arm}/gripper'].dof > 0))
-                self.arms.append(ArmAction(robot, arm, chain, names, goals, gripper))
+                gripper = slice(goals.stop, goals.stop + (robot.grippers[part].dof > 0))
+                indices = robot.joints.indices_of(arm)
+                self.arms.append(ArmAction(
+                    robot, arm, chain, names, goals, gripper,
+                    (frozenset([part]), robot.grippers[part].indices),
+                    (robot.joints.parts_of(indices), indices)))
                 self.size = gripper.stop
 
     @abstractmethod
@@ -85,8 +108,8 @@ class Actions(ABC):
         """Return what the goals of an arm are."""
 
     @abstractmethod
-    def _commands(self, item: ArmAction, goals: FloatArray) -> Iterable[Command]:
-        """Return the commands of an arm."""
+    def _command(self, item: ArmAction, goals: FloatArray, inside: FloatArray) -> Command:
+        """Return the command of an arm, of numbers, and of the same within [-1, 1]."""
 
     @property
     def names(self) -> list[str]:
@@ -110,26 +133,30 @@ class Actions(ABC):
         """Lowest and highest value of each number, shape (size, 2)."""
         return np.tile([-1.0, 1.0], (self.size, 1))
 
-    def apply(self, action: ArrayLike, period_s: float, delay_steps: int = 0) -> None:
+    def checked(self, action: ArrayLike, what: str = 'an action') -> FloatArray:
+        """
+        Return an action as numbers, a copy.
+
+        :param action: shape (size,)
+        :param what: it is, for the message
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        return finite_command_numbers(action, self.size, what)
+
+    def apply(self, action: FloatArray, period_s: float, delay_steps: int = 0) -> None:
         """
         Let an action take effect with the next control period.
 
-        :param action: shape (size,); numbers beyond the bounds are clamped
+        :param action: as :meth:`checked` returns it; numbers beyond the bounds are clamped
         :param period_s: length of the control period [s]
         :param delay_steps: timesteps after which it takes effect
-        :raises CommandError: if the length is wrong or a number is not finite; then nothing
-            changes
         """
-        numbers = finite_command_numbers(action, self.size, 'an action')
+        inside = np.minimum(np.maximum(action, -1.0), 1.0)
         for item in self.arms:
-            item.robot.apply(*self._commands(item, numbers[item.goals]), period_s=period_s,
-                             delay_steps=delay_steps)
-            closing = numbers[item.gripper]
-            if len(closing):
-                part = f'{item.arm}/gripper'
-                action = np.repeat(closing, item.robot.grippers[part].dof)
-                item.robot.apply(item.robot.parse.action(part, action), period_s=period_s,
-                                 delay_steps=delay_steps)
+            commands = [self._command(item, action[item.goals], inside[item.goals])]
+            if item.gripper.start < item.gripper.stop:
+                commands.append(item.close(inside[item.gripper]))
+            item.robot.apply(*commands, period_s=period_s, delay_steps=delay_steps)
 
 
 class PoseActions(Actions):
@@ -147,8 +174,10 @@ class PoseActions(Actions):
     def _units_of(self, item: ArmAction) -> Sequence[str]:
         return [*[f'{STEP_M:g} m'] * 3, *[f'{TURN_RAD:g} rad'] * 3]
 
-    def _commands(self, item: ArmAction, goals: FloatArray) -> Iterable[Command]:
-        return [item.robot.parse_cartesian.action(item.arm, goals)]
+    def _command(self, item: ArmAction, goals: FloatArray, inside: FloatArray) -> Command:
+        parts, indices = item.joints
+        return PoseAction(robot=item.robot.robot_model, parts=parts, indices=indices,
+                          arm=item.arm, action=inside)
 
     def towards(self, item: ArmAction, position: FloatArray, rotation: FloatArray,
                 longest_m: float = STEP_M) -> FloatArray:
@@ -197,8 +226,10 @@ class JointActions(Actions):
         return [MODES[self.mode].units[int(model.joint(name).type[0]) == _SLIDE]
                 for name in item.names]
 
-    def _commands(self, item: ArmAction, goals: FloatArray) -> Iterable[Command]:
-        return item.robot.parse.joint_command(item.names, **{self.mode: goals}, part=item.arm)
+    def _command(self, item: ArmAction, goals: FloatArray, inside: FloatArray) -> Command:
+        command, = item.robot.parse.joint_command(
+            item.names, **{self.mode: goals}, part=item.arm)
+        return command
 
     @property
     def bounds(self) -> FloatArray:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 import math
 from typing import Any, Union
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.quoting import shown
 from manip_sim.sensing.delays import Delay, ROUNDING
@@ -158,7 +157,15 @@ class LateAnswers:
         :param took_s: wall time that the policy took [s]
         :raises CommandError: if it cannot be used; then nothing changes
         """
-        actions = self._actions(answer)
+        self.take(self._actions(answer), took_s)
+
+    def take(self, actions: Sequence[FloatArray], took_s: float) -> None:
+        """
+        Take an answer as :meth:`answer` does.
+
+        :param actions: as ``Actions.checked`` returns them, one or more
+        :param took_s: wall time that the policy took [s]
+        """
         now, spacing = self._count, self._spacing
         thinks = (math.ceil(took_s / self._timestep_s - ROUNDING) if self._time.measured
                   else self._delay.steps(now))
@@ -174,14 +181,13 @@ class LateAnswers:
         self._waiting += zip(times, actions)
 
     def _actions(self, answer: ArrayLike) -> list[FloatArray]:
-        size = self._episode.actions.size
-        numbers = np.asarray(answer)
+        actions, numbers = self._episode.actions, np.asarray(answer)
         if numbers.ndim < 2:
-            return [finite_command_numbers(answer, size, 'an action')]
+            return [actions.checked(answer)]
         if numbers.ndim > 2 or not 0 < len(numbers) <= _LONGEST_CHUNK:
-            raise CommandError(f'a chunk of actions must have the shape (actions, {size}), with '
+            raise CommandError(f'a chunk of actions must have the shape (actions, {actions.size}), with '
                                f'up to {_LONGEST_CHUNK} actions, got {numbers.shape}')
-        return [finite_command_numbers(action, size, f'action {index} of a chunk')
+        return [actions.checked(action, f'action {index} of a chunk')
                 for index, action in enumerate(numbers)]
 
     def begin_period(self) -> list[tuple[int, FloatArray]]:
@@ -196,7 +202,7 @@ class LateAnswers:
         due = [(time - begin, action) for time, action in self._waiting if time < end]
         self._waiting = self._waiting[len(due):]
         for steps, action in due:
-            self._episode.take(action, steps)
+            self._episode.actions.apply(action, self._episode.period_s, steps)
         return due
 
     def advance(self) -> list[tuple[int, FloatArray]]:

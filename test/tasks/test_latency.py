@@ -63,10 +63,10 @@ def test_commands_that_are_late_by_a_part_of_a_period_take_effect_within_it():
         start, moved = episode.simulation.data.qpos[:7].copy(), []
         for action in given:
             episode.take(action)
-            for steps in episode.period():
-                for _ in range(steps):
-                    episode.simulation.advance(1)
-                    moved.append(np.abs(episode.simulation.data.qpos[:7] - start).max() > 1e-4)
+            for _ in range(episode.steps):
+                episode.simulation.advance(1)
+                moved.append(np.abs(episode.simulation.data.qpos[:7] - start).max() > 1e-4)
+            episode.end_period()
         begins[latency] = moved.index(True)
     assert begins[0.02] == begins[0.0] + 10
     assert begins[0.06] == begins[0.0] + 30
