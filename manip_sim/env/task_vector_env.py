@@ -49,7 +49,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
 
     :param task: its name, or an instance
     :param num_envs: number of episodes at once
-    :param threads: that compute the physics; None for one per processor
+    :param threads: that compute the physics, and render; None for one per processor
     :param robot: as this and what follows for :class:`TaskEnv`
     :param gripper: as for ``compose``
     :param action: ``osc_pose``, ``joint_position``, ``joint_velocity`` or ``joint_effort``
@@ -101,7 +101,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                           image_kinds)
         made = setting.create_task()
         self.worlds = Worlds(made.world, whole_number(num_envs, 1, 'num_envs'), threads)
-        pictures = setting.create_pictures(self.worlds.simulations[0], made)
+        pictures = setting.create_pictures(
+            self.worlds.simulations[0], made, min(self.worlds.threads, len(self.worlds)))
         self._episodes = [setting.create_episode(made, simulation, pictures)
                           for simulation in self.worlds.simulations]
         self._answers = [setting.create_answers(episode) for episode in self._episodes]

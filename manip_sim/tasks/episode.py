@@ -20,7 +20,7 @@ from manip_sim.tasks.episode_actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation, Observer
-from manip_sim.tasks.pictures import Pictures
+from manip_sim.tasks.pictures import Pictures, PictureThreads
 from manip_sim.tasks.task import Task
 from manip_sim.validation import fitting_timestep, nearest_rates, steps_of
 
@@ -50,7 +50,7 @@ class Episode:
 
     def __init__(self, task: Task, simulation: Simulation, period_s: float = 0.05,
                  action: str = 'osc_pose', latency: LatencyLike = NO_LATENCY,
-                 pictures: Pictures | None = None,
+                 pictures: Pictures | PictureThreads | None = None,
                  noise: Mapping[str, float] = MappingProxyType({})) -> None:
         self.task = task
         self.simulation = simulation

@@ -17,7 +17,7 @@ from manip_sim.sensing.images import ImageNoise
 from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot
-from manip_sim.tasks.pictures import Pictures
+from manip_sim.tasks.pictures import Pictures, PictureThreads
 from manip_sim.tasks.task import Task
 
 #: Arrays by key.
@@ -58,7 +58,7 @@ class Observer:
     :param pictures: renders the images of cameras; None for no images
     """
 
-    def __init__(self, task: Task, simulation: Simulation, pictures: Pictures | None = None
+    def __init__(self, task: Task, simulation: Simulation, pictures: Pictures | PictureThreads | None = None
                  ) -> None:
         self._simulation = simulation
         self.pictures = pictures
@@ -119,11 +119,12 @@ class Observer:
         instant = sensing.instant
         return None if instant == sensing.count else self._scenes.get(instant)
 
-    def images(self) -> Observation:
-        """Return the images of all cameras."""
-        pictures = self.pictures
-        if pictures is None:
-            return {}
+    def images(self, pictures: Pictures) -> Observation:
+        """
+        Return the images of all cameras.
+
+        :param pictures: of this thread, which render them
+        """
         model, scenes, noise = self._simulation.model, {}, {}
         for camera in pictures.cameras:
             sensing = self._simulation.instruments.sensing_of(
@@ -164,7 +165,7 @@ def observe(observers: Sequence[Observer]) -> Observation:
     """
     Return what is observed in several simulations of one world, at the present instant of each.
 
-    :param observers: of the simulations
+    :param observers: of the simulations, with the same pictures
     :returns: the arrays of all with a leading axis, copies
     """
     compute(observer.efforts for observer in observers)
@@ -172,5 +173,8 @@ def observe(observers: Sequence[Observer]) -> Observation:
     for key, channel in _OF_ARMS.items():
         rows = [row for observer in observers for row in observer.arms(channel)]
         found[key] = np.stack(rows).reshape(len(observers), -1, len(rows[0]))
-    others = [observer.surroundings() | observer.images() for observer in observers]
-    return found | {key: np.stack([seen[key] for seen in others]) for key in others[0]}
+    others = [[observer.surroundings() for observer in observers]]
+    if (pictures := observers[0].pictures) is not None:
+        others.append(pictures.each(lambda own, observer: observer.images(own), observers))
+    return found | {key: np.stack([one[key] for one in seen]) for seen in others
+                    for key in seen[0]}

@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 import json
 import threading
 from types import MappingProxyType
-from typing import Any, Union
+from typing import Any, TypeVar, Union
 import weakref
 
 import numpy as np
@@ -25,6 +27,8 @@ from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
 #: A camera of the model by its name, or the description of another one, also as YAML.
 CameraLike = Union[str, Mapping[str, Any]]
+T, R = TypeVar('T'), TypeVar('R')
+_CLOSED = 'these pictures are closed'
 #: Kinds of images: colours, depth along the view [m], and ids of bodies.
 KINDS = ('rgb', 'depth', 'labels')
 #: Thread, context and renderer of pictures that nobody closed. To free a renderer deletes what has
@@ -74,7 +78,7 @@ class Pictures:
         :raises SimulationEnded: after :meth:`close`
         """
         if self._renderer is None:
-            raise SimulationEnded('these pictures are closed')
+            raise SimulationEnded(_CLOSED)
         _free_lost()
         self._context.make_current()
         found: dict[str, Picture] = {}
@@ -87,12 +91,67 @@ class Pictures:
                 self._world.data, camera, width, height, **self._kinds)
         return found
 
+    def each(self, render: Callable[[Pictures, T], R], items: Sequence[T]) -> list[R]:
+        """Render for several items, as :meth:`PictureThreads.each` does."""
+        return [render(self, item) for item in items]
+
     def close(self) -> None:
         """Free the OpenGL resources; nothing happens the second time."""
         if self._renderer is not None:
             self._lose.detach()
             _free(self._context, self._renderer)
             self._renderer = None
+
+
+class PictureThreads:
+    """
+    Renders in several threads at once, each with :class:`Pictures` of its own: the same pixels.
+
+    :param create: makes those of a thread, in that thread
+    :param count: number of threads
+    :raises ManipSimError: if nothing can be rendered
+    """
+
+    def __init__(self, create: Callable[[], Pictures], count: int) -> None:
+        self._threads = [ThreadPoolExecutor(1, 'manip_sim_pictures') for _ in range(count)]
+        self._own: list[Pictures] = []
+        try:
+            for thread in self._threads:
+                self._own.append(thread.submit(create).result())
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def cameras(self) -> list[str]:
+        """Names of the cameras."""
+        return self._own[0].cameras
+
+    def each(self, render: Callable[[Pictures, T], R], items: Sequence[T]) -> list[R]:
+        """
+        Render for several items; a thread takes every n-th of them.
+
+        :param render: gets the pictures of the thread and an item
+        :returns: what it returns, in the order of the items
+        :raises SimulationEnded: after :meth:`close`
+        """
+        if not self._own:
+            raise SimulationEnded(_CLOSED)
+        count = len(self._threads)
+        work = [thread.submit(own.each, render, items[begin::count])
+                for begin, (thread, own) in enumerate(zip(self._threads, self._own))]
+        wait(work)
+        shares = [share.result() for share in work]
+        return [shares[number % count][number // count] for number in range(len(items))]
+
+    def close(self) -> None:
+        """Free the OpenGL resources and end the threads; nothing happens the second time."""
+        for thread, own in zip(self._threads, self._own):
+            with suppress(RuntimeError):  # As the interpreter ends, its threads have ended.
+                thread.submit(own.close).result()
+        self._own = []
+        for thread in self._threads:
+            thread.shutdown()
 
 
 def _free_lost() -> None:

@@ -23,7 +23,7 @@ from manip_sim.tasks.late_answers import (
     AnswerTime, AnswerTimeLike, LateAnswers, NO_ANSWER_TIME)
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.pictures import (
-    CameraLike, checked_kinds, descriptions, Pictures, views_of)
+    CameraLike, checked_kinds, descriptions, Pictures, PictureThreads, views_of)
 from manip_sim.tasks.task import create_task, Task
 from manip_sim.validation import fitting_timestep, steps_of
 
@@ -103,7 +103,7 @@ class Setting:
                            **{**composition, 'timestep_s': fitted_s})
 
     def create_episode(self, task: Task | None = None, simulation: Simulation | None = None,
-                       pictures: Pictures | None = None) -> Episode:
+                       pictures: Pictures | PictureThreads | None = None) -> Episode:
         """
         Return an episode that has to be reset.
 
@@ -127,16 +127,21 @@ class Setting:
         """
         return LateAnswers(episode, AnswerTime.of(self.answer_time))
 
-    def create_pictures(self, simulation: Simulation, task: Task) -> Pictures | None:
+    def create_pictures(self, simulation: Simulation, task: Task, threads: int = 1
+                        ) -> Pictures | PictureThreads | None:
         """
         Return what renders the images of the cameras; None if there are none.
 
         :param simulation: of the task's world
         :param task: as :meth:`create_task` returns it
+        :param threads: that render at once
         :raises ManipSimError: if a camera cannot be chosen, or nothing can be rendered
         """
         views = views_of(self.cameras, task.world, simulation, self.image_size)
-        return Pictures(simulation, views, self.image_kinds) if views else None
+        if not views:
+            return None
+        create = functools.partial(Pictures, simulation, views, self.image_kinds)
+        return create() if threads == 1 else PictureThreads(create, threads)
 
 
 @functools.cache

@@ -206,7 +206,10 @@ def test_an_episode_whose_physics_diverges_is_truncated(reach):
     ('Reach', {'latency': {'command': 0.03, 'state': 0.04}}),
     ('Reach', {'noise': {'noise.joint_velocity': 0.01, 'latency.state': 0.06}}),
     ('Reach', {'latency': {'command': 0.05, 'command_jitter': 0.03, 'state_jitter': 0.02}}),
-    ('PickCube', {'robot': 'UR5e', 'action': 'joint_velocity'})])
+    ('PickCube', {'robot': 'UR5e', 'action': 'joint_velocity'}),
+    ('StackCubes', {'robot': 'Baxter', 'noise': {'noise.wrench_force': 0.1}}),
+    ('HandOver', {}),
+    ('OpenDrawer', {'robot': 'PandaOmron', 'action': 'joint_effort'})])
 def test_a_vector_environment_equals_as_many_environments(task, arguments, monkeypatch):
     vector, single = (gymnasium.make_vec(f'manip_sim/{task}-v0', 3, vectorization_mode=mode,
                                          control_hz=10, **arguments)
@@ -471,6 +474,23 @@ def test_a_step_lasts_until_the_policy_is_asked_again():
         assert reward == expected and env.digest() == episode.digest
     assert env.episode.periods == 9
     env.close()
+
+
+@pytest.mark.full
+def test_actions_that_are_late_are_those_that_were_given_whatever_becomes_of_their_array():
+    digests = []
+    for changes in (False, True):
+        vector = gymnasium.make_vec('manip_sim/Reach-v0', 2, answer_time={
+            'time': 0.1, 'ask_ahead': 1}, chunk=3)
+        vector.reset(seed=4)
+        for value in (0.9, -0.7):
+            actions = np.full((2, 3, 7), value)
+            vector.step(actions)
+            if changes:
+                actions[:] = np.nan
+        digests.append(vector.call('digest'))
+        vector.close()
+    assert digests[0] == digests[1]
 
 
 def test_a_chunk_is_taken_in_one_step():

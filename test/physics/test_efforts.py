@@ -11,6 +11,7 @@ from sampling import Driven, whole_robot
 
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.world import World
+from manip_sim.physics.efforts import compute
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 
@@ -152,6 +153,40 @@ def test_effort_of_a_servo_does_not_depend_on_actuators_of_no_joint(one_joint_ar
         efforts.append(found)
     assert np.ptp(efforts[0]) > 1.0
     np.testing.assert_array_equal(efforts[1], efforts[0])
+
+
+LIMITED = """
+    <body name="base"><geom size="0.05" mass="1"/>
+      <body name="link1" pos="0 0 1"><joint name="joint1" axis="0 1 0" range="-2 2"
+        actuatorfrcrange="-2 2"/>
+        <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/>
+        <body name="right_hand" pos="0.5 0 0"><geom size="0.01" mass="0.1"/>
+          <site name="tip"/></body>
+      </body>
+    </body>"""
+
+
+def test_efforts_computed_together_are_those_of_each_world_alone(one_joint_arm):
+    servo = '<position name="turn" joint="joint1" kp="200" kv="20" forcerange="-90 90"/>'
+    jet = '<motor name="jet" site="tip" gear="0 1 0 0 0 0"/>'
+    found = []
+    for together in (False, True):
+        simulations = [
+            Simulation(World([one_joint_arm(actuators, LIMITED)]))
+            for actuators in (servo, servo, jet + servo, servo, jet + servo)]
+        simulations[1].model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        simulations[3].model.jnt_actfrclimited[:] = False
+        for number, simulation in enumerate(simulations):
+            simulation.robot.apply(*simulation.robot.parse.joint_command(
+                ['robot0_joint1'], position=[0.8 - 0.3 * number]))
+            for _ in range(3 + number):
+                simulation.advance(5)
+        if together:
+            compute(simulation.efforts for simulation in reversed(simulations))
+        found.append([simulation.efforts.values for simulation in simulations])
+    assert len({values.tobytes() for values in found[0]}) == 5
+    for alone, one in zip(*found):
+        np.testing.assert_array_equal(one, alone)
 
 
 def test_effort_outlasts_a_change_of_the_objects(panda_sim):
