@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import time
@@ -201,19 +202,25 @@ def _worlds(count: int, threads: int) -> str:
             f'thread{"s" * (threads > 1)}')
 
 
-def _environments(settings: Settings) -> Iterator[Figure]:
-    """Measure environments with random actions, beside the bare physics of their worlds."""
-    try:
-        import gymnasium
-    except ModuleNotFoundError:
-        settings.report('environments are skipped: gymnasium is not installed')
-        return
+def _environment(count: int, threads: int) -> Any:
+    """Return environments in one process, in episodes."""
+    import gymnasium
+
     import manip_sim.env  # noqa: F401  It registers them.
-    threads = THREADS[-1]
     envs: Any = gymnasium.make_vec(
-        ENVIRONMENT, num_envs=COUNTS[-1], vectorization_mode='vector_entry_point', threads=threads)
+        ENVIRONMENT, num_envs=count, vectorization_mode='vector_entry_point', threads=threads)
     envs.reset(seed=0)
     envs.action_space.seed(0)
+    return envs
+
+
+def _environments(settings: Settings) -> Iterator[Figure]:
+    """Measure environments with random actions, beside the bare physics of their worlds."""
+    if find_spec('gymnasium') is None:
+        settings.report('environments are skipped: gymnasium is not installed')
+        return
+    threads = THREADS[-1]
+    envs = _environment(COUNTS[-1], threads)
     worlds, costs_of, bare_costs = envs.unwrapped.worlds, [], []
     units = STEPS_OF_OSC * len(worlds)
     bare = Bare(worlds)
@@ -267,7 +274,7 @@ def _calls(settings: Settings) -> Iterator[Figure]:
 
 
 def _lift(settings: Settings) -> Iterator[Figure]:
-    """Compare with robosuite's Lift with the same actions, in a process with its own MuJoCo."""
+    """Compare with robosuite's Lift, in a process with its own MuJoCo."""
     python = os.environ.get(ROBOSUITE_PYTHON)
     if python is None:
         settings.report(f"robosuite's Lift is skipped: {ROBOSUITE_PYTHON} is not set")
@@ -285,7 +292,21 @@ def _lift(settings: Settings) -> Iterator[Figure]:
                     grips = np.full((len(worlds), 1), 0.2 * np.sin(0.1 * number))
                     worlds.robot.command.action('right/gripper', grips)
                     move()
-                rounds = [1.0 / (_cost(period, count, settings).wall_s * float(
-                    lift.ask(str(_ROUND_S * settings.scale)))) for _ in range(settings.rounds)]
-            yield Figure('worlds', f"{_worlds(count, threads)}, OSC at 20 Hz: periods, of those "
-                         "of robosuite's Lift", rounds, target=Target('>=', 1.0))
+                rounds = _beside(lift, period, count, settings)
+            yield Figure('worlds', f"{_worlds(count, threads)}, OSC at 20 Hz: periods per CPU "
+                         "time, of those of robosuite's Lift", rounds, target=Target('>=', 1.0))
+            if find_spec('gymnasium') is not None:
+                envs = _environment(count, threads)
+                rounds = _beside(lift, lambda envs=envs: envs.step(envs.action_space.sample()),
+                                 count, settings)
+                envs.close()
+                yield Figure('worlds', f"`{ENVIRONMENT}`, {count} in {threads} thread"
+                             f"{'s' * (threads > 1)}, random actions: steps per CPU time, of "
+                             "those of robosuite's Lift", rounds, target=Target('>=', 1.0))
+
+
+def _beside(lift: Process, call: Callable[[], object], units: int, settings: Settings
+            ) -> list[float]:
+    """Return the CPU time of a step of Lift over that of a unit, in rounds."""
+    return [1.0 / (_cost(call, units, settings).cpu_s * float(
+        lift.ask(str(_ROUND_S * settings.scale)))) for _ in range(settings.rounds)]

@@ -177,6 +177,7 @@ def test_efforts_computed_together_are_those_of_each_world_alone(one_joint_arm):
         simulations[1].model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
         simulations[3].model.jnt_actfrclimited[:] = False
         for number, simulation in enumerate(simulations):
+            simulation.model.jnt_actfrcrange[:] *= 1.0 + number
             simulation.robot.apply(*simulation.robot.parse.joint_command(
                 ['robot0_joint1'], position=[0.8 - 0.3 * number]))
             for _ in range(3 + number):
