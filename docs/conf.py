@@ -58,7 +58,7 @@ nitpick_ignore_regex = [
                         r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hold'
                         r'|KinematicChain|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike'
                         r'|CameraLike|AnswerTimeLike|Pictures|FrictionLaw|Friction|TorqueSpeed'
-                        r'|Shard|Base'
+                        r'|Shard|Base|PictureThreads'
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
                         r'|ControlState|ElementMap|Operations|Part|RobotJoints|Targets'
                         r'|Surroundings)'),

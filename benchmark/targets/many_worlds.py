@@ -297,8 +297,10 @@ def _lift(settings: Settings) -> Iterator[Figure]:
                          "time, of those of robosuite's Lift", rounds, target=Target('>=', 1.0))
             if find_spec('gymnasium') is not None:
                 envs = _environment(count, threads)
-                rounds = _beside(lift, lambda envs=envs: envs.step(envs.action_space.sample()),
-                                 count, settings)
+
+                def step(envs: Any = envs) -> None:
+                    envs.step(envs.action_space.sample())
+                rounds = _beside(lift, step, count, settings)
                 envs.close()
                 yield Figure('worlds', f"`{ENVIRONMENT}`, {count} in {threads} thread"
                              f"{'s' * (threads > 1)}, random actions: steps per CPU time, of "

@@ -188,7 +188,7 @@ class ActuatorEfforts:
         return found
 
     def _moments(self) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-        """Return the entries of moments, and the moments again, 0 where they are those of loads."""
+        """Return the entries of moments, and the moments again, 0 where those of loads are."""
         world = self._world
         actuators, dofs, moment = (
             (*world.places, world.moments) if world.places else _entries(self._physics.data))

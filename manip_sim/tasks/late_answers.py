@@ -185,8 +185,9 @@ class LateAnswers:
         if numbers.ndim < 2:
             return [actions.checked(answer)]
         if numbers.ndim > 2 or not 0 < len(numbers) <= _LONGEST_CHUNK:
-            raise CommandError(f'a chunk of actions must have the shape (actions, {actions.size}), with '
-                               f'up to {_LONGEST_CHUNK} actions, got {numbers.shape}')
+            raise CommandError(
+                f'a chunk of actions must have the shape (actions, {actions.size}), with up to '
+                f'{_LONGEST_CHUNK} actions, got {numbers.shape}')
         return [actions.checked(action, f'action {index} of a chunk')
                 for index, action in enumerate(numbers)]
 

@@ -58,8 +58,8 @@ class Observer:
     :param pictures: renders the images of cameras; None for no images
     """
 
-    def __init__(self, task: Task, simulation: Simulation, pictures: Pictures | PictureThreads | None = None
-                 ) -> None:
+    def __init__(self, task: Task, simulation: Simulation,
+                 pictures: Pictures | PictureThreads | None = None) -> None:
         self._simulation = simulation
         self.pictures = pictures
         #: Observations to be seen later, by steps from the reset to their instant.

@@ -27,7 +27,8 @@ from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
 #: A camera of the model by its name, or the description of another one, also as YAML.
 CameraLike = Union[str, Mapping[str, Any]]
-T, R = TypeVar('T'), TypeVar('R')
+T = TypeVar('T')
+R = TypeVar('R')
 _CLOSED = 'these pictures are closed'
 #: Kinds of images: colours, depth along the view [m], and ids of bodies.
 KINDS = ('rgb', 'depth', 'labels')
