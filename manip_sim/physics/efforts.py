@@ -109,6 +109,7 @@ class ActuatorEfforts:
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
+        _explicit_at_limits()  # Now: a callback of MuJoCo that is set later would see its steps.
         self._values: FloatArray | None = np.zeros(0)
         self._loaded: FloatArray | float = 0.0
         self._derived = Derived()
