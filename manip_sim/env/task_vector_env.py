@@ -222,18 +222,18 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         infos: dict[str, Any] = {}
         for name in ('success', 'is_success'):
             infos |= {name: success.copy(), f'_{name}': acting.copy()}
-        for index in np.flatnonzero(self._ended | ~acting).tolist():
-            infos = self._end_or_begin(index, bool(acting[index]), infos)
+        for index in np.flatnonzero(self._ended).tolist():
+            infos = self._end(index, bool(success[index]), infos)
+        for index in np.flatnonzero(~acting).tolist():
+            infos = self._add_info(infos, self._begin(index, None), index)
         observation = self._observe(np.ones(self.num_envs, dtype=bool))
         self._asked_s = time.perf_counter()
         return observation, rewards, terminated, truncated, infos
 
-    def _end_or_begin(self, index: int, ended: bool, infos: dict[str, Any]) -> dict[str, Any]:
-        """Add the end of an episode to the infos, or the start of the next one, or both."""
-        if not ended:
-            return self._add_info(infos, self._begin(index, None), index)
+    def _end(self, index: int, success: bool, infos: dict[str, Any]) -> dict[str, Any]:
+        """Add the end of an episode to the infos, and begin the next one if it is time."""
         episode = self._episodes[index]
-        reason, success = episode.simulation.diverged, episode.success
+        reason = episode.simulation.diverged
         info = {**({} if reason is None else {'diverged': reason}), 'success': success,
                 'is_success': success, 'digest': episode.digest}
         if self.autoreset_mode == AutoresetMode.SAME_STEP:

@@ -330,6 +330,22 @@ def test_bad_options_and_seeds_reset_nothing(pair):
     assert pair.digest()[1] == before[1] and pair.digest()[0] != before[0]
 
 
+def test_success_is_asked_once_in_each_period(monkeypatch, pair):
+    times = []
+
+    def success(self, simulation):
+        times.append(simulation.time_s)
+        return simulation.time_s > 0.07
+
+    monkeypatch.setattr(type(create_task('reach')), 'success', success)
+    monkeypatch.setattr(type(create_task('reach')), 'reward', lambda *_: 0.0)
+    pair.reset(seed=0)
+    times.clear()
+    for action in np.zeros((2, 2, 7)):
+        _, _, terminated, *_ = pair.step(action)
+    assert [round(time, 2) for time in times] == [0.05, 0.05, 0.1, 0.1] and terminated.all()
+
+
 def test_without_autoreset_a_step_after_an_end_is_rejected(monkeypatch):
     vector = gymnasium.make_vec('manip_sim/Reach-v0', 2, autoreset_mode='Disabled')
     vector.reset(seed=1)

@@ -11,7 +11,7 @@ from sampling import Driven, whole_robot
 
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.world import World
-from manip_sim.physics.efforts import compute
+from manip_sim.physics.efforts import _explicit_at_limits, compute
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 
@@ -236,3 +236,15 @@ def test_effort_of_a_saturated_servo_is_what_the_equations_of_motion_need(
         assert effort == pytest.approx(needed, abs=1e-9)
         saturated += abs(data.actuator_force[0]) >= 2.0
     assert saturated > 3
+
+
+def test_a_callback_set_after_the_start_sees_only_the_steps_of_the_simulation(one_joint_arm):
+    _explicit_at_limits.cache_clear()
+    simulation, seen = Simulation(World([one_joint_arm('<motor joint="joint1"/>')])), []
+    mujoco.set_mjcb_control(lambda model, _: seen.append(bytes(model.names)))
+    try:
+        simulation.advance(3)
+        simulation.robot.state()
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert len(seen) >= 3 and set(seen) == {bytes(simulation.model.names)}
