@@ -23,12 +23,15 @@ from manip_sim.control.command_timeouts import CommandTimeouts
 from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
-from manip_sim.control.modes import Arrival, MODES
+from manip_sim.control.modes import Arrival, ControlMode, MODES
 from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.derived import Derived
+from manip_sim.control.seats import Seats
 from manip_sim.control.trajectory_following import TrajectoryFollowing
+from manip_sim.control.user_laws import Law, LAWS, PREFIX
 from manip_sim.physics.clock import Clock
+from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
@@ -51,13 +54,19 @@ class JointController(ControlledJoints):
     :param atomic: the names of the parts that do not overlap
     :param chains: of the arms that take Cartesian commands, by arm
     :param gains_are_highest: whether gains of the model are upper bounds, see :class:`Servos`
+    :param end_effectors: readers of the grippers, by arm
     :ivar cartesian: controller of the end effectors
+    :ivar seats: the laws of users, by part
     """
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str], chains: Mapping[str, KinematicChain] | None = None,
-                 gains_are_highest: bool = False) -> None:
+                 gains_are_highest: bool = False,
+                 end_effectors: Mapping[str, EndEffectorReader] | None = None) -> None:
         super().__init__(physics, parts, atomic, gains_are_highest)
+        self.seats = Seats(physics, self._servos, self._indices_of, {
+            part: reader for arm, reader in (end_effectors or {}).items() if arm in parts
+            for part in parts[arm].atomic if len(parts[arm].atomic) == 1})
         self.cartesian = CartesianController(
             physics, chains or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
@@ -79,7 +88,11 @@ class JointController(ControlledJoints):
 
     @property
     def moving(self) -> bool:
-        """Whether setpoints change, or may change, in the next interval."""
+        """Whether setpoints change, or may change, in the next interval, or a law acts."""
+        return bool(self.seats.of) or self._moves
+
+    @property
+    def _moves(self) -> bool:
         if self._setpoints.moving or self._efforts_due or self.commands.waiting:
             return True
         for command in self.commands.running:
@@ -108,7 +121,7 @@ class JointController(ControlledJoints):
     def resting(self) -> bool:
         """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
         return not (self._setpoints.moving or self._written or self.commands.running
-                    or self.commands.waiting or self._timeouts.pending)
+                    or self.commands.waiting or self._timeouts.pending or self.seats.of)
 
     @property
     def busy_parts(self) -> frozenset[str]:
@@ -153,10 +166,21 @@ class JointController(ControlledJoints):
         Change the control mode of a part; joints whose mode changes come to rest.
 
         :param mode: the name of one of :data:`MODES`
-        :raises ModelError: if the gains of the mode cannot be used; nothing has changed then
+        :raises ModelError: if the gains or the law of the mode cannot be used; nothing has changed
+            then
         :raises UnknownNameError: if there is no such part or mode
         """
         wanted = MODES[mode]
+        law = None if wanted.law is None else LAWS[wanted.law]
+        if law is not None:
+            self.seats.check(law, law.is_compiled)
+        changed = self._enter(part, wanted, data)
+        if law is not None and changed.size:
+            self._sit(changed, law, law.values({}), law.is_compiled)
+
+    def _enter(self, part: str, wanted: ControlMode, data: mujoco.MjData) -> IntArray:
+        """Let joints of a part that are in another mode come to rest in one; return which do."""
+        mode = wanted.name
         changed = np.array([i for i in self.indices_of(part) if self.modes[i] != mode],
                            dtype=np.int64)
         if changed.size:
@@ -165,7 +189,42 @@ class JointController(ControlledJoints):
             self.commands.release(changed, Status.ABORTED, f'the control mode is {mode} now')
             self.modes = tuple(mode if i in changed else m for i, m in enumerate(self.modes))
             self._timeouts.forget(self.parts_of(changed))
+            self.seats.rise(self.parts_of(changed))
             self._hold(changed, data, restart)
+        return changed
+
+    def set_law(self, part: str, law: Law, parameters: FloatArray, compiled: bool,
+                data: mujoco.MjData) -> None:
+        """
+        Let a law of a user move a part from the next step on.
+
+        :param parameters: of the law, shape (p,)
+        :param compiled: whether it is compiled
+        :raises ModelError: if it cannot be compiled, or act in this world
+        :raises UnknownNameError: if there is no such part
+        """
+        self.indices_of(part)
+        self.seats.check(law, compiled)
+        LAWS.add(law)
+        self._enter(part, MODES[f'{PREFIX}{law.name}'], data)
+        self._sit(self.indices_of(part), law, parameters, compiled)
+
+    def _sit(self, indices: IntArray, law: Law, parameters: FloatArray, compiled: bool) -> None:
+        for part in sorted(self.parts_of(indices)):
+            self.seats.sit(part, law, parameters.copy(), compiled)
+        self._give_seats()
+
+    def _give_seats(self) -> None:
+        """Let laws that act have the joints of their parts."""
+        for part, seat in self.seats.of.items():
+            if seat.acts:
+                self.exert(self.indices_of(part), np.zeros(len(self.indices_of(part))))
+
+    def resume(self, part: str) -> None:
+        """Let the law of a part that was stopped begin anew, if there is one."""
+        if part in self.seats.of:
+            self.seats.of[part].restart()
+            self._give_seats()
 
     def stop(self, part: str, reason: str, data: mujoco.MjData) -> None:
         """
@@ -177,6 +236,8 @@ class JointController(ControlledJoints):
         indices = self.indices_of(part)
         self.commands.release(indices, Status.ABORTED, reason)
         self._timeouts.forget([part])
+        if part in self.seats.of:
+            self.seats.of[part].acts = False
         self._hold(indices, data)
 
     def _hold(self, indices: IntArray, data: mujoco.MjData, restart: bool = False) -> None:
@@ -220,6 +281,9 @@ class JointController(ControlledJoints):
         self._setpoints.reset(position)
         self._servos.hold(data, position)
         self._efforts_due = self._written = False
+        for seat in self.seats.of.values():
+            seat.restart()
+        self._give_seats()
 
     def apply(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         """
@@ -378,12 +442,15 @@ class JointController(ControlledJoints):
         :param now_s: simulation time since the last reset [s]
         :param duration_s: length of the interval [s]
         """
-        if not self.moving:
+        setpoints = self._setpoints
+        if self.seats.of:
+            self.seats.begin(now_s, round(duration_s / self._servos.step_s), setpoints.joints,
+                             self._effort)
+        if not self._moves:
             if self._written:
                 self._servos.rest(data)
                 self._written = False
             return
-        setpoints = self._setpoints
         setpoints.now_s = now_s
         if self.commands.waiting:
             self._trajectories.start_due(
@@ -446,6 +513,10 @@ class JointController(ControlledJoints):
         return self._derived.made_of(
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
             setpoints.counts, self.cartesian.posture, flags, indices, path, *base), targets, count
+
+    def seat_rows(self) -> IntArray:
+        """Return the addresses of the rows of the laws of users, for compiled code."""
+        return self.seats.rows(self._setpoints.joints, self._effort)
 
     def _durations(self, intervals: IntArray) -> FloatArray:
         return np.asarray(intervals * self._servos.step_s, dtype=float)

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.servos import Servos
+from manip_sim.control.user_laws import LAWS, PREFIX
 from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import one_line
@@ -71,6 +72,8 @@ class ControlMode(ABC):
     :cvar takes_twists: whether the twist of a mobile base may move them
     :cvar exerts_at_end_effector: whether Cartesian commands are followed by efforts on the
         measured joints (operational space control), and not by setpoints
+    :cvar law: name of the law in :data:`~manip_sim.laws.LAWS` that exerts the efforts in each
+        physics step, and gets the setpoints; None for the servos of the model
     """
 
     name: str
@@ -78,6 +81,7 @@ class ControlMode(ABC):
     units: tuple[str, str]
     timeout_s = 0.2
     ends = follows_trajectories = takes_twists = exerts_at_end_effector = False
+    law: str | None = None
 
     def ranges(self, servos: Servos) -> FloatArray:
         """Return the ranges that actions of all joints span, SI units, shape (n, 2)."""
@@ -148,18 +152,32 @@ class Effort(ControlMode):
         joints.exert(indices, values)
 
 
+class LawMode(Position):
+    """
+    A law of a user exerts efforts in each physics step; joints are to go to positions.
+
+    :param law: its name
+    """
+
+    def __init__(self, law: str) -> None:
+        self.law = law
+        self.name = f'{PREFIX}{law}'
+
+
 class Modes(Mapping[str, ControlMode]):
     """
-    Control modes by name: those that were added, and those that other packages offer.
+    Control modes by name: those that were added, those that other packages offer, and laws.
 
     A package offers a class that takes no arguments, as an entry point of the group
-    ``manip_sim.modes``. One that cannot be used is logged, and does not hide the others.
+    ``manip_sim.modes``. One that cannot be used is logged, and does not hide the others. The name
+    of the mode in which a law acts is ``law:`` and that of the law.
 
     :param modes: that are there at first
     """
 
     def __init__(self, *modes: ControlMode) -> None:
         self._modes: dict[str, ControlMode] = {}
+        self._laws: dict[str, LawMode] = {}
         self._offers: set[Offer] = set()
         for mode in modes:
             self.add(mode)
@@ -196,13 +214,17 @@ class Modes(Mapping[str, ControlMode]):
             raise UnknownNameError('control mode', repr(name), self._modes)
         if name not in self._modes:
             self._add_offers()
+        if name in self._laws:
+            return self._laws[name]
+        if name.startswith(PREFIX) and name[len(PREFIX):] in LAWS:
+            return self._laws.setdefault(name, LawMode(name[len(PREFIX):]))
         if name not in self._modes:
-            raise UnknownNameError('control mode', name, self._modes)
+            raise UnknownNameError('control mode', name, [*self])
         return self._modes[name]
 
     def __iter__(self) -> Iterator[str]:
         self._add_offers()
-        return iter(list(self._modes))
+        return iter([*self._modes, *(f'{PREFIX}{law}' for law in LAWS)])
 
     def __len__(self) -> int:
         return len(list(iter(self)))

@@ -92,9 +92,23 @@ class Reflexes:
             if part not in self.tripped:
                 reason = self._excess(part, data)
                 if reason is not None:
-                    self.tripped = {**self.tripped, part: reason}
-                    self.counts[part] += 1
-                    self._joints.stop(part, f'stopped by a reflex: {reason}', data)
+                    self._trip(part, reason, data)
+
+    def check_laws(self, data: mujoco.MjData) -> None:
+        """Stop the parts whose laws have failed."""
+        for part, reason in self._joints.seats.failures().items():
+            self._trip(part, reason, data)
+
+    def hold_laws(self, data: mujoco.MjData) -> None:
+        """Keep laws that have begun to move parts from it, as long as reflexes stop these."""
+        for part in self.tripped.keys() & self._joints.seats.of.keys():
+            if self._joints.seats.of[part].acts:
+                self._joints.stop(part, f'stopped by a reflex: {self.tripped[part]}', data)
+
+    def _trip(self, part: str, reason: str, data: mujoco.MjData) -> None:
+        self.tripped = {**self.tripped, part: reason}
+        self.counts[part] += 1
+        self._joints.stop(part, f'stopped by a reflex: {reason}', data)
 
     def refusal(self, command: Command) -> str | None:
         """
@@ -111,8 +125,10 @@ class Reflexes:
                 'call reset_reflex')
 
     def reset(self) -> None:
-        """Let all parts take commands again."""
-        self.tripped = {}
+        """Let all parts take commands again, and laws of users begin anew."""
+        tripped, self.tripped = self.tripped, {}
+        for part in tripped:
+            self._joints.resume(part)
 
     def _excess(self, part: str, data: mujoco.MjData) -> str | None:
         """Return what a part does too much, in words, or None."""

@@ -12,13 +12,14 @@ from typing import Any, TYPE_CHECKING
 
 import mujoco
 
+from manip_sim.control.modes import MODES
 from manip_sim.errors import ModelError, ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
-    composition_parameters, keyframe_parameter, mode_parameters, MODEL_PATH, node_parameters,
-    periods_per_image, place_parameters, reflex_parameters, sensing_parameters, steps_per_period,
-    stream_parameters, timeout_parameters, wrench_parameters)
+    composition_parameters, keyframe_parameter, law_parameters, mode_parameters, MODEL_PATH,
+    node_parameters, periods_per_image, place_parameters, reflex_parameters, sensing_parameters,
+    steps_per_period, stream_parameters, timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
@@ -43,7 +44,7 @@ _SPACING_M = 1.0
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 #: Names that no robot may have: of the node's namespace and of its parameters.
 _RESERVED = ('arena', 'armature', 'camera', 'command_timeout', 'control_mode', 'friction',
-             'latency', 'noise', 'objects', 'qos_overrides', 'resolution', 'sensors',
+             'latency', 'law', 'noise', 'objects', 'qos_overrides', 'resolution', 'sensors',
              'stream_hold', 'stream_interval', 'torque_speed', 'truth')
 
 
@@ -184,6 +185,10 @@ def declare_parts(parameters: ParameterSource,
         parameters.declare(mode_parameters(scope, commanded))
         modes = {part: parameters.value(scope.parameter(f'control_mode.{part}'))
                  for part in commanded}
+        for part in commanded:
+            law = MODES[modes[part]].law
+            if law is not None and parts[part].atomic == (part,):
+                parameters.declare(law_parameters(scope, part, law))
         parameters.declare(timeout_parameters(scope, commanded, modes.__getitem__))
         parameters.declare(stream_parameters(scope, commanded))
         arms = [arm for arm in commanded if f'{arm}/gripper' in parts]

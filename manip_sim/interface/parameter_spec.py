@@ -122,6 +122,8 @@ class ParameterSpec:
                 len(value) == self.length and all(map(math.isfinite, value))):
             return (f"parameter '{self.name}' must be {self.length} finite numbers, "
                     f'got {list(value)}')
+        if isinstance(value, float) and not math.isfinite(value):
+            return f"parameter '{self.name}' must be a finite number, got {value}"
         if (self.minimum is not None and self.maximum is not None
                 and not self.minimum <= value <= self.maximum):
             whole = type(value) is int and abs(value) < 2**63

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.modes import default_mode, MODES
+from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import SPAWNED
 from manip_sim.interface.parameter_spec import ParameterSpec
@@ -217,6 +218,19 @@ def mode_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
         f'control_mode.{part}', default_mode(part),
         f'What commands of the {part} mean; a change brings it to rest.', live=True,
         choices=tuple(MODES)).within(scope) for part in parts]
+
+
+def law_parameters(scope: Scope, part: str, law: str) -> list[ParameterSpec]:
+    """
+    Return the parameters of the law that moves a part.
+
+    :param part: one that consists of no others
+    :param law: its name
+    :raises ModelError: if the package that offers the law cannot be used
+    """
+    return [ParameterSpec(
+        f'law.{part}.{name}', default, f"Parameter of the law '{law}', which moves the {part}.",
+        live=True).within(scope) for name, default in LAWS[law].defaults.items()]
 
 
 def timeout_parameters(scope: Scope, parts: Sequence[str],

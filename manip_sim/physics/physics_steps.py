@@ -12,6 +12,8 @@ depends on positions and velocities alone is kept. What control does in between 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -34,6 +36,24 @@ _FIRST_HALF = (int(mujoco.mjtState.mjSTATE_QPOS) | int(mujoco.mjtState.mjSTATE_Q
                | int(mujoco.mjtState.mjSTATE_EQ_ACTIVE))
 
 
+class StepLaws(Protocol):
+    """Laws that exert efforts in each step."""
+
+    @property
+    def of(self) -> Mapping[str, Any]:
+        """The laws, by part; none exert anything if it is empty."""
+
+    @property
+    def runs_python(self) -> bool:
+        """True if any law runs as plain Python."""
+
+    def exert(self) -> None:
+        """Let laws exert their efforts, after ``mj_step1``."""
+
+    def feel(self) -> None:
+        """Note the wrenches on tools, after a step."""
+
+
 class PhysicsSteps:
     """
     Runs the steps of control periods, and records the forces on tools.
@@ -43,21 +63,24 @@ class PhysicsSteps:
     :param efforts: of the actuators, recorded at the end of each period
     :param tools: whose external wrenches are recorded
     :param laws: what changes the model with the velocities
+    :param seats: laws that act between the halves of a step, of each robot
     :ivar physics: of the world
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
     :ivar contacts_change: whether contacts came or went in the last period
     :ivar was_untouched: whether the last period was run by :meth:`run_untouched`
+    :ivar seats: laws that act between the halves of a step, of each robot
     :ivar measuring: called within the period, with all of that instant computed, by after how many
         steps of the period that is; it changes nothing of the physics
     """
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
-                 tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws] = ()) -> None:
+                 tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws] = (),
+                 seats: Sequence[StepLaws] = ()) -> None:
         self.physics = physics
         self._clock = clock
         self._efforts = efforts
-        self.tools, self._laws = tuple(tools), tuple(laws)
+        self.tools, self._laws, self.seats = tuple(tools), tuple(laws), tuple(seats)
         self.measuring: Mapping[int, Callable[[], None]] = {}
         physics.on_change(self._look_at_model)
 
@@ -66,10 +89,10 @@ class PhysicsSteps:
         for laws in self._laws:
             laws.look_at_joints()
 
-    def look_at_robots(self, tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws]
-                       ) -> None:
+    def look_at_robots(self, tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws],
+                       seats: Sequence[StepLaws]) -> None:
         """Take over the tools and laws of the robots that there are now."""
-        self.tools, self._laws = tuple(tools), tuple(laws)
+        self.tools, self._laws, self.seats = tuple(tools), tuple(laws), tuple(seats)
         self._look_at_tools()
 
     def _look_at_tools(self) -> None:
@@ -243,8 +266,11 @@ class PhysicsSteps:
         laws, pushed, step = self._laws, self._pushed, mujoco.mj_step
         tools = [(tool.forces, b'' if pushed else tool.no_forces, tool.record)
                  for tool in self.tools]
+        seats = [own for own in self.seats if own.of]
+        if seats:
+            step = partial(_step_with_laws, seats, mujoco.mj_step1)
         # What depends on positions and velocities alone may have been computed already.
-        next_step, self._resumes = (mujoco.mj_step2 if self._resumes else step), False
+        next_step, self._resumes = (self._second_half(seats) if self._resumes else step), False
         for steps in self._interrupted(intervals) if self.measuring else intervals:
             for _ in range(steps):
                 for law in laws:
@@ -260,6 +286,10 @@ class PhysicsSteps:
             self._clock.count(steps)
         self._contacts = contacts
 
+    def _second_half(self, seats: Sequence[StepLaws]
+                     ) -> Callable[[mujoco.MjModel, mujoco.MjData], None]:
+        return partial(_step_with_laws, seats, None) if seats else mujoco.mj_step2
+
     @property
     def first_half(self) -> Sequence[slice]:
         """The parts of a state that the first half of a step depends on."""
@@ -273,7 +303,8 @@ class PhysicsSteps:
     @property
     def lets_laws_step(self) -> bool:
         """True if compiled laws may run steps: nothing but contacts has to be watched."""
-        return self._only_touched and not (self._laws or self._pushed or self.measuring)
+        return (self._only_touched and not (self._laws or self._pushed or self.measuring)
+                and not any([seats.runs_python for seats in self.seats]))
 
     def take_resumes(self) -> bool:
         """Return whether the first half of the next step is computed, which then is made."""
@@ -338,6 +369,23 @@ class PhysicsSteps:
         self._efforts.record()
         # After mj_step the sensors are one step older than the positions.
         self.compute()
+
+
+def _step_with_laws(seats: Sequence[StepLaws],
+                    begin: Callable[[mujoco.MjModel, mujoco.MjData], None] | None,
+                    model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """
+    Run a step, between the halves of which laws exert efforts.
+
+    :param begin: the first half, or None if it has been computed
+    """
+    if begin is not None:
+        begin(model, data)
+    for laws in seats:
+        laws.exert()
+    mujoco.mj_step2(model, data)
+    for laws in seats:
+        laws.feel()
 
 
 def _places(model: mujoco.MjModel, wanted: int) -> list[slice]:

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -66,7 +67,7 @@ class Parameters:
         #: Timeouts that the user has set, and those that follow the modes in the present change.
         self._set_timeouts: set[str] = set()
         self._following: set[str] = set()
-        #: True while parameters are changed to the settings that act already.
+        #: True while changes of parameters do not act.
         self.showing = False
         node.add_pre_set_parameters_callback(self._complete)
         node.add_on_set_parameters_callback(self._validate)
@@ -93,6 +94,10 @@ class Parameters:
         self._of_parts = {name: found for name, found in self._of_parts.items()
                           if found.scope != scope}
         self._set_timeouts = {name for name in self._set_timeouts if not name.startswith(begin)}
+        self.forget(begin)
+
+    def forget(self, begin: str) -> None:
+        """Remove the parameters whose names begin in some way, such as ``law.arm.``."""
         self._specs = {name: spec for name, spec in self._specs.items()
                        if not name.startswith(begin)}
         forget_parameters(self._node, (begin,))
@@ -160,13 +165,19 @@ class Parameters:
         """
         changed = [Parameter(name, value=value) for name, value in values.items()
                    if name in self._specs and self.value(name) != value]
-        self.showing = True
-        try:
+        with self.without_acting():
             self._node.set_parameters(changed)
-        finally:
-            self.showing = False
         self._set_timeouts -= timeouts.keys()
         self._set_timeouts.update(name for name, is_set in timeouts.items() if is_set)
+
+    @contextlib.contextmanager
+    def without_acting(self) -> Iterator[None]:
+        """Let changes of parameters change nothing else, as what they say acts already."""
+        before, self.showing = self.showing, True
+        try:
+            yield
+        finally:
+            self.showing = before
 
     def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
         """

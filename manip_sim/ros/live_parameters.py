@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import contextlib
 from functools import partial
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from manip_sim.errors import SimulationEnded
+from manip_sim.interface.parameters import law_parameters
 from manip_sim.interface.scope import Scope
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.node_context import NodeContext
@@ -27,6 +28,8 @@ class LiveParameters(Feature):
         self._context = context
         thread = context.thread
         self._robots: dict[Scope, SimulatedRobot] = {}
+        #: Names of the laws that move parts, by part.
+        self._laws: dict[Scope, Mapping[str, str]] = {}
         #: Functions that use a value, by the name of the parameter.
         self._uses: dict[str, Callable[[Any], object]] = {
             'real_time_factor': thread.set_real_time_factor, 'pause_at': thread.pause_at,
@@ -45,8 +48,46 @@ class LiveParameters(Feature):
             if name in parameters.names and parameters.value(name) != acting and (
                     parameters.value(name) or setting not in QUANTITIES):
                 self._uses[name](parameters.value(name))
+        self._begin_laws()
+
+    def _begin_laws(self) -> None:
+        """Let parameters of laws that have begun to move parts act, with what the user gave."""
+        for name in self._follow_laws():
+            self._uses[name](self._context.parameters.value(name))
+
+    def _follow_laws(self) -> list[str]:
+        """Declare the parameters of the laws that move parts, and no others; return new names."""
+        laws = self._context.thread.call(
+            lambda: {scope: robot.laws for scope, robot in self._robots.items()})
+        new = []
+        for scope, robot in self._robots.items():
+            before, self._laws[scope] = self._laws.get(scope, {}), laws[scope]
+            for part in {**before, **laws[scope]}:
+                if before.get(part) != laws[scope].get(part):
+                    if part in before:
+                        self._forget_law(scope.parameter(f'law.{part}.'))
+                    new += self._declare_law(scope, robot, part)
+        return new
+
+    def _forget_law(self, begin: str) -> None:
+        """Forget the parameters of the law that moved a part."""
+        self._context.parameters.forget(begin)
+        for name in [name for name in self._uses if name.startswith(begin)]:
+            del self._uses[name]
+
+    def _declare_law(self, scope: Scope, robot: SimulatedRobot, part: str) -> list[str]:
+        """Declare the parameters of the law that moves a part, if there is one; return names."""
+        parameters, law = self._context.parameters, self._laws[scope].get(part)
+        specs = [] if law is None else law_parameters(scope, part, law)
+        with parameters.without_acting():
+            parameters.declare([spec for spec in specs if spec.name not in parameters.names])
+        for spec in specs:
+            self._uses[spec.name] = self._use_of(
+                scope, robot, spec.name.removeprefix(scope.parameter('')))
+        return [spec.name for spec in specs]
 
     def robot_removed(self, scope: Scope) -> None:
+        self._laws.pop(scope, None)
         for setting in self._robots.pop(scope).settings:
             self._uses.pop(scope.parameter(setting), None)
 
@@ -64,10 +105,13 @@ class LiveParameters(Feature):
         for parameter in parameters:
             if parameter.name in self._uses:
                 self._context.thread.call(partial(self._uses[parameter.name], parameter.value))
+        if not self._context.parameters.showing:
+            self._begin_laws()
 
     def show(self) -> None:
         """Let parameters have the values that act, as a reset or a restored state changes them."""
         with contextlib.suppress(SimulationEnded):
+            self._follow_laws()
             self._context.parameters.show(*self._context.thread.call(self._acting))
 
     def _acting(self) -> tuple[dict[str, Any], dict[str, bool]]:

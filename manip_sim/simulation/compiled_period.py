@@ -93,8 +93,9 @@ class CompiledPeriod:
         for run in runs:
             run.room.row.write((run.joints, run.targets, run.grippers, run.room.moved_s))
         robots = self._derived.made_of(_addresses, *[run.room for run in runs])
-        room.row.write((room.place, room.time, room.orders, intervals,
-                        steps.physics.arrays, robots, notes, room.watch, room.outcome))
+        seats = self._derived.made_of(_joined, *[run.seats for run in runs])
+        room.row.write((room.place, room.time, room.orders, intervals, steps.physics.arrays,
+                        robots, seats, notes, room.watch, room.outcome))
 
     def _room(self) -> _Room:
         """Return what is the same as long as there is the same model."""
@@ -146,6 +147,11 @@ class CompiledPeriod:
 def _addresses(*rooms: RunRoom) -> IntArray:
     """Return the addresses of the rows of robots."""
     return np.array([room.row.address for room in rooms], dtype=np.int64)
+
+
+def _joined(*rows: IntArray) -> IntArray:
+    """Return the addresses of the rows of all laws of users."""
+    return np.concatenate([np.zeros(0, np.int64), *rows])
 
 
 @cache

@@ -221,6 +221,8 @@ class ControlPeriods:
                     self._steps.begin()
                     self._begun = True
                 self._left -= self._tick(awake)
+                for robot in awake:
+                    robot.check_laws()
             awake = self._awake() if self._left else awake
         if not self._is_computed:
             self._steps.finish()
@@ -256,6 +258,7 @@ class ControlPeriods:
         (robots, runs, ends), self._prepared = self._prepared, None
         for robot, run in zip(robots, runs):
             robot.end_run(run)
+            robot.check_laws()
         steps, good = self._took_steps()
         self._left -= steps
         if ends and not self._left:

@@ -42,7 +42,8 @@ class Operations:
             'keyframe': self._keyframe, 'mode': self._mode, 'timeout': self._timeout,
             'stream_interval': self._stream_interval, 'stream_hold': self._stream_hold,
             'wrench_cutoff': self._wrench_cutoff, 'sensing': self._sensing,
-            'reflex': self._reflex, 'cartesian': self._cartesian, 'place': self._place,
+            'reflex': self._reflex, 'cartesian': self._cartesian, 'law': self._law,
+            'place': self._place,
             'direct_command': self._direct_command, 'target': self._target,
             'pull': self._pull, 'end_pull': self._end_pull, 'answer': lambda: None,
             'spawn': self._spawn, 'delete': self._delete}
@@ -127,6 +128,9 @@ class Operations:
 
     def _cartesian(self, robot: str, arm: str, setting: str, value: float) -> None:
         self._robot(robot).joints.cartesian.set(arm, setting, value)
+
+    def _law(self, robot: str, part: str, parameter: str, value: float) -> None:
+        self._robot(robot).law_parameters(part)[parameter] = value
 
     def _place(self, name: str, pose: list[list[float]] | None, twist: list[list[float]] | None
                ) -> None:

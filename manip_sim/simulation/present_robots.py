@@ -14,6 +14,7 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.external_wrench import ExternalWrench
+from manip_sim.control.seats import Seats
 from manip_sim.physics.friction_laws import FrictionLaws
 from manip_sim.physics.physics import Physics
 from manip_sim.simulation.robot import SimulatedRobot
@@ -69,6 +70,11 @@ class PresentRobots:
     def laws(self) -> list[FrictionLaws]:
         """The laws of the joints, of the robots that have such."""
         return [*self._laws.values()]
+
+    @property
+    def seats(self) -> list[Seats]:
+        """The laws of users, of each robot."""
+        return [robot.joints.seats for robot in self.by_name.values()]
 
     def delete(self, name: str) -> None:
         """Delete a robot, before its model is; its commands are aborted."""

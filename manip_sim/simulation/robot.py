@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from itertools import accumulate
+import logging
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,8 +28,10 @@ from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import Reflexes
+from manip_sim.control.seats import LawParameters, SeatState
+from manip_sim.control.user_laws import Law, law_of
 from manip_sim.derived import Derived
-from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
@@ -39,6 +42,7 @@ from manip_sim.simulation.robot_reader import RobotReader
 from manip_sim.simulation.robot_state import State
 from manip_sim.validation import positive_number
 
+_LOGGER = logging.getLogger('manip_sim.control')
 #: The compiled law moves so many grippers.
 _MOST_GRIPPERS = 2
 _NO_GRIPPERS = no_gripper(), no_gripper()
@@ -66,6 +70,7 @@ class RobotRun(NamedTuple):
     :ivar controllers: of the grippers that move
     :ivar intervals: physics steps of each interval, shape (k,)
     :ivar room: for the law
+    :ivar seats: addresses of the rows of laws of users, shape (s,)
     """
 
     joints: RobotJoints
@@ -74,6 +79,7 @@ class RobotRun(NamedTuple):
     controllers: list[GripperController]
     intervals: IntArray
     room: RunRoom
+    seats: IntArray
 
 
 class SimulatedRobot:
@@ -115,7 +121,8 @@ class SimulatedRobot:
         self.joints = JointController(
             physics, {name: p for name, p in self.parts.items() if p.gripper is None},
             [part.name for part in atomic if part.gripper is None],
-            find_chains(model, robot, self.parts, self.end_effectors), robot.gains_are_highest)
+            find_chains(model, robot, self.parts, self.end_effectors), robot.gains_are_highest,
+            self.end_effectors)
         self.grippers = {part.name: GripperController(physics, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
         self.reflexes = Reflexes(self.parts, self.joints, self.end_effectors, efforts)
@@ -278,6 +285,67 @@ class SimulatedRobot:
         """
         self._check_no_gripper(part)
         self.joints.set_mode(part, mode, self._physics.data)
+        self.reflexes.hold_laws(self._physics.data)
+
+    def set_law(self, part: str, law: Law | Callable[..., object], /, *,
+                compiled: bool | None = None, **parameters: float) -> None:
+        """
+        Let a law of your own move a part from the next physics step on.
+
+        The part then is in the control mode ``law:<name>``: commands of positions, trajectories
+        and poses move its setpoints, which the law gets. A law that fails stops the part by a
+        reflex; :meth:`reset_reflexes` lets it begin anew, as a reset does. Any other control mode
+        ends it.
+
+        :param part: such as ``arm``
+        :param law: made by ``manip_sim.laws.law``; any other function with its arguments runs as
+            plain Python
+        :param compiled: False lets it run as plain Python, which is slow; None: as it was made
+        :param parameters: of the law, by name; defaults where none is given
+        :raises CommandError: if the part is a gripper
+        :raises ModelError: if the law cannot be compiled, a value is no finite number, or the
+            integrator of the world is RK4, which has no place between the halves of a step
+        :raises UnknownNameError: if there is no such part or parameter
+        """
+        self._check_no_gripper(part)
+        own = law_of(law)
+        compiled = own.is_compiled if compiled is None else bool(compiled)
+        if not compiled:
+            _LOGGER.warning("the law '%s' of %s runs as plain Python in each physics step, which "
+                            'is slow', own.name, part)
+        self.joints.set_law(part, own, own.values(parameters), compiled, self._physics.data)
+        self.reflexes.hold_laws(self._physics.data)
+
+    def law_parameters(self, part: str) -> LawParameters:
+        """
+        Return the parameters of the law that moves a part, by name; a new value acts at once.
+
+        :param part: such as ``arm``; of several arms what is read is that of the first
+        :raises ModelError: if no law moves it
+        :raises UnknownNameError: if there is no such part
+        """
+        self._seats_of(part)
+        return LawParameters(lambda: self._seats_of(part))
+
+    @property
+    def laws(self) -> dict[str, str]:
+        """The names of the laws that move parts, by part; parts that consist of no others."""
+        return {part: seat.name for part, seat in self.joints.seats.of.items()}
+
+    def _seats_of(self, part: str) -> list[SeatState]:
+        """Return the seats of the law that moves a part."""
+        joints, indices = self.joints, self.joints.indices_of(part)
+        modes = dict.fromkeys(joints.modes_of(indices))
+        seats = [joints.seats.of.get(name) for name in sorted(joints.parts_of(indices))]
+        found = [seat for seat in seats if seat is not None]
+        if not found or len(modes) > 1:
+            raise ModelError(f'no law moves {part}: its control mode is {" and ".join(modes)}')
+        return found
+
+    def check_laws(self) -> None:
+        """Stop the parts whose laws have failed in what was run last."""
+        if self.joints.seats.of:
+            self.reflexes.check_laws(self._physics.data)
 
     def command_interfaces(self) -> dict[str, str]:
         """Return what the commands of each joint are: ``position``, ``velocity``, ``effort``."""
@@ -352,6 +420,9 @@ class SimulatedRobot:
             values = self.joints.settings(part)
             found.update({f'{name}.{part}': value for name, value in values.items()})
             found.update({f'reflex.{part}.{name}': v for name, v in asdict(limits).items()})
+        for part in self.laws:
+            found.update({f'law.{part}.{name}': value
+                          for name, value in self.law_parameters(part).items()})
         for arm, settings in self.joints.cartesian.settings.items():
             found.update({f'cartesian.{arm}.{name}': v for name, v in asdict(settings).items()})
         for arm, reader in self.end_effectors.items():
@@ -488,7 +559,8 @@ class SimulatedRobot:
             intervals = intervals[:count]
         moving = [gripper for gripper in self.grippers.values() if gripper.moving]
         if not moving:
-            return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals, self._run_room)
+            return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals, self._run_room,
+                            self.joints.seat_rows())
         grippers = [gripper.begin_run(data) for gripper in moving]
         calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
         count = _count_within(intervals.tolist(), min(calls)) if calls else len(intervals)
@@ -496,7 +568,7 @@ class SimulatedRobot:
             intervals = intervals[:count]
         first, second, *_ = *grippers, no_gripper()
         return RobotRun(joints, targets, self._derived.made_of(_pair, first, second), moving,
-                        intervals, self._run_room)
+                        intervals, self._run_room, self.joints.seat_rows())
 
     @property
     def _run_room(self) -> RunRoom:

@@ -18,6 +18,7 @@ from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.targets import Target
 from manip_sim.control.command_parser import CommandParser
+from manip_sim.control.seats import SeatState
 from manip_sim.control.streamed_trajectories import PointStreams
 from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.errors import ModelError
@@ -33,7 +34,7 @@ from manip_sim.simulation.robot import SimulatedRobot
 #: What control changes in a model: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
 #: What commands bring along: it is a part of states, and not there at construction.
-_PASSING = (PointStreams, PoseStream, Target, VelocityStream)
+_PASSING = (PointStreams, PoseStream, SeatState, Target, VelocityStream)
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,8 @@ class Simulation:
         self._present = PresentRobots(self.physics, self.efforts, self._clock, world.robots)
         self.robots = self._present.by_name
         self._steps = PhysicsSteps(
-            self.physics, self._clock, self.efforts, self._present.tools, self._present.laws)
+            self.physics, self._clock, self.efforts, self._present.tools, self._present.laws,
+            self._present.seats)
         self.pulls = Pulls(self.physics, self._clock)
         self.periods = ControlPeriods(
             self._steps, self.robots, self._free_roots, self.pulls, self._clock, self.timestep_s)
@@ -173,7 +174,8 @@ class Simulation:
             self._steps.compute_anew()
 
     def _look_at_robots(self) -> None:
-        self._steps.look_at_robots(self._present.tools, self._present.laws)
+        self._steps.look_at_robots(
+            self._present.tools, self._present.laws, self._present.seats)
         self.periods.look_at_robots()
 
     @property

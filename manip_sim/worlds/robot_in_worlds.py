@@ -5,18 +5,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.clamping import clamp
+from manip_sim.clamping import clamp, command_numbers
 from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
 from manip_sim.control.modes import POSITION, VELOCITY
+from manip_sim.control.seats import LawParameters
 from manip_sim.control.setpoints import wait_in_worlds
-from manip_sim.errors import CommandError
+from manip_sim.control.user_laws import Law, law_of
+from manip_sim.errors import CommandError, ModelError
 from manip_sim.physics.end_effectors import EndEffector
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
@@ -86,6 +88,55 @@ class RobotInWorlds:
             if wanted:
                 robot.set_control_mode(part, mode)
 
+    def set_law(self, part: str, law: Law | Callable[..., object], /, *,
+                compiled: bool | None = None, where: ArrayLike | None = None,
+                **parameters: ArrayLike) -> None:
+        """
+        Let a law of your own move a part, as :meth:`SimulatedRobot.set_law` does.
+
+        :param part: such as ``arm``
+        :param law: made by ``manip_sim.laws.law``; any other function with its arguments runs as
+            plain Python
+        :param compiled: False lets it run as plain Python; None: as it was made
+        :param where: in which worlds, shape (count,); None for all
+        :param parameters: of the law, by name, a number or one for each world, shape (count,)
+        :raises CommandError: if the part is a gripper, or an array has another shape or type
+        :raises ModelError: as of :meth:`SimulatedRobot.set_law`; no world has changed then
+        :raises UnknownNameError: if there is no such part or parameter
+        """
+        own = law_of(law)
+        worlds = np.flatnonzero(chosen(where, len(self))).tolist()
+        by_world = {name: self._each(name, values) for name, values in parameters.items()}
+        given = [{name: values[world] for name, values in by_world.items()} for world in worlds]
+        for values in given:
+            own.values(values)
+        for world, values in zip(worlds, given):
+            self._robots[world].set_law(part, own, compiled=compiled, **values)
+
+    def law_parameters(self, part: str) -> LawParametersInWorlds:
+        """
+        Return the parameters of the law that moves a part in all worlds, by name.
+
+        :param part: such as ``arm``
+        :raises ModelError: if no law moves it in some world, or not the same one in all
+        :raises UnknownNameError: if there is no such part
+        """
+        found = [robot.law_parameters(part) for robot in self._robots]
+        names = {robot.joints.modes_of(robot.joints.indices_of(part)) for robot in self._robots}
+        if len(names) > 1:
+            raise ModelError(f'{part} is not moved by the same law in all worlds')
+        return LawParametersInWorlds(found, self._each)
+
+    def _each(self, name: str, values: ArrayLike) -> list[float]:
+        """Return a number for each world."""
+        numbers = command_numbers(values, name)
+        if numbers.ndim == 0:
+            return [float(numbers)] * len(self)
+        if numbers.ndim > 1:
+            raise CommandError(f'{name} must be a number or one for each world, got the shape '
+                               f'{numbers.shape}')
+        return [float(number) for number in rows(numbers, len(self), name)]
+
     def state(self) -> RobotStates:
         """Return a snapshot of the present instant, copies."""
         states = [robot.state() for robot in self._robots]
@@ -105,6 +156,45 @@ class RobotInWorlds:
         :returns: each in the order of the joints' names, in SI units, shape (count, 3 n), a copy
         """
         return np.stack([robot.measured(part) for robot in self._robots])
+
+
+class LawParametersInWorlds(MutableMapping[str, FloatArray]):
+    """
+    The parameters of the law that moves a part in many worlds, by name, shape (count,) each.
+
+    :param worlds: those of each world
+    :param each: returns a number for each world, of a number or an array
+    """
+
+    def __init__(self, worlds: Sequence[LawParameters],
+                 each: Callable[[str, ArrayLike], list[float]]) -> None:
+        self._worlds, self._each = worlds, each
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return np.array([world[name] for world in self._worlds])
+
+    def __setitem__(self, name: str, values: ArrayLike) -> None:
+        """
+        Change a parameter, from the next step on.
+
+        :param values: a number or one for each world, shape (count,)
+        :raises CommandError: if they have another shape
+        :raises ModelError: if a value is no finite number; no world has changed then
+        :raises UnknownNameError: if there is no such parameter
+        """
+        checked = [world.checked(name, value)
+                   for world, value in zip(self._worlds, self._each(name, values))]
+        for world, value in zip(self._worlds, checked):
+            world[name] = value
+
+    def __delitem__(self, name: str) -> None:
+        del self._worlds[0][name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._worlds[0])
+
+    def __len__(self) -> int:
+        return len(self._worlds[0])
 
 
 def _together(found: Sequence[EndEffector]) -> EndEffector:

@@ -16,8 +16,10 @@ import pytest
 from robot_kinds import KINDS as ROBOT_KINDS
 
 from manip_sim.control.commands import Status
+from manip_sim.control.modes import MODES as CONTROL_MODES
 from manip_sim.errors import (
     CommandError, DivergenceError, ManipSimError, ModelError, SimulationEnded, UnknownNameError)
+from manip_sim.laws import law, LAWS
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.composing import compose_robot
@@ -31,7 +33,22 @@ from manip_sim.worlds.robot_in_worlds import wait_in_worlds
 NOISE = {'type': 'uniform', 'magnitude': 0.05}
 COUNT = 3
 KINDS = ('stream', 'some', 'goals', 'gripper', 'pose', 'twist', 'osc', 'trajectory', 'nothing')
-MODES = ('position', 'velocity', 'effort')
+MODES = ('position', 'velocity', 'effort', 'law:pulled')
+
+
+@law(parameters={'stiffness': 300.0, 'damping': 35.0}, memory=1)
+def pulled(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+    memory[0] += 1.0
+    for i in range(len(q)):
+        effort[i] = bias[i]
+        for j in range(len(q)):
+            effort[i] += mass[i, j] * (setpoint[j, 2] + parameters[0] * (setpoint[j, 0] - q[j])
+                                       + parameters[1] * (setpoint[j, 1] - v[j]))
+        for k in range(3):
+            effort[i] += 0.1 * jacobian[k, i] * wrench[k]
+
+
+LAWS.add(pulled)
 
 
 class Pair:
@@ -105,7 +122,9 @@ class Pair:
                        cartesian=True)
         elif kind == 'osc':
             self._both('action', (self.arm, six), where, cartesian=True)
-        elif kind == 'trajectory' and one.joints.modes[indices[0]] == 'position':
+        elif kind == 'trajectory' and all(
+                CONTROL_MODES[simulation.robot.joints.modes[indices[0]]].follows_trajectories
+                for simulation in self.simulations):
             here = robot.measured(self.part)[:, :1]
             goals = np.stack([here + 0.02 * six[:, :1], here], axis=1)
             self._both('trajectory', (self.part, names[:1], [0.1, 0.3], goals), where)
@@ -172,7 +191,7 @@ def test_each_world_is_a_simulation_with_the_same_seed_and_commands(lasting_pair
         if kind == 'reset':
             pair.reset(np.array([7, 8, 9]) + number, where)
         elif kind == 'mode':
-            pair.set_mode(MODES[number % 3], where)
+            pair.set_mode(MODES[number % len(MODES)], where)
         else:
             pair.command(kind, number, where)
         for _ in range(2):
@@ -738,3 +757,74 @@ def test_threads_end_with_a_context():
         worlds.advance(5)
         assert worlds.threads == 2 and threading.active_count() == before + 1
     assert threading.active_count() == before
+
+
+def test_a_law_of_a_user_has_parameters_and_memory_of_its_own_in_each_world(pair):
+    start(pair)
+    stiffness = np.array([100.0, 200.0, 400.0])
+    pair.worlds.robot.set_law(pair.part, pulled, stiffness=stiffness, damping=20.0)
+    for simulation, value, _ in pair._of(None, stiffness):
+        simulation.robot.set_law(pair.part, pulled, stiffness=value, damping=20.0)
+    parameters = pair.worlds.robot.law_parameters(pair.part)
+    for number, kind in enumerate(('stream', 'goals', 'pose', 'trajectory', 'twist', 'osc')):
+        pair.command(kind, number)
+        pair.advance(20)
+        parameters['damping'] = 20.0 + number + np.arange(3)
+        for simulation, _, world in pair._of():
+            simulation.robot.law_parameters(pair.part)['damping'] = 20.0 + number + world
+    pair.check_equal()
+    assert parameters['stiffness'].tolist() == stiffness.tolist()
+    assert {*parameters} == {'stiffness', 'damping'} and len(parameters) == 2
+
+
+@pytest.mark.parametrize(('act', 'error', 'text'), [
+    (lambda robot: robot.set_law('arm', pulled, stiffness=[1.0, 2.0]), CommandError, 'axis of 3'),
+    (lambda robot: robot.set_law('arm', pulled, stiffness=[1.0, 2.0, math.nan]), ModelError,
+     'stiffness must be a finite number, got nan'),
+    (lambda robot: robot.set_law('arm', pulled, stiffness=np.ones((3, 1))), CommandError,
+     'a number or one for each world'),
+    (lambda robot: robot.set_law('arm', pulled, stifness=1.0), UnknownNameError, 'stiffness'),
+    (lambda robot: robot.set_law('arm', pulled, where=[1, 0, 0]), CommandError, 'truth values'),
+    (lambda robot: robot.set_law('arm', 'pulled'), ModelError, 'must be a function'),
+    (lambda robot: robot.law_parameters('arm'), ModelError, 'no law moves arm'),
+    (lambda robot: _of_one(robot).__setitem__('damping', [1.0, 2.0, math.inf]), ModelError,
+     'damping must be a finite number, got inf')])
+def test_what_no_law_of_worlds_can_be_changes_no_world(act, error, text, pair):
+    before = None if 'inf' in text else pair.worlds.digest()
+    with pytest.raises(error, match=text):
+        act(pair.worlds.robot)
+    if before is None:
+        assert pair.worlds.robot.law_parameters('arm')['damping'].tolist() == [35.0] * 3
+    else:
+        assert pair.worlds.digest() == before
+
+
+def _of_one(robot):
+    robot.set_law('arm', pulled)
+    return robot.law_parameters('arm')
+
+
+def test_different_laws_in_worlds_have_no_parameters_together(pair):
+    pair.worlds.robot.set_law('arm', pulled, where=np.array([True, True, False]))
+    with pytest.raises(ModelError, match='no law moves arm'):
+        pair.worlds.robot.law_parameters('arm')
+    pair.worlds.robot.set_law('arm', law(_hold), where=np.array([False, False, True]))
+    with pytest.raises(ModelError, match='not moved by the same law in all worlds'):
+        pair.worlds.robot.law_parameters('arm')
+
+
+def _hold(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+    effort[:] = bias - 20.0 * v
+
+
+def test_a_law_that_fails_in_one_world_is_stopped_there_alone(pair):
+    @law(parameters={'end': 10.0})
+    def ending(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+        effort[:] = bias - 20.0 * v
+        if t > parameters[0]:
+            effort[0] = np.nan
+    pair.worlds.robot.set_law('arm', ending, end=[10.0, 0.1, 10.0])
+    for _ in range(20):
+        pair.worlds.advance(10)
+    tripped = [robot.reflexes.tripped for robot in pair.worlds.robot]
+    assert [*map(len, tripped)] == [0, 1, 0] and "the law 'ending'" in tripped[1]['arm']

@@ -34,14 +34,14 @@ class Arms:
         """Take over addresses and damping of the joints, which were changed."""
         self._derived.of.clear()
 
-    def arm(self, tip: Frame, indices: IntArray) -> Arm:
+    def arm(self, tip: Frame | None, indices: IntArray) -> Arm:
         """
         Return the joints of an arm as the compiled law reads them.
 
-        :param tip: frame of the end effector
+        :param tip: frame of the end effector; None if there is none, which no joint moves then
         :param indices: of the joints, shape (n,)
         """
-        key = tip.name, indices.tobytes()
+        key = tip and tip.name, indices.tobytes()
         found: tuple[FloatArray, Arm] | None = self._derived.of.get(key)
         if found is None or found[0] is not self._servos.passive_damping:
             # That of a restored state is another one.
@@ -49,12 +49,13 @@ class Arms:
                 self._servos.passive_damping, self._make_arm(tip, indices))
         return found[1]
 
-    def _make_arm(self, tip: Frame, indices: IntArray) -> Arm:
+    def _make_arm(self, tip: Frame | None, indices: IntArray) -> Arm:
         servos, model, dofs = self._servos, self._physics.model, self._servos.dofs[indices]
         efforts, joints = servos.ranges['effort'][indices], np.zeros(len(indices), CHAIN)
+        moves = np.zeros(len(dofs), bool) if tip is None else _moving(model, tip.body)[dofs]
         for field, values in (
                 ('joint', indices), ('qpos', servos.qpos[indices]), ('dof', dofs),
-                ('moves', _moving(model, tip.body)[dofs]), ('low', self._low[indices]),
+                ('moves', moves), ('low', self._low[indices]),
                 ('high', self._high[indices]), ('velocity_limit', servos.velocity_limit[indices]),
                 ('cruising_velocity', servos.cruising_velocity[indices]),
                 ('acceleration_limit', servos.acceleration_limit[indices]),
@@ -62,7 +63,7 @@ class Arms:
                 ('damping', servos.passive_damping[indices]), ('turn', servos.turn[indices])):
             joints[field] = values
         return Arm(readable(joints), places_of_inertia(model, dofs),
-                   int(model.body_rootid[tip.body]))
+                   0 if tip is None else int(model.body_rootid[tip.body]))
 
 
 def _moving(model: mujoco.MjModel, body: int) -> BoolArray:

@@ -21,6 +21,7 @@ from manip_sim.control.law.joint_records import (
     DUE, JOINT, MOVES, readable, RobotJoints, SERVO, WRITTEN)
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.rows import Layout
+from manip_sim.control.law.seat import begin_all
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law.setpoint_changes import follow
 from manip_sim.control.law.setpoint_motion import advance
@@ -73,10 +74,11 @@ class Period(NamedTuple):
     :ivar intervals: steps of each, shape (k,)
     :ivar world: arrays of the data
     :ivar robots: addresses of the rows of those that act, shape (n,)
+    :ivar seats: addresses of the rows of laws of users, which act in each step, shape (s,)
     :ivar notes: of contacts and forces on tools
     :ivar watch: states at begin and end
     :ivar outcome: physics steps that were made, fewer than wanted where no room is left to note
-        what has become of targets; and whether the last instant has to be looked at, shape (2,)
+        what has become of targets, and where a law of a user has failed; and whether the last instant has to be looked at, shape (2,)
     """
 
     place: tuple[Any, Any]
@@ -85,6 +87,7 @@ class Period(NamedTuple):
     intervals: IntArray
     world: WorldArrays
     robots: IntArray
+    seats: IntArray
     notes: Notes
     watch: Watch
     outcome: IntArray
@@ -189,7 +192,7 @@ def _example() -> tuple[Period, ScratchArrays]:
     world, place = WorldArrays.of(data), (address_of(model), address_of(data))
     period = Period(
         place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(3, np.int64), nobody, world, nobody,
-        notes_of(data, np.zeros((0, 3), np.int64), 0),
+        nobody, notes_of(data, np.zeros((0, 3), np.int64), 0),
         Watch(none, none, np.zeros((0, 2), np.int64), 0, data.qpos, data.qacc,
               LastStep.of(model, data, none)), np.zeros(2, np.int64))
     return period, ScratchArrays(place[1], world.kinematics)
@@ -236,13 +239,18 @@ def _run(period: Period, scratch: ScratchArrays) -> None:
     done, ends = 0, orders[ENDS] != 0
     for k in range(len(period.intervals)):
         steps, now = period.intervals[k], time.counts[1] * time.step_ns * 1e-9
+        begin_all(period.seats)
         if not _act_all(addresses, period, k, now, steps * time.step_s, scratch.kinematics):
             ends = False
             break
-        take_steps(addresses, steps, resumes and k == 0, period.notes)
+        failed = take_steps(addresses, steps, resumes and k == 0, period.notes, period.seats, now,
+                            time.step_s)
         time.counts[0] += steps
         time.counts[1] += steps
         done += steps
+        if failed:
+            ends = False
+            break
     period.outcome[0] = done
     period.outcome[1] = ends and not compute_end(addresses, period.watch)
 

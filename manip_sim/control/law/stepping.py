@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.compiling import inner
+from manip_sim.control.law.seat import exert_all, feel_all
 from manip_sim.physics.physics import Addresses
 
 #: Numbers of contacts by which their place is recognized.
@@ -33,7 +34,7 @@ _MEMORY = 0.5
 _ABSURD = 1e8
 #: Functions of MuJoCo that compiled code calls, with the addresses of an ``MjModel`` and an
 #: ``MjData``; and one that takes where to write a state, and which parts of it.
-_CALLED = ('mj_step', 'mj_step2', 'mj_kinematics', 'mj_comPos', 'mj_forward')
+_CALLED = ('mj_step', 'mj_step1', 'mj_step2', 'mj_kinematics', 'mj_comPos', 'mj_forward')
 _GET_STATE = 'mj_getState'
 
 
@@ -50,7 +51,7 @@ def _load_steps() -> bool:
 
 #: False where MuJoCo's library lies elsewhere than in its package.
 _LOADED = _load_steps()
-_mj_step, _mj_step2, _mj_kinematics, _mj_com_pos, _mj_forward = (
+_mj_step, _mj_step1, _mj_step2, _mj_kinematics, _mj_com_pos, _mj_forward = (
     types.ExternalFunction(name, types.void(types.uintp, types.uintp)) for name in _CALLED)
 _mj_get_state = types.ExternalFunction(
     _GET_STATE, types.void(types.uintp, types.uintp, types.uintp, types.int32))
@@ -213,18 +214,33 @@ def _note(notes: Notes) -> None:
 
 
 @inner
-def take_steps(addresses: Addresses, steps: int, resumes: bool, notes: Notes) -> None:
+def take_steps(addresses: Addresses, steps: int, resumes: bool, notes: Notes, seats: IntArray,
+               now: float, step_s: float) -> bool:
     """
     Run physics steps.
 
     :param resumes: whether the first half of the first step has been computed
+    :param seats: addresses of the rows of laws of users, shape (s,)
+    :param now: simulation time since the last reset [s]
+    :param step_s: length of a step [s]
+    :returns: whether any of these laws has failed
     """
+    failed = False
     for number in range(steps):
-        if resumes and number == 0:
+        halved = resumes and number == 0
+        if len(seats):
+            if not halved:
+                _mj_step1(addresses.model, addresses.data)
+            exert_all(seats, now + number * step_s, number / steps)
+            halved = True
+        if halved:
             _mj_step2(addresses.model, addresses.data)
         else:
             _mj_step(addresses.model, addresses.data)
+        if len(seats):
+            failed = feel_all(seats)
         _note(notes)
+    return failed
 
 
 @inner

@@ -1,0 +1,276 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+A user's law in the seat of a part: its inputs in a physics step, its call, and its efforts.
+
+In each step ``mj_step1`` is followed by the law, and that by ``mj_step2``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import llvmlite.ir
+import mujoco
+import numba
+from numba import types
+from numba.core.base import BaseContext
+from numba.extending import intrinsic
+import numpy as np
+from numpy.typing import NDArray
+
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.law.arm_records import Arm, CHAIN
+from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.joint_records import blank_state, PLAIN, readable, records, SERVO
+from manip_sim.control.law.operational_space import find_jacobian
+from manip_sim.control.law.rows import Layout
+from manip_sim.physics.physics import WorldArrays
+
+#: Status of a law: how often it was called, whether it runs now, and why its efforts are not used
+#: any more, 0 for none.
+CALLS, INSIDE, FAILED = range(3)
+#: Why that is: it has raised an exception, or an effort is not finite.
+RAISED, NOT_FINITE = 1, 2
+#: The tip of a part: site of the end effector or -1, site of the sensor, first body of the tool,
+#: the one after its last, root of its tree.
+TIP, SENSOR, FIRST, END, ROOT = range(5)
+
+
+class Arguments(NamedTuple):
+    """
+    The arguments of a law, arrays of its own.
+
+    :ivar t: [s], shape (1,)
+    :ivar q: shape (n,), as the others, see :func:`manip_sim.laws.law`
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    bias: FloatArray
+    mass: FloatArray
+    jacobian: FloatArray
+    wrench: FloatArray
+    setpoint: FloatArray
+    parameters: FloatArray
+    memory: FloatArray
+    effort: FloatArray
+
+    @classmethod
+    def of(cls, count: int, parameters: FloatArray, memory: FloatArray, wrench: FloatArray
+           ) -> Arguments:
+        """Return arguments for a number of joints."""
+        return cls(np.zeros(1), np.zeros(count), np.zeros(count), np.zeros(count),
+                   np.zeros((count, count)), np.zeros((6, count)), wrench, np.zeros((count, 3)),
+                   parameters, memory, np.zeros(count))
+
+
+class Joints(NamedTuple):
+    """
+    The joints of a part.
+
+    :ivar arm: them as a chain
+    :ivar servos: records of ``SERVO``, shape (n,)
+    :ivar tip: by :data:`TIP`, :data:`SENSOR`, :data:`FIRST`, :data:`END`, :data:`ROOT`, shape (5,)
+    """
+
+    arm: Arm
+    servos: NDArray[np.void]
+    tip: IntArray
+
+
+class Seat(NamedTuple):
+    """
+    The place of a law between the joints of a part and the physics.
+
+    :ivar code: address of the compiled law, or 0
+    :ivar world: arrays of the data
+    :ivar forces: ``cfrc_ext``, shape (nbody, 6)
+    :ivar others: force and torque about the origin on the tool that these have not, in ``world``,
+        shape (6,)
+    :ivar setpoints: records of all joints of the robot
+    :ivar efforts: of all joints of the robot [N m or N]
+    :ivar joints: of the part
+    :ivar starts: position and velocity of setpoints at the beginning of the interval, shape (n, 2)
+    :ivar arguments: of the law
+    :ivar status: by :data:`CALLS`, :data:`INSIDE`, :data:`FAILED`, shape (3,)
+    """
+
+    code: int
+    world: WorldArrays
+    forces: FloatArray
+    others: FloatArray
+    setpoints: NDArray[np.void]
+    efforts: FloatArray
+    joints: Joints
+    starts: FloatArray
+    arguments: Arguments
+    status: IntArray
+
+
+@compiled
+def begin(seat: Seat) -> None:
+    """Note where setpoints are when an interval begins."""
+    joints = seat.joints.arm.joints
+    for i in range(len(joints)):
+        setpoint = seat.setpoints[joints[i].joint]
+        seat.starts[i, 0], seat.starts[i, 1] = setpoint.position, setpoint.velocity
+
+
+@compiled
+def sense(seat: Seat, now: float, share: float) -> None:
+    """
+    Fill the arguments of a law, after ``mj_step1``.
+
+    :param now: simulation time since the last reset [s]
+    :param share: of the interval that has passed
+    """
+    world, joints, x = seat.world, seat.joints, seat.arguments
+    chain, places = joints.arm.joints, joints.arm.places
+    x.t[0] = now
+    for i in range(len(chain)):
+        joint, start = chain[i], seat.starts[i]
+        x.q[i], x.v[i] = world.kinematics.positions[joint.qpos], world.velocities[joint.dof]
+        x.bias[i] = world.bias[joint.dof] - world.carried[joint.dof]
+        for j in range(len(chain)):
+            x.mass[i, j] = world.inertia[places[i, j]] if places[i, j] >= 0 else 0.0
+        end = seat.setpoints[joint.joint]
+        x.setpoint[i, 0] = start[0] + share * (end.position - start[0])
+        x.setpoint[i, 1] = start[1] + share * (end.velocity - start[1])
+        x.setpoint[i, 2] = end.acceleration
+        x.effort[i] = 0.0
+    if joints.tip[TIP] >= 0:
+        find_jacobian(world.kinematics, joints.arm, world.kinematics.sites[joints.tip[TIP]],
+                      x.jacobian)
+
+
+@compiled
+def settle(seat: Seat) -> None:
+    """Let the efforts of a law act, if all are finite."""
+    x, chain, servos = seat.arguments, seat.joints.arm.joints, seat.joints.servos
+    for i in range(len(chain)):
+        if not np.isfinite(x.effort[i]):
+            seat.status[FAILED] = NOT_FINITE
+            return
+    for i in range(len(chain)):
+        seat.efforts[chain[i].joint] = x.effort[i]
+        seat.world.activations[servos[i].activation] = x.effort[i] / servos[i].gear
+
+
+@compiled
+def feel(seat: Seat) -> None:
+    """Note the wrench of the world on the tool, after a step."""
+    tip, wrench, kinematics = seat.joints.tip, seat.arguments.wrench, seat.world.kinematics
+    if tip[TIP] < 0:
+        return
+    center, place = kinematics.centers[tip[ROOT]], kinematics.sites[tip[SENSOR]]
+    axes, total, moment = kinematics.site_axes[tip[SENSOR]], np.zeros(6), np.empty(3)
+    for body in range(tip[FIRST], tip[END]):
+        for k in range(6):
+            total[k] += seat.forces[body, k]
+    for k in range(3):
+        one, two = (k + 1) % 3, (k + 2) % 3
+        # Torque about the sensor; MuJoCo has it about the centre, and the others about the origin.
+        moment[k] = total[k] + seat.others[3 + k] + (
+            (center[one] - place[one]) * total[3 + two]
+            - (center[two] - place[two]) * total[3 + one]) - (
+            place[one] * seat.others[two] - place[two] * seat.others[one])
+    for k in range(3):
+        wrench[k] = wrench[3 + k] = 0.0
+        for i in range(3):
+            wrench[k] += axes[i, k] * (total[3 + i] + seat.others[i])
+            wrench[3 + k] += axes[i, k] * moment[i]
+
+
+def _example() -> Seat:
+    """Return a seat of no joints."""
+    world = WorldArrays.of(mujoco.MjData(mujoco.MjModel.from_xml_string('<mujoco/>')))
+    none = np.zeros(0)
+    arm = Arm(readable(np.zeros(0, CHAIN)), np.zeros((0, 0), np.int64), 0)
+    joints = Joints(arm, readable(np.zeros(0, SERVO)), np.zeros(5, np.int64))
+    return Seat(0, world, np.zeros((0, 6)), np.zeros(6), records(blank_state(none)), none, joints,
+                np.zeros((0, 2)), Arguments.of(0, none, none, np.zeros(6)), np.zeros(3, np.int64))
+
+
+#: The places of a seat in its row.
+SEAT = Layout(_example())
+_read_seat = SEAT.reader()
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _call(_: Any, address: Any, row: Any) -> Any:
+    """Call the compiled law at an address with that of the row of its seat."""
+    def generate(context: BaseContext, builder: Any, __: Any, arguments: Any) -> Any:
+        word = llvmlite.ir.IntType(64)
+        kind = llvmlite.ir.FunctionType(word, [word])
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), [arguments[1]])
+    return types.int64(address, row), generate
+
+
+@inner
+def begin_all(rows: IntArray) -> None:
+    """Let an interval begin for laws."""
+    for row in rows:
+        begin(_read_seat(row))
+
+
+@inner
+def exert_all(rows: IntArray, now: float, share: float) -> None:
+    """Let laws exert their efforts, after ``mj_step1``; what has failed keeps the last ones."""
+    for row in rows:
+        seat = _read_seat(row)
+        if seat.status[FAILED] == 0:
+            sense(seat, now, share)
+            seat.status[CALLS] += 1
+            seat.status[INSIDE] = 1
+            raised = _call(seat.code, row)
+            seat.status[INSIDE] = 0
+            if raised != 0:
+                seat.status[FAILED] = RAISED
+            else:
+                settle(seat)
+
+
+@inner
+def feel_all(rows: IntArray) -> bool:
+    """Note the wrenches on tools after a step; return whether any law has failed."""
+    failed = False
+    for row in rows:
+        seat = _read_seat(row)
+        feel(seat)
+        failed = failed or seat.status[FAILED] != 0
+    return failed
+
+
+class Code:
+    """
+    A law in machine code, which looks whether indices are within bounds.
+
+    :param function: of the user
+    :ivar function: the same, compiled, for Python
+    :ivar address: of what takes the address of a row and returns whether it has raised anything
+    """
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        law = self.function = function
+        self.address = 0
+        if PLAIN:
+            return
+        law = self.function = numba.njit(boundscheck=True, nogil=True, error_model='numpy')(
+            function)
+
+        @numba.cfunc(types.int64(types.int64))  # type: ignore[untyped-decorator]
+        def call(row: Any) -> int:
+            x = _read_seat(row).arguments
+            try:
+                law(x.t[0], x.q, x.v, x.bias, x.mass, x.jacobian, x.wrench, x.setpoint,
+                    x.parameters, x.memory, x.effort)
+            except Exception:
+                return 1
+            return 0
+
+        self._call = call
+        self.address = int(call.address)

@@ -1,0 +1,300 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which parts of a robot the laws of users move: their parameters, memory and failures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.cartesian.arms import Arms
+from manip_sim.control.law.joint_records import PLAIN
+from manip_sim.control.servos import Servos
+from manip_sim.control.user_laws import Law
+from manip_sim.control.watchdog import watch
+from manip_sim.derived import Derived
+from manip_sim.errors import ModelError
+from manip_sim.physics.end_effectors import EndEffectorReader
+from manip_sim.physics.physics import Physics
+from manip_sim.physics.robot_frames import Frame
+from manip_sim.physics.uncollected_forces import has_fluid
+from manip_sim.quoting import one_line
+
+_NOBODY = np.zeros(0, np.int64)
+#: Status of a law of which an effort is not finite, see :mod:`manip_sim.control.law.seat`.
+_NOT_FINITE = 2
+
+
+class SeatState:
+    """
+    A law in the seat of a part.
+
+    :param law: of the user
+    :param parameters: of the law, shape (p,)
+    :param compiled: whether it is compiled
+    :ivar name: of the law
+    :ivar memory: of the law, shape (m,)
+    :ivar wrench: on the tool in the last step, see :func:`manip_sim.laws.law`, shape (6,)
+    :ivar acts: False while a reflex has stopped the part
+    :ivar status: of calls and of failure, as the compiled law has it, shape (3,)
+    """
+
+    not_in_digest = ('law', 'is_compiled', 'status')
+
+    def __init__(self, law: Law, parameters: FloatArray, compiled: bool) -> None:
+        self.law, self.name, self.is_compiled = law, law.name, compiled
+        self.parameters, self.memory = parameters, np.zeros(law.memory)
+        self.wrench, self.status = np.zeros(6), np.zeros(3, np.int64)
+        self.acts = True
+
+    def restart(self) -> None:
+        """Forget all but the parameters, and act."""
+        self.memory[:] = self.wrench[:] = self.status[2] = 0
+        self.acts = True
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if len(self.parameters) != len(self.law.defaults) or len(self.memory) != self.law.memory:
+            raise ModelError(f"the state was saved with another law '{self.name}'")
+
+
+class LawParameters(MutableMapping[str, float]):
+    """
+    The parameters of a law that moves a part, by name; a new value acts from the next step on.
+
+    :param find: returns the seats of the same law; what is read is that of the first
+    """
+
+    def __init__(self, find: Callable[[], Sequence[SeatState]]) -> None:
+        self._find = find
+
+    @property
+    def _law(self) -> Law:
+        return self._find()[0].law
+
+    def checked(self, name: str, value: float) -> float:
+        """
+        Return a value for a parameter.
+
+        :raises ModelError: if it is no finite number
+        :raises UnknownNameError: if there is no such parameter
+        """
+        return self._law.checked(name, value)
+
+    def __getitem__(self, name: str) -> float:
+        self.checked(name, 0.0)
+        return float(self._find()[0].parameters[[*self].index(name)])
+
+    def __setitem__(self, name: str, value: float) -> None:
+        value = self.checked(name, value)
+        for seat in self._find():
+            seat.parameters[[*self].index(name)] = value
+
+    def __delitem__(self, name: str) -> None:
+        raise TypeError('a parameter of a law cannot be deleted')
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._law.defaults)
+
+    def __len__(self) -> int:
+        return len(self._law.defaults)
+
+    def __repr__(self) -> str:
+        return f"<parameters of the law '{self._law.name}': {dict(self)}>"
+
+
+class Seats:
+    """
+    The seats of a robot in which laws of users are.
+
+    :param physics: of the world
+    :param servos: of all driven joints
+    :param indices: of the joints, by part
+    :param tips: readers of end effectors, by the part that ends in each
+    :ivar of: what is in the seats, by part
+    """
+
+    def __init__(self, physics: Physics, servos: Servos, indices: Mapping[str, IntArray],
+                 tips: Mapping[str, EndEffectorReader]) -> None:
+        self._physics, self._servos, self._indices, self._tips = physics, servos, indices, tips
+        self.of: dict[str, SeatState] = {}
+        self._arms, self._derived = Arms(physics, servos), Derived()
+        physics.on_change(self._derived.of.clear)
+
+    @property
+    def runs_python(self) -> bool:
+        """True if any law runs as plain Python."""
+        return any([seat.acts and not seat.is_compiled for seat in self.of.values()])
+
+    def check(self, law: Law, compiled: bool) -> None:
+        """
+        Check that a law can act, and compile it.
+
+        :raises ModelError: if it cannot be compiled, or the integrator of the world has no place
+            between the halves of a step
+        """
+        if int(self._physics.model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_RK4):
+            raise ModelError(f"law '{law.name}': with the integrator RK4 no law can act in each "
+                             'step; use Euler, implicit or implicitfast')
+        if compiled and not PLAIN:
+            _ = law.code
+
+    def sit(self, part: str, law: Law, parameters: FloatArray, compiled: bool) -> None:
+        """Put a law in the seat of a part, in place of what was there."""
+        self.of[part] = SeatState(law, parameters, compiled and not PLAIN)
+        self._derived.of.pop(part, None)
+
+    def rise(self, parts: Iterable[str]) -> None:
+        """Take the laws of parts from their seats."""
+        for part in parts:
+            self.of.pop(part, None)
+
+    def failures(self) -> dict[str, str]:
+        """Return why laws have failed, by part."""
+        return {part: f"the law '{seat.name}' {self._failure(part, seat)}"
+                for part, seat in self.of.items() if seat.acts and seat.status[2]}
+
+    def _failure(self, part: str, seat: SeatState) -> str:
+        arguments, reason = self._room(part).of['arguments'], self._room(part).of.get('reason')
+        effort = arguments.effort
+        worst = np.flatnonzero(~np.isfinite(effort))
+        if seat.status[2] == _NOT_FINITE and worst.size:
+            return f'gives an effort that is not finite: effort[{worst[0]}] is {effort[worst[0]]}'
+        # Compiled code cannot say what it has raised, but plain Python does the same.
+        try:
+            if reason is None:
+                _run(seat.law, type(arguments)(*[array.copy() for array in arguments]))
+        except Exception as error:
+            return _raised(error)
+        return reason or 'has raised an exception'
+
+    # ------------------------------------------------------------------ in compiled code
+
+    def rows(self, setpoints: Any, efforts: FloatArray) -> IntArray:
+        """
+        Return the addresses of the rows of the laws that act.
+
+        :param setpoints: records of the joints of the robot
+        :param efforts: of these joints [N m or N]
+        """
+        if not self.of:
+            return _NOBODY
+        rows = []
+        for part, seat in self._seats(setpoints, efforts).items():
+            row = self._room(part).of.get('row')
+            if row is None:
+                from manip_sim.control.law.rows import Row  # It imports numba.
+                from manip_sim.control.law.seat import SEAT
+                row = self._room(part).of['row'] = Row(SEAT)
+            row.write(seat)
+            rows.append(row.address)
+        kept = self._derived.of.get('rows')
+        if kept is None or kept.tolist() != rows:
+            kept = self._derived.of['rows'] = np.array(rows, np.int64)
+        return np.asarray(kept)
+
+    def _room(self, part: str) -> Derived:
+        """Return what has been made for a part."""
+        room: Derived = self._derived.of.setdefault(part, Derived())
+        return room
+
+    def _seats(self, setpoints: Any, efforts: FloatArray) -> dict[str, Any]:
+        """Return all that the laws that act work with, by part."""
+        return {part: self._seat(part, state, setpoints, efforts)
+                for part, state in self.of.items() if state.acts}
+
+    def _seat(self, part: str, state: SeatState, setpoints: Any, efforts: FloatArray) -> Any:
+        from manip_sim.control.law.seat import Arguments, Seat  # It imports numba.
+        room, indices = self._room(part), self._indices[part]
+        if room.of.get('state') is not state:  # That of a restored state is another one.
+            room.of.clear()
+            room.of.update(
+                state=state, forces=self._physics.data.cfrc_ext, others=np.zeros(6),
+                starts=np.zeros((len(indices), 2)),
+                code=state.law.code.address if state.is_compiled else 0,
+                arguments=Arguments.of(
+                    len(indices), state.parameters, state.memory, state.wrench))
+            watch(state, f"the law '{state.name}' of {part}")
+        made = room.of
+        return Seat(made['code'], self._physics.arrays, made['forces'], made['others'], setpoints,
+                    efforts, room.made_of(self._joints, part, self._servos.records),
+                    made['starts'], made['arguments'], state.status)
+
+    def _joints(self, part: str, servos: Any) -> Any:
+        from manip_sim.control.law.seat import Joints  # It imports numba.
+        model, tip, place = self._physics.model, None, np.full(5, -1, np.int64)
+        reader, indices = self._tips.get(part), self._indices[part]
+        if reader is not None:
+            site, tool = model.site(reader.grip_site), reader.external
+            tip = Frame(site.name, int(site.bodyid[0]), int(site.id))
+            place[:] = (site.id, tool.site, tool.bodies.start, tool.bodies.stop,
+                        model.body_rootid[tool.bodies.start])
+        return Joints(self._arms.arm(tip, indices), servos[indices], place)
+
+    # ------------------------------------------------------------------ one step after another
+
+    def begin(self, now_s: float, steps: int, setpoints: Any, efforts: FloatArray) -> None:
+        """
+        Begin an interval, before setpoints go on.
+
+        :param now_s: simulation time since the last reset [s]
+        :param steps: of the physics in it
+        :param setpoints: records of the joints of the robot
+        :param efforts: of these joints [N m or N]
+        """
+        from manip_sim.control.law.seat import begin  # It imports numba.
+        seats = self._seats(setpoints, efforts)
+        self._derived.of['interval'] = [now_s, steps, 0, seats]
+        for seat in seats.values():
+            begin(seat)
+
+    def exert(self) -> None:
+        """Let laws exert their efforts, after ``mj_step1``."""
+        from manip_sim.control.law.seat import CALLS, FAILED, INSIDE, sense, settle
+        interval = self._derived.of['interval']
+        begin_s, steps, number, seats = interval
+        for part, seat in seats.items():
+            if not seat.status[FAILED]:
+                sense(seat, begin_s + number * self._servos.step_s, number / steps)
+                seat.status[CALLS] += 1
+                seat.status[INSIDE] = 1
+                self._call(part, seat)
+                seat.status[INSIDE] = 0
+                if not seat.status[FAILED]:
+                    settle(seat)
+        interval[2] += 1
+
+    def _call(self, part: str, seat: Any) -> None:
+        from manip_sim.control.law.seat import FAILED, RAISED  # It imports numba.
+        state = self.of[part]
+        try:
+            _run(state.law.code.function if state.is_compiled else state.law, seat.arguments)
+        except Exception as error:  # A law of a user may raise anything.
+            seat.status[FAILED] = RAISED
+            self._room(part).of['reason'] = _raised(error)
+
+    def feel(self) -> None:
+        """Note the wrenches on tools, after a step."""
+        from manip_sim.control.law.seat import feel  # It imports numba.
+        model, data = self._physics.model, self._physics.data
+        for part, seat in self._derived.of['interval'][3].items():
+            if part in self._tips:
+                uncollected = self._tips[part].external.uncollected
+                if not uncollected.is_empty or has_fluid(model.opt):
+                    seat.others[:] = uncollected.wrench(model, data)
+                feel(seat)
+
+
+def _run(function: Callable[..., object], arguments: Any) -> None:
+    """Call a law with its arguments; a division by zero is infinite, as it is compiled."""
+    with np.errstate(all='ignore'):
+        function(float(arguments.t[0]), *arguments[1:])
+
+
+def _raised(error: Exception) -> str:
+    return f'has raised {type(error).__name__}: {one_line(str(error))}'

@@ -1,0 +1,8 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Laws of your own, which move a part of a robot in each physics step."""
+
+from manip_sim.control.user_laws import law, Law, Laws, LAWS
+
+__all__ = ['LAWS', 'Law', 'Laws', 'law']
