@@ -8,7 +8,7 @@ Ratios are those of the wall time of a world-step, of the CPU time in brackets; 
 steps copies of the same model from the same states, in the same threads, in chunks as long as a
 control period. Rounds take turns, and the least of each counts, because noise only adds.
 
-    python3 benchmark/worlds.py [--worlds 1 4 16 64] [--threads 1 2] [--what stream osc rest]
+    python3 benchmark/worlds.py [--worlds 1 4 16 64] [--threads 1 2] [--what stream osc rest law]
 """
 
 from __future__ import annotations

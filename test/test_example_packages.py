@@ -10,15 +10,16 @@ import pytest
 pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).resolve().parents[1]
-GUIDES = {'end_effector_imu': 'add_sensor.md', 'touched_bodies': 'add_sensor.md',
-          'reach_command': 'add_verb.md', 'impedance_mode': 'add_control_mode.md'}
+GUIDES = {'end_effector_imu': 'how_to/add_sensor.md', 'touched_bodies': 'how_to/add_sensor.md',
+          'reach_command': 'how_to/add_verb.md', 'impedance_mode': 'how_to/add_control_mode.md',
+          'friction_compensation': 'tutorials/own_law.md'}
 
 
 @pytest.mark.parametrize('name', GUIDES)
 def test_an_example_package_is_short_and_its_guide_shows_its_files(name):
     files = [path.read_text() for path in (ROOT / 'test/data' / name).iterdir() if path.is_file()]
     assert len(files) == 2 and sum(len(text.splitlines()) for text in files) <= 60
-    guide = (ROOT / 'docs/how_to' / GUIDES[name]).read_text()
+    guide = (ROOT / 'docs' / GUIDES[name]).read_text()
     shown = [f'{name}.py'] + ['pyproject.toml'] * (name != 'touched_bodies')  # As the IMU's.
     for file in shown:
         text = (ROOT / 'test/data' / name / file).read_text()

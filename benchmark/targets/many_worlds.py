@@ -22,6 +22,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.laws import law
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
@@ -38,9 +39,10 @@ ENVIRONMENT = 'manip_sim/PickCube-v0'
 #: Numbers of worlds of the picture, and the threads of their physics.
 COUNTS, THREADS = (1, 4, 16, 64), (1, 2)
 #: By worlds and threads: what a world-step may cost, as multiples of bare ``mj_step``.
-LIMITS = {(1, 1): {'stream': 2.0, 'osc': 3.0, 'rest': 1.1},
-          (64, 2): {'stream': 1.5, 'osc': 2.0, 'rest': 1.1}}
-_WORDS = {'stream': 'a stream of positions', 'osc': 'OSC at 20 Hz', 'rest': 'at rest'}
+LIMITS = {(1, 1): {'stream': 2.0, 'osc': 3.0, 'rest': 1.1, 'law': 1.1},
+          (64, 2): {'stream': 1.5, 'osc': 2.0, 'rest': 1.1, 'law': 1.1}}
+_WORDS = {'stream': 'a stream of positions', 'osc': 'OSC at 20 Hz', 'rest': 'at rest',
+          'law': 'a law of a user in each step'}
 _ROUND_S = 0.3
 #: robosuite compiles functions at its first start, for so long at most [s].
 _COMPILED_S = 180.0
@@ -88,7 +90,22 @@ def rest(worlds: Worlds) -> tuple[Callable[[], None], int]:
     return lambda: worlds.advance(STEPS), STEPS
 
 
-KINDS = {'stream': stream, 'osc': osc, 'rest': rest}
+@law(parameters={'stiffness': 300.0, 'damping': 30.0})  # type: ignore[untyped-decorator]
+def spring(t: float, q: Any, v: Any, bias: Any, mass: Any, jacobian: Any, wrench: Any,
+           setpoint: Any, parameters: Any, memory: Any, effort: Any) -> None:
+    """Pull joints to their setpoints as springs with dampers."""
+    for i in range(len(q)):
+        effort[i] = (bias[i] + parameters[0] * (setpoint[i, 0] - q[i])
+                     + parameters[1] * (setpoint[i, 1] - v[i]))
+
+
+def users_law(worlds: Worlds) -> tuple[Callable[[], None], int]:
+    """Return a function that advances with a law of a user in each step, and its steps."""
+    worlds.robot.set_law('arm', spring)
+    return rest(worlds)
+
+
+KINDS = {'stream': stream, 'osc': osc, 'rest': rest, 'law': users_law}
 
 
 class Bare:

@@ -236,7 +236,7 @@ def test_a_law_that_cannot_be_is_rejected_where_it_is_written(arguments, text):
 def test_a_law_that_cannot_be_compiled_says_why_in_one_line(panda_sim):
     @law
     def opening(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
-        effort[0] = len(open('log'))
+        effort[0] = len(open('log'))  # noqa: SIM115
     with pytest.raises(ModelError, match="^law 'opening' cannot be compiled: .*open.*compiled=F"
                        ) as error:
         panda_sim.robot.set_law('arm', opening)

@@ -26,7 +26,7 @@ MODE = 'law:compensated'
 def installed(install_example, package_on_path, monkeypatch):
     """Install the example and a second package; the laws are put back afterwards."""
     monkeypatch.syspath_prepend(install_example('friction_compensation'))
-    package_on_path('manip_sim.laws', 'other_laws', '''
+    package_on_path('manip_sim.laws', 'other_laws', """
 from manip_sim.laws import law
 
 @law(parameters={'stiffness': 50.0})
@@ -36,7 +36,7 @@ def soft(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, ef
 @law
 def broken(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
     effort[0] = len(open('log'))
-''', {'soft': 'soft', 'broken': 'broken'})
+""", {'soft': 'soft', 'broken': 'broken'})
     monkeypatch.setattr(LAWS, '_laws', dict(LAWS._laws))
 
 

@@ -78,7 +78,8 @@ class Period(NamedTuple):
     :ivar notes: of contacts and forces on tools
     :ivar watch: states at begin and end
     :ivar outcome: physics steps that were made, fewer than wanted where no room is left to note
-        what has become of targets, and where a law of a user has failed; and whether the last instant has to be looked at, shape (2,)
+        what has become of targets, and where a law of a user has failed; and whether the last
+        instant has to be looked at, shape (2,)
     """
 
     place: tuple[Any, Any]
