@@ -11,7 +11,7 @@ pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).resolve().parents[1]
 GUIDES = {'end_effector_imu': 'how_to/add_sensor.md', 'touched_bodies': 'how_to/add_sensor.md',
-          'reach_command': 'how_to/add_verb.md', 'impedance_mode': 'how_to/add_control_mode.md',
+          'reach_command': 'how_to/add_verb.md', 'spring_mode': 'how_to/add_control_mode.md',
           'friction_compensation': 'tutorials/own_law.md'}
 
 

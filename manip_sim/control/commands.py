@@ -140,6 +140,42 @@ class JointSetpoint(Command):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class JointImpedance(JointSetpoint):
+    """
+    Goals of joints in impedance mode, and how they are pulled there; NaN leaves a number as it is.
+
+    :ivar pulls: velocity with respect to which the servos damp, effort that they add, stiffness
+        [N m/rad or N/m] and damping [N m s/rad or N s/m], shape (4, n)
+    """
+
+    pulls: FloatArray
+
+    def setpoint(self) -> JointSetpoint | None:
+        """Return the goals alone, or None if there are none."""
+        kept = np.isfinite(self.values)
+        if not kept.any():
+            return None
+        own = JointSetpoint(robot=self.robot, parts=self.parts, indices=self.indices,
+                            sent_ns=self.sent_ns, messages=self.messages, handle=self.handle,
+                            modes=self.modes, values=self.values)
+        return own if kept.all() else own._only(kept)
+
+    def over(self, older: JointImpedance) -> JointImpedance:
+        """Return the command with what an older one for the same joints says beside it."""
+        copied = np.array_equal(self.values, older.values, equal_nan=True) and np.array_equal(
+            self.pulls, older.pulls, equal_nan=True)
+        return replace(
+            self, messages=older.messages + (0 if copied else self.messages),
+            values=np.where(np.isnan(self.values), older.values, self.values),
+            pulls=np.where(np.isnan(self.pulls), older.pulls, self.pulls))
+
+    def _only(self, kept: BoolArray) -> JointImpedance:
+        modes = tuple(mode for mode, keep in zip(self.modes, kept) if keep)
+        return replace(self, indices=self.indices[kept], modes=modes, values=self.values[kept],
+                       pulls=self.pulls[:, kept])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class NoCommand(Command):
     """
     A message that names joints of some parts without a number: they go on as before.

@@ -177,6 +177,10 @@ class ControlledJoints:
         """
         return self._of_modes(lambda mode: MODES[mode].clamps(self._servos), indices, modes)
 
+    def ranges_of(self, field: str, indices: IntArray) -> FloatArray:
+        """Return the lowest and highest values of a field of joints, shape (n, 2), a copy."""
+        return np.array(self._servos.ranges[field][indices])
+
     def efforts_allowed(self, indices: IntArray) -> FloatArray:
         """Return the greatest efforts of joints [N m or N], shape (n,)."""
         return np.asarray(np.abs(self._servos.ranges['effort'][indices]).max(axis=1))

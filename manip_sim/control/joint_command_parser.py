@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.clamping import clamp, clamped_example, command_numbers
 from manip_sim.control.commands import (
-    Command, GripperSetpoint, JointSetpoint, NoCommand)
+    Command, GripperSetpoint, JointImpedance, JointSetpoint, NoCommand)
 from manip_sim.control.gripper_joints import GripperJoints
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.modes import FIELDS, MODES, POSITION
+from manip_sim.control.modes import FIELDS, IMPEDANCE, MODES, POSITION
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
 from manip_sim.quoting import counted, quoted, shown
@@ -157,6 +157,61 @@ class JointCommandParser:
                 robot=self._robot, parts=silent, indices=np.empty(0, dtype=np.int64)))
         return commands
 
+    def joint_impedance(self, names: Sequence[str], position: ArrayLike = (),
+                        velocity: ArrayLike | None = None, effort: ArrayLike | None = None,
+                        stiffness: ArrayLike | None = None, damping: ArrayLike | None = None,
+                        part: str | None = None) -> list[Command]:
+        """
+        Return the command for joints in impedance mode.
+
+        A servo exerts ``stiffness * (position - measured) + damping * (velocity - measured) +
+        effort`` and what the motion of its setpoint needs, which goes to the position within the
+        limits of the joint. None, nothing or NaN leaves a number as it was: at first the gains
+        are those of the model, the effort is zero, and the velocity that of the setpoint.
+
+        :param names: of the joints, n of them
+        :param position: goals [rad or m], shape (n,)
+        :param velocity: with respect to which the servos damp [rad/s or m/s], shape (n,)
+        :param effort: to be added, until another one or another mode [N m or N], shape (n,)
+        :param stiffness: [N m/rad or N/m], a number or shape (n,)
+        :param damping: [N m s/rad or N s/m], a number or shape (n,)
+        :param part: whose joints may be named; None for all
+        :raises CommandError: if a joint is unknown, named twice or in another mode, or the numbers
+            do not match, are infinite, or are not positive gains
+        """
+        what = part or 'joint_impedance'
+        names, joints = as_names(names, what), self._joints
+        check_names(names, [joints.names[i] for i in (
+            range(len(joints.names)) if part is None else joints.indices_of(part))], what)
+        modes, indices = joints.modes, joints.find(names)
+        for name, index in zip(names, indices.tolist()):
+            if modes[index] != IMPEDANCE.name:
+                raise CommandError(f"{what}: joint '{name}' is in {modes[index]} mode, not in "
+                                   f'{IMPEDANCE.name} mode')
+        given = {field: _column(what, field, values, len(names)) for field, values in (
+            ('position', position), ('velocity', velocity), ('effort', effort),
+            ('stiffness', stiffness), ('damping', damping))}
+        for field in ('stiffness', 'damping'):
+            low = given[field] <= 0.0
+            if low.any():
+                place = int(np.argmax(low))
+                raise CommandError(
+                    f"{what}: {field} of joint '{names[place]}' must be greater than 0, got "
+                    f'{given[field][place]:g}')
+        inside, clamped, example = dict(given), 0, ''
+        for field, ranges in (('position', joints.clamps(indices, modes)),
+                              ('velocity', joints.ranges_of('velocity', indices)),
+                              ('effort', joints.ranges_of('effort', indices))):
+            inside[field] = np.clip(given[field], ranges[:, 0], ranges[:, 1])  # NaN stays.
+            before, after = np.nan_to_num(given[field]), np.nan_to_num(inside[field])
+            if (before != after).any():
+                clamped += int(np.count_nonzero(before != after))
+                example = example or f'{field} of {clamped_example(names, before, after)}'
+        return [JointImpedance(
+            robot=self._robot, parts=joints.parts_of(indices), indices=indices, clamped=clamped,
+            clamped_example=example, modes=(IMPEDANCE.name,) * len(names),
+            values=inside.pop('position'), pulls=np.array([*inside.values()]))]
+
     def _placed(self, what: str, field: str, given: FloatArray, addressed: _Addressed
                 ) -> FloatArray:
         """Return the numbers of a field by joint, NaN where there is none."""
@@ -229,6 +284,21 @@ class JointCommandParser:
                 fingers = tuple(names[i] for i in places)
                 yield _Group(frozenset([part]), np.array(places), fingers,
                              gripper.ranges(fingers), gripper.actuators_of(fingers))
+
+
+def _column(what: str, field: str, values: ArrayLike | None, count: int) -> FloatArray:
+    """Return a number for each joint, NaN where there is none."""
+    numbers = np.array([]) if values is None else command_numbers(values, f'{what}: {field}')
+    if not numbers.size:
+        return np.full(count, np.nan)
+    if np.isinf(numbers).any():
+        raise CommandError(f'{what}: {field} must be finite, got {numbers[np.isinf(numbers)][0]}')
+    if numbers.ndim == 0 and field in ('stiffness', 'damping'):
+        return np.full(count, float(numbers))
+    if numbers.shape != (count,):
+        raise CommandError(f'{what}: {field} must have {counted(count, "number")}, one for each '
+                           f'joint, got the shape {numbers.shape}')
+    return np.array(numbers, dtype=float)
 
 
 def as_names(names: Sequence[str], what: str) -> tuple[str, ...]:

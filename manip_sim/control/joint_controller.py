@@ -21,7 +21,8 @@ from manip_sim.control.cartesian.controller import CartesianController
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.command_timeouts import CommandTimeouts
 from manip_sim.control.commands import (
-    BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
+    BaseTwist, Command, CommandHandle, JointImpedance, JointSetpoint, JointTrajectory, Status,
+    TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.modes import Arrival, ControlMode, MODES
 from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
@@ -263,7 +264,7 @@ class JointController(ControlledJoints):
                 :, braking]
             setpoints.shift(braking, position, velocity)
             setpoints.brake(braking)
-        if free.size or braking.size or restart:
+        if self._servos.forget_commands(indices) or free.size or braking.size or restart:
             # Those that brake push the others, which have to withstand at once.
             servos.start(data, setpoints.joints)
 
@@ -277,6 +278,7 @@ class JointController(ControlledJoints):
         self.cartesian.reset(data)
         self._effort[:] = 0.0
         self._servos.give_effort(everything, False)
+        self._servos.forget_commands(everything)
         position = data.qpos[self._servos.qpos]
         self._setpoints.reset(position)
         self._servos.hold(data, position)
@@ -301,6 +303,10 @@ class JointController(ControlledJoints):
             return
         meant.handle.status = Status.RUNNING
         self._timeouts.renew(meant.parts, now_s)
+        if isinstance(meant, JointImpedance):
+            meant = self._impede(meant, data)
+        if meant is None:
+            return
         if isinstance(meant, JointTrajectory):
             self.commands.await_start(meant)
         elif isinstance(meant, TrajectoryStop):
@@ -320,6 +326,15 @@ class JointController(ControlledJoints):
                 if MODES[self.modes[meant.indices[0]]].exerts_at_end_effector:
                     self._servos.give_effort(meant.indices, True)
                 self.cartesian.begin(meant, data, now_s)
+
+    def _impede(self, command: JointImpedance, data: mujoco.MjData) -> JointSetpoint | None:
+        """Let servos pull as a command says, and return its goals, or None if it has none."""
+        if self._servos.impede(command.indices, *command.pulls):
+            self._servos.start(data, self._setpoints.joints, command.indices)
+        goals = command.setpoint()
+        if goals is None:
+            command.handle.end(Status.DONE)
+        return goals
 
     def renew(self, command: JointSetpoint, values: FloatArray, now_s: float) -> bool:
         """

@@ -152,6 +152,16 @@ class Effort(ControlMode):
         joints.exert(indices, values)
 
 
+class Impedance(Position):
+    """
+    Joints are pulled to positions as by springs with dampers, whose gains commands change.
+
+    Until a command changes them, the gains are those of the model.
+    """
+
+    name = 'impedance'
+
+
 class LawMode(Position):
     """
     A law of a user exerts efforts in each physics step; joints are to go to positions.
@@ -244,9 +254,9 @@ def names_of_modes(able: Callable[[ControlMode], bool]) -> str:
     return ' or '.join(name for name, mode in MODES.items() if able(mode))
 
 
-POSITION, VELOCITY, EFFORT = Position(), Velocity(), Effort()
+POSITION, VELOCITY, EFFORT, IMPEDANCE = Position(), Velocity(), Effort(), Impedance()
 #: The control modes.
-MODES = Modes(POSITION, VELOCITY, EFFORT)
+MODES = Modes(POSITION, VELOCITY, EFFORT, IMPEDANCE)
 
 
 def default_mode(part: str) -> str:

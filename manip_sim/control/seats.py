@@ -226,7 +226,7 @@ class Seats:
                     made['starts'], made['arguments'], state.status)
 
     def _joints(self, part: str, servos: Any) -> Any:
-        from manip_sim.control.law.seat import Joints  # It imports numba.
+        from manip_sim.control.law.seat import SeatJoints  # It imports numba.
         model, tip, place = self._physics.model, None, np.full(5, -1, np.int64)
         reader, indices = self._tips.get(part), self._indices[part]
         if reader is not None:
@@ -234,7 +234,7 @@ class Seats:
             tip = Frame(site.name, int(site.bodyid[0]), int(site.id))
             place[:] = (site.id, tool.site, tool.bodies.start, tool.bodies.stop,
                         model.body_rootid[tool.bodies.start])
-        return Joints(self._arms.arm(tip, indices), servos[indices], place)
+        return SeatJoints(self._arms.arm(tip, indices), servos[indices], place)
 
     # ------------------------------------------------------------------ one step after another
 

@@ -105,6 +105,9 @@ class Servos:
             self.velocity_limit, self.position_clamp())
         self._gives_effort = np.zeros(len(ids), dtype=bool)
         self._sources = 0
+        #: Of impedance commands: effort beside that of the servo, zero for none, and velocity
+        #: with respect to which it damps, NaN for that of its setpoint.
+        self._feedforward, self._damped = np.zeros(len(ids)), np.full(len(ids), np.nan)
         physics.on_change(self._find_places)
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
@@ -218,6 +221,42 @@ class Servos:
         self._set_gains(indices)
         return True
 
+    def impede(self, indices: IntArray, velocity: FloatArray, effort: FloatArray,
+               stiffness: FloatArray, damping: FloatArray) -> bool:
+        """
+        Change what servos do beside following setpoints; NaN leaves a number as it is.
+
+        Gains that are too high for the timestep and the inertia of a joint are lowered. What the
+        servos exert changes with :meth:`start`.
+
+        :param velocity: with respect to which they damp [rad/s or m/s], shape of ``indices``
+        :param effort: to be added [N m or N]
+        :param stiffness: [N m/rad or N/m]
+        :param damping: [N m s/rad or N s/m]
+        :returns: whether anything has changed
+        """
+        before = self._feedforward[indices], self._damped[indices]
+        self._feedforward[indices] = np.where(np.isnan(effort), before[0], effort)
+        self._damped[indices] = np.where(np.isnan(velocity), before[1], velocity)
+        given = np.isfinite(stiffness) | np.isfinite(damping)
+        own = indices[given]
+        changed = own.size > 0 and self.set_gains(own, (
+            np.where(np.isnan(stiffness[given]), self._stiffness[own], stiffness[given]),
+            np.where(np.isnan(damping[given]), self._damping[own], damping[given])))
+        if not (np.array_equal(before[0], self._feedforward[indices])
+                and np.array_equal(before[1], self._damped[indices], equal_nan=True)):
+            self._derived.of.pop('records', None)
+            changed = True
+        return changed
+
+    def forget_commands(self, indices: IntArray) -> bool:
+        """Add no effort any more, and damp with respect to setpoints; return whether any did."""
+        if not (self._feedforward[indices].any() or np.isfinite(self._damped[indices]).any()):
+            return False
+        self._feedforward[indices], self._damped[indices] = 0.0, np.nan
+        self._derived.of.pop('records', None)
+        return True
+
     def _set_gains(self, indices: IntArray) -> None:
         model, ids, effort = self._physics.model, self._ids[indices], self._gives_effort[indices]
         stiffness = self._stiffness[indices] / self._gear[indices]**2
@@ -228,14 +267,17 @@ class Servos:
         model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
         self._derived.of.clear()
 
-    def start(self, data: mujoco.MjData, joints: Any) -> None:
+    def start(self, data: mujoco.MjData, joints: Any, indices: IntArray | None = None) -> None:
         """
-        Let the servos take over a motion at once, with the force that it needs.
+        Let servos take over a motion at once, with the force that it needs.
 
         :param joints: records of the motion, shape (n,)
+        :param indices: which of them do; None: all
         """
         from manip_sim.control.law.servo_rates import find_rates  # It imports numba.
         servos, goals = np.flatnonzero(~self._gives_effort), np.zeros(len(self._ids))
+        if indices is not None:
+            servos = np.intersect1d(servos, indices)
         find_rates(self._physics.arrays, self.records, self.places, joints, 1.0, goals,
                    np.empty(len(goals)))
         data.act[self._activation[servos]] = goals[servos]
@@ -289,7 +331,10 @@ class Servos:
                 ('drag', self._drag), ('low', self.ranges['effort'][:, 0]),
                 ('high', self.ranges['effort'][:, 1]),
                 ('friction', self._physics.model.dof_frictionloss[self.dofs]),
-                ('compensated', self._compensated), ('gives', self._gives_effort)):
+                ('damping', self._damping), ('velocity', self._damped),
+                ('effort', self._feedforward), ('compensated', self._compensated),
+                ('gives', self._gives_effort), ('leads', self._feedforward != 0.0),
+                ('damps', np.isfinite(self._damped))):
             records[field] = values
         return readable(records)
 

@@ -62,11 +62,11 @@ class _Watchdog:
                 if inside:
                     stuck[id(law)] = calls, times + 1 if calls == last else 0
                     if stuck[id(law)][1] == _PATIENCE_S * _RATE_HZ:
-                        _tell(law, name)
+                        _end_or_warn(law, name)
             del laws
 
 
-def _tell(law: _Called, name: str) -> None:
+def _end_or_warn(law: _Called, name: str) -> None:
     if not law.is_compiled:
         _LOGGER.warning('%s has not returned for %d s', name, _PATIENCE_S)
         return

@@ -122,7 +122,7 @@ class ParameterSpec:
                 len(value) == self.length and all(map(math.isfinite, value))):
             return (f"parameter '{self.name}' must be {self.length} finite numbers, "
                     f'got {list(value)}')
-        if isinstance(value, float) and not math.isfinite(value):
+        if isinstance(value, float) and self.minimum is None and not math.isfinite(value):
             return f"parameter '{self.name}' must be a finite number, got {value}"
         if (self.minimum is not None and self.maximum is not None
                 and not self.minimum <= value <= self.maximum):

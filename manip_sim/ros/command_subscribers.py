@@ -14,6 +14,7 @@ from typing import Any
 import weakref
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -37,6 +38,8 @@ from manip_sim.simulation import SimulatedRobot
 
 #: How many commands of a topic may wait to be taken.
 COMMAND_DEPTH = 10
+#: Rows of a message for joints in impedance mode.
+_IMPEDANCE = ('position', 'velocity', 'effort', 'stiffness', 'damping')
 Parse = Callable[[Any], Sequence[Command]]
 Parser = Callable[[str, Any], Sequence[Command]]
 #: Messages whose stamp is that of the state that they answer.
@@ -141,6 +144,7 @@ class CommandSubscribers:
         self.statistics['joint_command'] = CommandStatistics()
         self._subscribe_to({
             'action': self._action, 'joint_command': self._joint_command,
+            'impedance': self._impedance,
             'trajectory': self._trajectory, 'base_twist': self._twist,
             'stamped_base_twist': lambda part, message: self._twist(part, message.twist)})
         self._subscribe_to({'target_pose': self._target_pose, 'target_twist': self._target_twist,
@@ -232,6 +236,17 @@ class CommandSubscribers:
     def _joint_command(self, part: str, message: JointState) -> Sequence[Command]:
         return self._parse.joint_command(message.name, message.position, message.velocity,
                                          message.effort, part or None)
+
+    def _impedance(self, part: str, message: Float64MultiArray) -> Sequence[Command]:
+        joints = self.robot.joints
+        names = [joints.names[i] for i in joints.indices_of(part)]
+        if len(message.data) != len(_IMPEDANCE) * len(names):
+            raise CommandError(
+                f'{part}: an impedance must have {len(_IMPEDANCE)} numbers for each of '
+                f'{counted(len(names), "joint")}, got {len(message.data)}: first '
+                f'{_IMPEDANCE[0]}, then {", ".join(_IMPEDANCE[1:])} of all joints, NaN for what stays')
+        rows = np.reshape(message.data, (len(_IMPEDANCE), -1))
+        return self._parse.joint_impedance(names, part=part, **dict(zip(_IMPEDANCE, rows)))
 
     def _trajectory(self, part: str, message: JointTrajectory) -> Sequence[Command]:
         times_s, positions, velocities, accelerations = trajectory_fields(part, message)

@@ -335,8 +335,8 @@ def test_gripper_takes_no_trajectory(parse):
 
 def test_trajectory_needs_position_mode(panda_sim, parse):
     panda_sim.robot.set_control_mode('arm', 'velocity')
-    with pytest.raises(CommandError, match=r'^arm follows trajectories in position mode only, '
-                                           r"joint 'robot0_joint1' is in velocity mode$"):
+    with pytest.raises(CommandError, match=r'^arm follows trajectories in position or impedance '
+                                           r"mode only, joint 'robot0_joint1' is in velocity mode$"):
         parse.trajectory('arm', [J1], [1.0], [[0.1]])
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Control modes that other packages add; joint impedance in particular."""
+"""Control modes that other packages add; springs in particular."""
 
 from dataclasses import dataclass
 import importlib
@@ -20,7 +20,7 @@ from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 
-IMPEDANCE = Path(__file__).resolve().parents[1] / 'data' / 'impedance_mode'
+SPRINGS = Path(__file__).resolve().parents[1] / 'data' / 'spring_mode'
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 
 
@@ -32,23 +32,23 @@ def modes(monkeypatch):
 
 
 @pytest.fixture
-def impedance(modes, monkeypatch):
+def springs(modes, monkeypatch):
     """Return a function that adds the example's mode with other gains, and returns it."""
-    monkeypatch.syspath_prepend(str(IMPEDANCE))
+    monkeypatch.syspath_prepend(str(SPRINGS))
 
     def add(stiffness, damping):
-        mode = importlib.import_module('impedance_mode').JointImpedance(stiffness, damping)
+        mode = importlib.import_module('spring_mode').Springs(stiffness, damping)
         modes.add(mode)
         return mode
     return add
 
 
 @pytest.mark.parametrize('name', robot_names())
-def test_an_effort_moves_joints_in_impedance_mode_by_effort_over_stiffness(name, impedance):
-    impedance(stiffness=200.0, damping=30.0)
+def test_an_effort_moves_joints_in_spring_mode_by_effort_over_stiffness(name, springs):
+    springs(stiffness=200.0, damping=30.0)
     simulation = Simulation(compose(name))
     joints, data = simulation.robot.joints, simulation.data
-    simulation.robot.set_control_mode('arm', 'impedance')
+    simulation.robot.set_control_mode('arm', 'springs')
     indices = joints.indices_of('arm')
     simulation.advance(500)
     before, _ = joints.measured(indices, data)
@@ -60,15 +60,15 @@ def test_an_effort_moves_joints_in_impedance_mode_by_effort_over_stiffness(name,
     np.testing.assert_allclose(after - before, effort / 200.0, rtol=0.01)
 
 
-def test_a_joint_in_impedance_mode_swings_as_a_damped_spring(impedance, one_joint_arm):
+def test_a_joint_in_spring_mode_swings_as_a_damped_spring(springs, one_joint_arm):
     """Logarithmic decrement and period of an oscillator, with the inertia that MuJoCo computes."""
     stiffness, damping = 200.0, 4.0
-    impedance(stiffness, damping)
+    springs(stiffness, damping)
     simulation = Simulation(World([one_joint_arm('<motor name="a" joint="joint1"/>')],
                                   timestep_s=0.0005))
     data, (joint,) = simulation.data, simulation.robot.joints.names
     dof = simulation.model.joint(joint).dofadr[0]
-    simulation.robot.set_control_mode('arm', 'impedance')
+    simulation.robot.set_control_mode('arm', 'springs')
     inertia = 1.0 / simulation.model.dof_invweight0[dof]
     rest = float(data.qpos[0])
     data.qfrc_applied[dof] = 4.0
@@ -87,14 +87,14 @@ def test_a_joint_in_impedance_mode_swings_as_a_damped_spring(impedance, one_join
     assert np.abs(np.array(away) - expected).max() < 0.05 * 4.0 / stiffness
 
 
-def test_a_moving_arm_changes_to_impedance_within_its_acceleration_limits(impedance, panda_sim):
-    impedance(stiffness=50.0, damping=15.0)
+def test_a_moving_arm_changes_to_impedance_within_its_acceleration_limits(springs, panda_sim):
+    springs(stiffness=50.0, damping=15.0)
     robot, joints = panda_sim.robot, panda_sim.robot.joints
     indices = joints.indices_of('arm')
     robot.apply(*robot.parse.joint_command(ARM[:1], position=[1.5]))
     panda_sim.advance(200)
     assert joints.measured(indices, panda_sim.data)[1][0] > 0.5
-    robot.set_control_mode('arm', 'impedance')
+    robot.set_control_mode('arm', 'springs')
     step_s = panda_sim.timestep_s
     before = robot.controller_state('arm')
     for _ in range(600):
@@ -111,10 +111,10 @@ def test_a_moving_arm_changes_to_impedance_within_its_acceleration_limits(impeda
 
 
 def test_a_soft_joint_is_pushed_far_on_its_way_and_comes_to_its_goal_when_it_is_let_go(
-        impedance, panda_sim):
-    impedance(stiffness=50.0, damping=15.0)
+        springs, panda_sim):
+    springs(stiffness=50.0, damping=15.0)
     robot, data = panda_sim.robot, panda_sim.data
-    robot.set_control_mode('arm', 'impedance')
+    robot.set_control_mode('arm', 'springs')
     robot.apply(*robot.parse.joint_command(ARM[:1], position=[0.5]))
     data.qfrc_applied[0] = -20.0
     panda_sim.advance(3000)
@@ -124,12 +124,12 @@ def test_a_soft_joint_is_pushed_far_on_its_way_and_comes_to_its_goal_when_it_is_
     assert robot.state().position[0] == pytest.approx(0.5, abs=1e-3)
 
 
-def test_leaving_a_mode_gives_the_servos_back_what_the_model_says(impedance, panda_sim):
-    impedance(stiffness=50.0, damping=15.0)
+def test_leaving_a_mode_gives_the_servos_back_what_the_model_says(springs, panda_sim):
+    springs(stiffness=50.0, damping=15.0)
     model, robot = panda_sim.model, panda_sim.robot
     gains = model.actuator_gainprm.copy(), model.actuator_biasprm.copy()
     for other in ('position', 'effort', 'velocity'):
-        robot.set_control_mode('arm', 'impedance')
+        robot.set_control_mode('arm', 'springs')
         assert (model.actuator_gainprm[:7, 0] == 50.0).all()
         robot.set_control_mode('arm', other)
         np.testing.assert_array_equal(model.actuator_gainprm, gains[0])
@@ -137,12 +137,12 @@ def test_leaving_a_mode_gives_the_servos_back_what_the_model_says(impedance, pan
 
 
 def test_a_mode_for_positions_takes_trajectories_targets_and_the_field_position(
-        impedance, panda_sim):
-    impedance(stiffness=400.0, damping=40.0)
+        springs, panda_sim):
+    springs(stiffness=400.0, damping=40.0)
     robot = panda_sim.robot
-    robot.set_control_mode('arm', 'impedance')
+    robot.set_control_mode('arm', 'springs')
     assert robot.command_interfaces()[ARM[0]] == 'position'
-    with pytest.raises(CommandError, match=r"'robot0_joint1' is in impedance mode, which does not "
+    with pytest.raises(CommandError, match=r"'robot0_joint1' is in springs mode, which does not "
                                            'use the field velocity'):
         robot.parse.joint_command(ARM[:1], velocity=[0.1])
     start = robot.controller_state('arm').position
@@ -158,7 +158,8 @@ def test_a_mode_for_positions_takes_trajectories_targets_and_the_field_position(
         panda_sim.advance(5)
     assert step.handle.status is Status.DONE
     robot.set_control_mode('arm', 'velocity')
-    with pytest.raises(CommandError, match='in position or impedance mode only, .* in velocity'):
+    with pytest.raises(CommandError, match='in position or impedance or springs mode only, .* in '
+                                           'velocity'):
         robot.parse.trajectory('arm', ARM, [0.5], [start])
 
 
@@ -233,7 +234,7 @@ class Again(Position):
 
 
 @pytest.mark.parametrize(('mode', 'error'), [
-    ('impedance', "^a control mode must derive from ControlMode, got 'impedance'$"),
+    ('springs', "^a control mode must derive from ControlMode, got 'springs'$"),
     (Position, '^a control mode must derive from ControlMode, got <class'),
     (Nameless(), "^the name of a control mode must be a word, got 'two words'$"),
     (Fieldless(), "^unknown field for commands in 'current' mode 'current': .*available: pos"),
@@ -295,10 +296,10 @@ def test_a_mode_need_not_be_hashable_and_its_fields_may_change_until_it_is_enter
     assert (panda_sim.model.actuator_gainprm[:7, 0] == 500.0).all()
 
 
-def test_a_saved_state_in_impedance_mode_is_continued_bit_by_bit(impedance):
-    impedance(stiffness=50.0, damping=15.0)
+def test_a_saved_state_in_spring_mode_is_continued_bit_by_bit(springs):
+    springs(stiffness=50.0, damping=15.0)
     first, second = Simulation(compose('Panda')), Simulation(compose('Panda'))
-    first.robot.set_control_mode('arm', 'impedance')
+    first.robot.set_control_mode('arm', 'springs')
     first.robot.apply(*first.robot.parse.joint_command(ARM[:1], position=[0.5]))
     first.advance(50)
     second.restore(first.save())

@@ -36,7 +36,8 @@ def general(name):
     name = re.sub(r'^sensors/\w+/', 'sensors/<sensor>/', name)
     name = re.sub(r'^\w+/(color|depth|labels)/', r'<camera>/\1/', name)
     name = re.sub(r'^\w+/(scan|points)$', r'<lidar>/\1', name)
-    of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
+    of_part = ('joint_states|command|joint_command|impedance_command|joint_trajectory|'
+               'controller_state')
     if re.fullmatch(rf'(arm|base|torso|head|legs|right|left)/({of_part})', name):
         return re.sub(r'^\w+/', '<part>/', name)
     return re.sub(r'^(right|left)/', '<arm>/', name)

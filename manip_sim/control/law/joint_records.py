@@ -71,8 +71,9 @@ MOVES, DUE, WRITTEN = range(3)
 #: [N m or N]; whether the weight is compensated, and whether it is a source of effort.
 SERVO = np.dtype([
     *((name, np.int64) for name in ('qpos', 'dof', 'activation', 'control')),
-    *((name, np.float64) for name in ('gear', 'stiffness', 'drag', 'friction', 'low', 'high')),
-    *((name, np.bool_) for name in ('compensated', 'gives'))], align=True)
+    *((name, np.float64) for name in ('gear', 'stiffness', 'drag', 'friction', 'low', 'high',
+                                      'damping', 'velocity', 'effort')),
+    *((name, np.bool_) for name in ('compensated', 'gives', 'leads', 'damps'))], align=True)
 
 
 def records(state: FloatArray) -> Any:

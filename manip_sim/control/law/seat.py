@@ -68,7 +68,7 @@ class Arguments(NamedTuple):
                    parameters, memory, np.zeros(count))
 
 
-class Joints(NamedTuple):
+class SeatJoints(NamedTuple):
     """
     The joints of a part.
 
@@ -105,7 +105,7 @@ class Seat(NamedTuple):
     others: FloatArray
     setpoints: NDArray[np.void]
     efforts: FloatArray
-    joints: Joints
+    joints: SeatJoints
     starts: FloatArray
     arguments: Arguments
     status: IntArray
@@ -190,7 +190,7 @@ def _example() -> Seat:
     world = WorldArrays.of(mujoco.MjData(mujoco.MjModel.from_xml_string('<mujoco/>')))
     none = np.zeros(0)
     arm = Arm(readable(np.zeros(0, CHAIN)), np.zeros((0, 0), np.int64), 0)
-    joints = Joints(arm, readable(np.zeros(0, SERVO)), np.zeros(5, np.int64))
+    joints = SeatJoints(arm, readable(np.zeros(0, SERVO)), np.zeros(5, np.int64))
     return Seat(0, world, np.zeros((0, 6)), np.zeros(6), records(blank_state(none)), none, joints,
                 np.zeros((0, 2)), Arguments.of(0, none, none, np.zeros(6)), np.zeros(3, np.int64))
 

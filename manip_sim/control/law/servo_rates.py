@@ -50,6 +50,10 @@ def find_rates(world: WorldArrays, servos: Any, places: IntArray, joints: Any, d
         if servo.compensated:
             # The bias force minus the weight, which the actuators carry already.
             force += world.bias[servo.dof] - world.carried[servo.dof]
+        if servo.leads:
+            force += servo.effort
+        if servo.damps:  # With respect to the velocity of the command, not that of the setpoint.
+            force += servo.damping * (servo.velocity - x.velocity)
         for j in range(len(joints)):
             if places[i, j] >= 0 and not servos[j].gives:
                 force += world.inertia[places[i, j]] * joints[j].acceleration

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Joint impedance as a control mode: joints go to positions as springs with dampers."""
+"""Springs as a control mode: joints go to positions as springs with dampers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from manip_sim.control.modes import Position
 
 
 @dataclass(frozen=True)
-class JointImpedance(Position):
+class Springs(Position):
     """
     Joints go to positions, and yield: an effort on a joint moves it by effort / stiffness.
 
@@ -20,7 +20,7 @@ class JointImpedance(Position):
 
     stiffness: float = 100.0
     damping: float = 20.0
-    name = 'impedance'
+    name = 'springs'
 
     def gains(self, joints: Sequence[str]) -> tuple[float, float]:
         """Return stiffness and damping, the same for all joints."""

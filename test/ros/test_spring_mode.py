@@ -18,7 +18,7 @@ STIFFNESS, PUSH_N_M = 100.0, 3.0
 @pytest.fixture
 def installed(install_example, monkeypatch):
     """Install the example; the modes are put back afterwards."""
-    monkeypatch.syspath_prepend(install_example('impedance_mode'))
+    monkeypatch.syspath_prepend(install_example('spring_mode'))
     monkeypatch.setattr(MODES, '_modes', dict(MODES._modes))
     monkeypatch.setattr(MODES, '_offers', set())
 
@@ -62,11 +62,12 @@ def test_a_mode_that_cannot_be_used_is_rejected_with_the_reason(
 @pytest.mark.full
 def test_an_installed_mode_is_a_choice_and_joints_in_it_yield_as_springs(
         installed, serve, client):
-    node = serve(start_paused=True, control_mode__arm='impedance')
+    node = serve(start_paused=True, control_mode__arm='springs')
     (described,) = client.call(
         DescribeParameters, 'manip_sim/describe_parameters',
         DescribeParameters.Request(names=['control_mode.arm'])).descriptors
-    assert described.additional_constraints == 'One of: position, velocity, effort, impedance.'
+    assert described.additional_constraints == (
+        'One of: position, velocity, effort, impedance, springs.')
     (timeout,) = client.call(GetParameters, 'manip_sim/get_parameters',
                              GetParameters.Request(names=['command_timeout.arm'])).values
     assert timeout.double_value == 0.0
@@ -91,7 +92,7 @@ def test_an_installed_mode_is_a_choice_and_joints_in_it_yield_as_springs(
     np.testing.assert_allclose(settle() - goal, PUSH_N_M / STIFFNESS, rtol=0.01)
 
     assert set_mode(client, 'velocity').successful
-    refused = set_mode(client, 'impedence')
-    assert not refused.successful and "did you mean 'impedance'?" in refused.reason
-    assert set_mode(client, 'impedance').successful
-    client.spin_until(lambda: node.simulation.robot.joints.mode_of(ARM[0]) == 'impedance')
+    refused = set_mode(client, 'sprngs')
+    assert not refused.successful and "did you mean 'springs'?" in refused.reason
+    assert set_mode(client, 'springs').successful
+    client.spin_until(lambda: node.simulation.robot.joints.mode_of(ARM[0]) == 'springs')
