@@ -243,8 +243,8 @@ class CommandSubscribers:
         if len(message.data) != len(_IMPEDANCE) * len(names):
             raise CommandError(
                 f'{part}: an impedance must have {len(_IMPEDANCE)} numbers for each of '
-                f'{counted(len(names), "joint")}, got {len(message.data)}: first '
-                f'{_IMPEDANCE[0]}, then {", ".join(_IMPEDANCE[1:])} of all joints, NaN for what stays')
+                f'{counted(len(names), "joint")}, got {len(message.data)}: '
+                f'{", ".join(_IMPEDANCE)} of all joints, row after row, NaN for what stays')
         rows = np.reshape(message.data, (len(_IMPEDANCE), -1))
         return self._parse.joint_impedance(names, part=part, **dict(zip(_IMPEDANCE, rows)))
 

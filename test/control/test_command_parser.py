@@ -335,8 +335,9 @@ def test_gripper_takes_no_trajectory(parse):
 
 def test_trajectory_needs_position_mode(panda_sim, parse):
     panda_sim.robot.set_control_mode('arm', 'velocity')
-    with pytest.raises(CommandError, match=r'^arm follows trajectories in position or impedance '
-                                           r"mode only, joint 'robot0_joint1' is in velocity mode$"):
+    with pytest.raises(CommandError, match='^arm follows trajectories in position or impedance '
+                                           "mode only, joint 'robot0_joint1' is in velocity "
+                                           'mode$'):
         parse.trajectory('arm', [J1], [1.0], [[0.1]])
 
 

@@ -175,8 +175,8 @@ def test_mode_change_while_moving_stops_within_a_few_centiradians(panda_sim, run
 
 
 def test_unknown_mode_tells_the_three(panda_sim):
-    with pytest.raises(UnknownNameError, match=r"^unknown control mode 'torque': .*"
-                                               r'available: position, velocity, effort, impedance$'):
+    with pytest.raises(UnknownNameError, match="^unknown control mode 'torque': .*available: "
+                                               'position, velocity, effort, impedance$'):
         panda_sim.robot.set_control_mode('arm', 'torque')
     assert panda_sim.robot.joints.mode_of(panda_sim.robot.joint_names[0]) == 'position'
 

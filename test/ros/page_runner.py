@@ -102,6 +102,7 @@ class PageRunner:
         self.served: Served | None = None
         self._graph: Any = None
         self._open = ExitStack()
+        patch.syspath_prepend(str(folder))  # A file finds those beside it.
         for name in ('assets', 'config'):
             (folder / name).symlink_to(ROOT / name)
         # Of a workspace.

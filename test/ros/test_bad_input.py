@@ -60,7 +60,7 @@ REJECTED = {
         (joints([J1], effort=[1.0]), 'does not use the field effort')],
     'arm/impedance_command': [
         (action(), 'must have 5 numbers for each of 7 joints, got 0'),
-        (action(*[0.1] * 7), 'first position, then velocity, effort, stiffness and damping'),
+        (action(*[0.1] * 7), 'position, velocity, effort, stiffness, damping of all'),
         (action(*[0.1] * 35), "'robot0_joint1' is in position mode, not in impedance mode")],
     'right/gripper/joint_command': [
         (joints([FINGER], [-INF]), 'must be finite'),
