@@ -184,19 +184,21 @@ class Seats:
         """
         if not self.of:
             return _NOBODY
+        acting = [state for state in self.of.values() if state.acts]
+        return self._derived.made_of(self._write_rows, setpoints, efforts, self._physics.arrays,
+                                     self._servos.records, *acting)
+
+    def _write_rows(self, setpoints: Any, efforts: FloatArray, *_: Any) -> IntArray:
+        """Write the rows of the laws that act, and return their addresses."""
+        from manip_sim.control.law.rows import Row  # It imports numba.
+        from manip_sim.control.law.seat import SEAT
         rows = []
         for part, seat in self._seats(setpoints, efforts).items():
-            row = self._room(part).of.get('row')
-            if row is None:
-                from manip_sim.control.law.rows import Row  # It imports numba.
-                from manip_sim.control.law.seat import SEAT
-                row = self._room(part).of['row'] = Row(SEAT)
+            made = self._room(part).of
+            row = made['row'] = made.get('row') or Row(SEAT)
             row.write(seat)
             rows.append(row.address)
-        kept = self._derived.of.get('rows')
-        if kept is None or kept.tolist() != rows:
-            kept = self._derived.of['rows'] = np.array(rows, np.int64)
-        return np.asarray(kept)
+        return np.array(rows, np.int64)
 
     def _room(self, part: str) -> Derived:
         """Return what has been made for a part."""

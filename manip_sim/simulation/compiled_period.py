@@ -87,6 +87,7 @@ class CompiledPeriod:
         :param ends: whether they end it, and all of the last instant is computed
         """
         room, steps = self._room(), self._steps
+        self._derived.of['room'] = room
         room.orders[:] = begins, ends, (
             steps.begin_by_law() if begins else steps.take_resumes())
         notes = self._derived.of['notes'] = self.notes(left)
@@ -127,7 +128,7 @@ class CompiledPeriod:
     @property
     def row(self) -> int:
         """Address of the row of what has been prepared."""
-        return int(self._room().row.address)
+        return int(self._derived.of['room'].row.address)
 
     def run(self) -> None:
         """Run what has been prepared."""
@@ -136,11 +137,12 @@ class CompiledPeriod:
     @property
     def orders(self) -> IntArray:
         """Orders of the last run, by ``BEGINS``, ``ENDS`` and ``RESUMES`` of the law."""
-        return self._room().orders
+        orders: IntArray = self._derived.of['room'].orders
+        return orders
 
     def outcome(self) -> tuple[int, bool, Any]:
         """Return how many steps were made, whether the end is good, and the notes of the steps."""
-        steps, doubtful = self._room().outcome.tolist()
+        steps, doubtful = self._derived.of['room'].outcome.tolist()
         return steps, not doubtful, self._derived.of['notes']
 
 
