@@ -13,10 +13,17 @@ import numpy as np
 
 from manip_sim.control.commands import Command, NoCommand
 from manip_sim.control.joint_controller import JointController
-from manip_sim.errors import UnknownNameError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.parts import atomic_parts, Part
+
+#: States of a robot, from good to bad: it takes commands; a reflex has stopped some part; it comes
+#: to rest before it takes commands; all of it was stopped.
+SAFETY_STATES = RUNNING, PROTECTIVE_STOP, RECOVERING, EMERGENCY_STOP = (
+    'running', 'protective_stop', 'recovering', 'emergency_stop')
+#: Reason of a stop of all parts.
+_EMERGENCY = 'emergency stop'
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,8 @@ class Reflexes:
     :param end_effectors: readers of the grippers, by arm
     :param efforts: of the actuators of the model
     :ivar tripped: why each part was stopped that refuses commands
+    :ivar is_emergency: whether the robot is in emergency stop
+    :ivar is_recovering: whether it recovers, until all stopped joints rest
     :ivar counts: how often each part was stopped
     """
 
@@ -65,6 +74,7 @@ class Reflexes:
                          if arm in parts}
         self.tripped: dict[str, str] = {}
         self.counts = dict.fromkeys(self._limits, 0)
+        self.is_emergency = self.is_recovering = False
         self.armed: tuple[str, ...] = ()
 
     def set(self, part: str, quantity: str, limit: float) -> None:
@@ -88,6 +98,8 @@ class Reflexes:
 
     def check(self, data: mujoco.MjData) -> None:
         """Stop the parts that do too much, at the beginning of a control period."""
+        if self.is_recovering:
+            self._go_on_recovering()
         for part in self.armed:
             if part not in self.tripped:
                 reason = self._excess(part, data)
@@ -116,7 +128,13 @@ class Reflexes:
 
         :param command: for this robot
         """
-        if not self.tripped or isinstance(command, NoCommand):
+        if isinstance(command, NoCommand):
+            return None
+        if self.is_emergency:
+            return 'the robot is in emergency stop; call recover'
+        if self.is_recovering:
+            return 'the robot recovers: its joints have yet to come to rest'
+        if not self.tripped:
             return None
         stopped = [part for part in self.tripped if part in command.parts]
         if not stopped:
@@ -124,8 +142,49 @@ class Reflexes:
         return (f'{stopped[0]} was stopped by a reflex: {self.tripped[stopped[0]]}; '
                 'call reset_reflex')
 
+    @property
+    def safety_state(self) -> str:
+        """One of :data:`SAFETY_STATES`."""
+        if self.is_emergency:
+            return EMERGENCY_STOP
+        if self.is_recovering:
+            return RECOVERING
+        return PROTECTIVE_STOP if self.tripped else RUNNING
+
     def reset(self) -> None:
-        """Let all parts take commands again, and laws of users begin anew."""
+        """
+        Let all parts take commands again, and laws of users begin anew.
+
+        :raises CommandError: in emergency stop
+        """
+        if self.is_emergency:
+            raise CommandError('the robot is in emergency stop: call recover')
+        self.clear()
+
+    def clear(self) -> None:
+        """Run again, as after a reset of the simulation."""
+        self.is_emergency = self.is_recovering = False
+        self._resume()
+
+    def stop_all(self, data: mujoco.MjData) -> None:
+        """Stop all parts, which refuse commands until :meth:`recover`."""
+        self.is_emergency, self.is_recovering = True, False
+        for part in self._limits:
+            if self.tripped.get(part) != _EMERGENCY:
+                self._trip(part, _EMERGENCY, data)
+
+    def recover(self) -> None:
+        """Let all parts take commands again as soon as all that were stopped rest."""
+        self.is_emergency, self.is_recovering = False, bool(self.tripped)
+        self._go_on_recovering()
+
+    def _go_on_recovering(self) -> None:
+        joints = self._joints
+        if all([joints.setpoints.at_rest(joints.indices_of(part)) for part in self.tripped]):
+            self.is_recovering = False
+            self._resume()
+
+    def _resume(self) -> None:
         tripped, self.tripped = self.tripped, {}
         for part in tripped:
             self._joints.resume(part)

@@ -203,8 +203,9 @@ class Diagnostics(Feature):
         for stopped in robot.reflexes.tripped:
             if part in robot.parts and stopped in robot.parts[part].atomic:
                 status.level = DiagnosticStatus.ERROR
+                remedy = 'recover' if robot.reflexes.is_emergency else 'reset_reflex'
                 status.message = (f'stopped by a reflex: {robot.reflexes.tripped[stopped]}; '
-                                  'call ~/reset_reflex')
+                                  f'call ~/{remedy}')
                 self._context.log.warn(name, 'reflex', f'{name}: {status.message}')
         if part in robot.grippers:
             self._report_faults(status, robot.grippers[part])

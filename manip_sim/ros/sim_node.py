@@ -46,6 +46,7 @@ from manip_sim.ros.overrides import check_qos_names, check_qos_values
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
+from manip_sim.ros.safety_state import SafetyStatePublisher
 from manip_sim.ros.scene import check_frame_prefix, SceneTopics
 from manip_sim.ros.sensor_publishers import OfferedSensors
 from manip_sim.ros.services import SimulationServices
@@ -206,6 +207,7 @@ class SimNode(Node):
         self.actions = offer_actions(context, self.commands)
         if self.actions is not None:
             self._add(self.actions)
+        self._add(SafetyStatePublisher(context))
         self._add(SimulationServices(context))
         self._add(StandardServices(context, spawn_files(self.declared.value('spawn_roots'))))
         self._add(Diagnostics(context, self.commands, self.surroundings, self.cameras))

@@ -39,6 +39,7 @@ class Operations:
         self._named: Mapping[str, Callable[..., Any]] = {
             'reset': self._reset, 'save': self._save, 'restore': self._restore,
             'tare': self._tare, 'reset_reflexes': self._reset_reflexes,
+            'emergency_stop': self._emergency_stop, 'recover': self._recover,
             'keyframe': self._keyframe, 'mode': self._mode, 'timeout': self._timeout,
             'stream_interval': self._stream_interval, 'stream_hold': self._stream_hold,
             'wrench_cutoff': self._wrench_cutoff, 'sensing': self._sensing,
@@ -100,6 +101,14 @@ class Operations:
     def _reset_reflexes(self) -> None:
         for robot in self._simulation.robots.values():
             robot.reset_reflexes()
+
+    def _emergency_stop(self) -> None:
+        for robot in self._simulation.robots.values():
+            robot.emergency_stop()
+
+    def _recover(self) -> None:
+        for robot in self._simulation.robots.values():
+            robot.recover()
 
     def _keyframe(self, name: str) -> None:
         self._simulation.episode_start.keyframe = name

@@ -528,8 +528,29 @@ class SimulatedRobot:
             part, quantity, positive_number(limit, 'a limit', CommandError, or_zero=True))
 
     def reset_reflexes(self) -> None:
-        """Let parts that a reflex has stopped take commands again."""
+        """
+        Let parts that a reflex has stopped take commands again.
+
+        :raises CommandError: in emergency stop
+        """
         self.reflexes.reset()
+
+    def emergency_stop(self) -> None:
+        """
+        Stop all parts but grippers, which stay as they are; all refuse commands until recovery.
+
+        Joints brake within their acceleration limits and are held.
+        """
+        self.reflexes.stop_all(self._physics.data)
+
+    def recover(self) -> None:
+        """Let all parts take commands again as soon as the joints that were stopped rest."""
+        self.reflexes.recover()
+
+    @property
+    def safety_state(self) -> str:
+        """``running``, ``protective_stop``, ``emergency_stop`` or ``recovering``."""
+        return self.reflexes.safety_state
 
     def tick(self, duration_s: float) -> None:
         """
@@ -602,7 +623,7 @@ class SimulatedRobot:
     def reset(self) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""
         self._period_s = self._timestep_s
-        self.reflexes.reset()
+        self.reflexes.clear()
         self._late.abort('the simulation was reset')
         self.joints.reset(self._physics.data)
         for gripper in self.grippers.values():

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -332,3 +333,21 @@ def test_a_new_seed_draws_the_start_anew_at_the_next_reset(serve, client):
     other = start(4)
     assert list(start(3)) == list(first) != list(other)
     assert list(start(4)) == list(other)
+
+
+def test_an_emergency_stop_is_told_and_lasts_until_recovery(serve, client):
+    node = serve()
+    states = client.listen(String, 'manip_sim/safety_state', QoSProfile(
+        depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+
+    def told(state):
+        client.spin_until(lambda: bool(states) and states[-1].data == state)
+    told('running')
+    assert trigger(client, 'emergency_stop').success
+    told('emergency_stop')
+    answer = trigger(client, 'reset_reflex')
+    assert not answer.success and 'call recover' in answer.message
+    client.publish('arm/joint_command', JointState(name=['robot0_joint1'], position=[0.5]))
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].rejected == 1)
+    assert trigger(client, 'recover').success
+    told('running')
