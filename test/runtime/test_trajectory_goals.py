@@ -493,7 +493,7 @@ def test_a_joint_stands_still_below_a_hundredth_per_second(panda, speed, stands)
 
 def test_goal_in_another_mode_is_rejected(panda):
     panda.simulation.robot.set_control_mode('arm', 'velocity')
-    with pytest.raises(GoalError, match='in position mode only') as error:
+    with pytest.raises(GoalError, match='in position or impedance mode only') as error:
         panda.start()
     assert error.value.code is GoalCode.INVALID_GOAL
 

@@ -54,7 +54,10 @@ def commands_of_every_kind(robot):
     parse, poses = robot.parse, robot.parse_cartesian
     robot.set_control_mode('base', 'velocity')
     joints = list(robot.joints.names)
+    torso = joints[robot.joints.indices_of('torso')[0]]
+    robot.set_control_mode('torso', 'impedance')
     return [
+        *parse.joint_impedance([torso], [0.1], stiffness=1000.0),
         parse.action('arm', [0.5] * 7), parse.action('right/gripper', [1.0]),
         *parse.joint_command([*joints[-1:], *robot.grippers['right/gripper'].joints.names[:1]],
                              [0.1, 0.02]),
