@@ -9,8 +9,8 @@ import re
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters,
     composition_parameters, keyframe_parameter, mode_parameters, MODEL_PATH, node_parameters,
-    place_parameters, reflex_parameters, sensing_parameters, stream_parameters, timeout_parameters,
-    wrench_parameters)
+    place_parameters, reflex_parameters, sensing_parameters, speed_parameter, stream_parameters,
+    timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models.cameras import ImageSettings
 
@@ -48,7 +48,8 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
              *camera_parameters('<camera>', ImageSettings()),
              *cartesian_parameters(scope, ['right']),
              *reflex_parameters(scope, ['right', 'base'], ['right']),
-             *wrench_parameters(scope, ['right']), *sensing_parameters(scope)]
+             *wrench_parameters(scope, ['right']), *sensing_parameters(scope),
+             speed_parameter(scope)]
     rows = {row[0].strip('`'): row for row in table_rows('parameters.md')}
     expected = set()
     for spec in specs:

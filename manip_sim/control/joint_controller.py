@@ -41,6 +41,8 @@ C = TypeVar('C', bound=Command)
 _NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
 #: No base that follows a twist.
 _NOT_DRIVEN = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3))
+#: Share of the acceleration limits that a change of the speed of trajectories may use.
+_SLEW_SHARE = 0.5
 
 
 class JointController(ControlledJoints):
@@ -74,7 +76,8 @@ class JointController(ControlledJoints):
         self._derived = Derived()
         self._timeouts = CommandTimeouts(atomic)
         self._trajectories = TrajectoryFollowing(
-            self._setpoints, self.commands, len(self.names))
+            self._setpoints, self.commands, len(self.names), _SLEW_SHARE * float(np.min(
+                self._servos.acceleration_limit / self._servos.velocity_limit, initial=1e3)))
         self._base = BaseTwists(self._servos, self._setpoints)
         #: The parts whose timeout ends Cartesian targets too.
         self._targets_end = set(atomic)
@@ -388,6 +391,33 @@ class JointController(ControlledJoints):
         self._servos.give_effort(indices, True)
         self._setpoints.wake()
         self._efforts_due = True
+
+    @property
+    def speed_scaling(self) -> float:
+        """Share of their speed at which trajectories are followed."""
+        return self._trajectories.clock.scaling
+
+    def set_speed_scaling(self, scaling: float, now_s: float) -> None:
+        """
+        Let trajectories be followed slower, along the same paths.
+
+        :param scaling: share of their speed, from 0 to 1
+        :param now_s: simulation time since the last reset [s]
+        """
+        self._trajectories.clock.set(scaling, now_s)
+
+    def late_s(self, now_s: float) -> float:
+        """Return how late trajectories are because they were followed slower [s]."""
+        return -self._trajectories.clock.ahead_s(now_s)
+
+    def trajectory_reference(self, handle: CommandHandle, now_s: float
+                             ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """
+        Return position, velocity and acceleration of a trajectory that runs, or None.
+
+        :param now_s: simulation time since the last reset [s]
+        """
+        return self._trajectories.reference(handle, now_s)
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """

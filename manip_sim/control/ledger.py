@@ -157,21 +157,6 @@ class Ledger:
         """Return whether a trajectory has been applied and waits for its start."""
         return any(waiting.handle is handle for waiting in self.waiting)
 
-    def reference(self, handle: CommandHandle, now_s: float
-                  ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """
-        Return position, velocity and acceleration of a trajectory that runs, or None.
-
-        Unlike the setpoints, they are not held back for joints that cannot keep up.
-
-        :param now_s: simulation time since the last reset [s]
-        """
-        for command in self.running:
-            if command.handle is handle and isinstance(command, JointTrajectory):
-                position, velocity, acceleration = command.motion(now_s)
-                return position, velocity, acceleration
-        return None
-
 
 def takes_from(newer: Command, older: Command) -> bool:
     """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which parts of a robot the laws of users move: their parameters, memory and failures."""
+"""The laws of users that move parts of a robot: their parameters, memory and failures."""
 
 from __future__ import annotations
 

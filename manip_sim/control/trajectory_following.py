@@ -12,8 +12,9 @@ import math
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.commands import JointTrajectory, Status
+from manip_sim.control.commands import CommandHandle, JointTrajectory, Status
 from manip_sim.control.ledger import Ledger
+from manip_sim.control.path_clock import PathClock
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.control.streamed_trajectories import PointStreams
 from manip_sim.errors import CommandError
@@ -26,15 +27,20 @@ class TrajectoryFollowing:
     :param setpoints: of all driven joints
     :param commands: that have not ended
     :param count: number of driven joints
+    :param slew: how fast the share of simulation time that passes along paths may change [1/s]
+    :ivar clock: of the time along paths, since which those that lead have begun
     """
 
-    def __init__(self, setpoints: SetpointGenerator, commands: Ledger, count: int) -> None:
+    def __init__(self, setpoints: SetpointGenerator, commands: Ledger, count: int,
+                 slew: float) -> None:
         self._setpoints, self._commands, self._count = setpoints, commands, count
+        self.clock = PathClock(slew)
         self.forget()
 
     def forget(self) -> None:
-        """Let the next points be no part of a stream."""
+        """Let the next points be no part of a stream, at the start of an episode."""
         self._points = PointStreams(self._count)
+        self.clock.reset()
 
     def start_due(self, modes: tuple[str, ...], now_s: float, duration_s: float, period_s: float
                   ) -> None:
@@ -74,12 +80,14 @@ class TrajectoryFollowing:
 
     def _begin(self, own: JointTrajectory, start_s: float, now_s: float) -> None:
         try:
-            own.trajectory.begin_at(self._setpoints.position[own.indices],
-                                    self._setpoints.velocity[own.indices], now_s - start_s)
+            own.trajectory.begin_at(
+                self._setpoints.position[own.indices],
+                self.clock.along_path(self._setpoints.velocity[own.indices], now_s),
+                now_s - start_s)
         except CommandError as error:
             own.handle.end(Status.ABORTED, str(error))
         else:
-            self._commands.begin(replace(own, start_s=start_s))
+            self._commands.begin(replace(own, start_s=start_s + self.clock.ahead_s(now_s)))
 
     def path(self, commands: Sequence[JointTrajectory], ends_s: FloatArray
              ) -> tuple[IntArray, FloatArray] | None:
@@ -97,12 +105,12 @@ class TrajectoryFollowing:
             count = min(count, int(np.count_nonzero(start_s >= ends_s - 1e-9)))
         for command in commands:
             last_s = (command.start_s or 0.0) + command.trajectory.end_s
-            count = min(count, int(np.count_nonzero(ends_s < last_s - 1e-9)))
+            count = min(count, int(np.count_nonzero(self.clock.at(ends_s) < last_s - 1e-9)))
         if not count:
             return None
         if not commands:
             return np.empty(0, np.int64), np.empty((count, 0, 3))
-        motions = [command.motion(ends_s[:count]) for command in commands]
+        motions = [self.clock.motion(command, ends_s[:count]) for command in commands]
         return (np.concatenate([command.indices for command in commands]),
                 np.ascontiguousarray(np.concatenate(motions, axis=2).transpose(1, 2, 0)))
 
@@ -113,7 +121,22 @@ class TrajectoryFollowing:
         :param end_s: simulation time since the last reset then [s]
         :returns: the last position of the joints, if they are there, shape (n,)
         """
-        since_s = end_s - (command.start_s or 0.0)
-        motion = command.motion(end_s)
+        since_s = float(self.clock.at(end_s)) - (command.start_s or 0.0)
+        motion = self.clock.motion(command, end_s)
         self._setpoints.follow(command.indices, motion)
         return motion[0] if since_s >= command.trajectory.end_s - 1e-9 else None
+
+    def reference(self, handle: CommandHandle, now_s: float
+                  ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """
+        Return position, velocity and acceleration of a trajectory that runs, or None.
+
+        Unlike the setpoints, they are not held back for joints that cannot keep up.
+
+        :param now_s: simulation time since the last reset [s]
+        """
+        for command in self._commands.running:
+            if command.handle is handle and isinstance(command, JointTrajectory):
+                position, velocity, acceleration = self.clock.motion(command, now_s)
+                return position, velocity, acceleration
+        return None

@@ -19,7 +19,7 @@ from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
     composition_parameters, keyframe_parameter, law_parameters, mode_parameters, MODEL_PATH,
     node_parameters, periods_per_image, place_parameters, reflex_parameters, sensing_parameters,
-    steps_per_period, stream_parameters, timeout_parameters, wrench_parameters)
+    speed_parameter, steps_per_period, stream_parameters, timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
@@ -197,7 +197,7 @@ def declare_parts(parameters: ParameterSource,
         parameters.declare(wrench_parameters(
             scope, [name.removesuffix('/gripper') for name in parts if name.endswith('/gripper')]))
         parameters.declare(reflex_parameters(scope, commanded, arms))
-        parameters.declare(sensing_parameters(scope))
+        parameters.declare([*sensing_parameters(scope), speed_parameter(scope)])
 
 
 def declare_cameras(parameters: ParameterSource, world: World, model: mujoco.MjModel

@@ -360,6 +360,13 @@ def sensing_parameters(scope: Scope) -> list[ParameterSpec]:
             for name, quantity in QUANTITIES.items()]
 
 
+def speed_parameter(scope: Scope) -> ParameterSpec:
+    """Return the parameter of the speed of trajectories of a robot."""
+    return ParameterSpec('speed_scaling', 1.0, 'Share of their speed at which trajectories are '
+                         'followed, along the same paths; 0 lets them stand still.', live=True,
+                         minimum=0.0, maximum=1.0).within(scope)
+
+
 def spawned_parameter(scope: Scope) -> ParameterSpec:
     """Return the parameter that tells those of a robot that came while the node ran."""
     return ParameterSpec(SPAWNED, True, 'The robot was spawned: a node that starts with a dump of '

@@ -111,6 +111,8 @@ class TrajectoryGoal(ActionGoal):
         self._length_ns = round(request.times_s[-1] * 1e9)
         self._stamped_ns = request.start_ns
         self._start_ns = now_ns
+        #: How late trajectories were when it started [s].
+        self._late_s = robot.trajectories_late_s
         self._on_the_way = False
 
     def _look(self, simulation: Simulation) -> None:
@@ -120,6 +122,8 @@ class TrajectoryGoal(ActionGoal):
         position, velocity = joints.measured(self.command.indices, simulation.data)
         reference = self.robot.trajectory_reference(self.command.handle)
         self._on_the_way = reference is not None
+        if not self._has_started:
+            self._late_s = self.robot.trajectories_late_s
         still = np.zeros(len(self._last))
         # Before it starts there is nothing to compare with.
         goal = self._last if self._has_started else position
@@ -149,6 +153,7 @@ class TrajectoryGoal(ActionGoal):
             self._succeed('the goal is reached')
             return
         since_s = (time_ns - (self._stamped_ns or self._start_ns) - self._length_ns) * 1e-9
+        since_s -= self.robot.trajectories_late_s - self._late_s
         if 0.0 < self._goal_time_s < since_s - 1e-9:
             slowed = self.command.slowed
             hint = (f'; it was slowed down by the factor {slowed:.3g} to keep to the velocity '

@@ -39,6 +39,7 @@ class Operations:
         self._named: Mapping[str, Callable[..., Any]] = {
             'reset': self._reset, 'save': self._save, 'restore': self._restore,
             'tare': self._tare, 'reset_reflexes': self._reset_reflexes,
+            'speed_scaling': self._speed_scaling,
             'emergency_stop': self._emergency_stop, 'recover': self._recover,
             'keyframe': self._keyframe, 'mode': self._mode, 'timeout': self._timeout,
             'stream_interval': self._stream_interval, 'stream_hold': self._stream_hold,
@@ -101,6 +102,9 @@ class Operations:
     def _reset_reflexes(self) -> None:
         for robot in self._simulation.robots.values():
             robot.reset_reflexes()
+
+    def _speed_scaling(self, robot: str, scaling: float) -> None:
+        self._robot(robot).set_speed_scaling(scaling)
 
     def _emergency_stop(self) -> None:
         for robot in self._simulation.robots.values():

@@ -427,7 +427,7 @@ class SimulatedRobot:
             found.update({f'cartesian.{arm}.{name}': v for name, v in asdict(settings).items()})
         for arm, reader in self.end_effectors.items():
             found[f'wrench_cutoff.{arm}'] = reader.external.cutoff_hz
-        return {**found, **self.sensing.settings.all}
+        return {**found, 'speed_scaling': self.joints.speed_scaling, **self.sensing.settings.all}
 
     def state(self) -> State:
         """Return what is measured at the present instant, with noise and latency."""
@@ -470,7 +470,7 @@ class SimulatedRobot:
 
         :param handle: of the trajectory's command
         """
-        return self.joints.commands.reference(handle, self._clock.control_s)
+        return self.joints.trajectory_reference(handle, self._clock.control_s)
 
     def begin_period(self, period_s: float, interval_s: float) -> None:
         """
@@ -534,6 +534,23 @@ class SimulatedRobot:
         :raises CommandError: in emergency stop
         """
         self.reflexes.reset()
+
+    def set_speed_scaling(self, scaling: float) -> None:
+        """
+        Let trajectories be followed slower, along the same paths; those that run change gradually.
+
+        :param scaling: share of their speed, from 0 (they stand still) to 1
+        :raises CommandError: if it is no number of that range
+        """
+        share = positive_number(scaling, 'speed_scaling', CommandError, or_zero=True)
+        if share > 1.0:
+            raise CommandError(f'speed_scaling must be from 0 to 1, got {share:g}')
+        self.joints.set_speed_scaling(share, self._clock.control_s)
+
+    @property
+    def trajectories_late_s(self) -> float:
+        """How late trajectories are because of ``speed_scaling`` [s]."""
+        return self.joints.late_s(self._clock.control_s)
 
     def emergency_stop(self) -> None:
         """

@@ -116,7 +116,7 @@ def test_every_parameter_is_described(serve, client):
     response = client.call(DescribeParameters, 'manip_sim/describe_parameters',
                            DescribeParameters.Request(names=ours))
     live = {'real_time_factor', 'pause_at', 'seed', 'keyframe', 'control_mode.arm',
-            'command_timeout.arm',
+            'speed_scaling', 'command_timeout.arm',
             'control_mode.right', 'command_timeout.right', 'wrench_cutoff.right',
             'stream_interval.arm', 'stream_interval.right', 'stream_hold.arm', 'stream_hold.right',
             *(f'reflex.{part}.{quantity}' for part in ('arm', 'right')

@@ -539,3 +539,12 @@ def test_what_is_desired_on_the_way_is_where_the_trajectory_is_at_any_time(panda
     assert 0.1 < goal.view.desired[0][0] < 0.2 and goal.outcome is None
     np.testing.assert_allclose(goal.view.desired[0][0], setpoint.position[0], atol=1e-9)
     np.testing.assert_allclose(goal.view.desired[1][0], setpoint.velocity[0], atol=1e-9)
+
+
+def test_the_goal_time_passes_as_slowly_as_the_trajectory(panda):
+    panda.simulation.robot.set_speed_scaling(0.25)
+    panda.run(1.0)
+    goal = panda.start(goal_time_s=0.2)
+    assert panda.run(3.0, until=goal) == 3.0
+    assert panda.run(3.0, until=goal) < 1.4
+    assert goal.outcome is not None and goal.outcome.ending is Ending.SUCCEEDED
