@@ -21,6 +21,7 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import places
+from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.xml_check import check_xml, XmlModel
 from manip_sim.quoting import one_line, quoted
 
@@ -68,6 +69,7 @@ _MESSAGE = re.compile(r"Error: *(?P<what>(?:(?!Error:).)*?)\s*Element '(?P<tag>[
 _UNKNOWN = re.compile(r"Schema violation: unrecognized attribute: '(.*)'")
 _BAD_FORMAT = re.compile(r"bad format in attribute '(.*)'")
 _NO_PLUGIN = re.compile(r'plugin (\S+) not found')
+_NO_FILE = re.compile(r"Error opening file '(.*)'")
 _UNKNOWN_ELEMENT = 'Schema violation: unrecognized element'
 _RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
 _TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
@@ -190,10 +192,12 @@ def _changed(documents: list[_Document], message: str) -> Iterator[str]:
     match = _MESSAGE.search(message)
     what, tag = (match['what'], match['tag']) if match else (message, '')
     unknown, bad = _UNKNOWN.match(what), _BAD_FORMAT.match(what)
-    plugin = _NO_PLUGIN.match(what)
+    plugin, no_file = _NO_PLUGIN.match(what), _NO_FILE.match(what)
     for document in documents:
         if plugin and plugin[1] in _PLUGINS:
             yield from _drop_plugin(document, plugin[1])
+        elif no_file and tag == 'flexcomp':
+            yield from _drop_flexes(document, no_file[1])
         elif bad:
             yield from _drop_commas(document, tag, bad[1])
         elif unknown and (tag, unknown[1]) in _ATTRIBUTES:
@@ -238,6 +242,19 @@ def _drop_plugin(document: _Document, name: str) -> Iterator[str]:
             if element.get('plugin') == name or element.get('instance') in instances - {None}:
                 yield _sentence(document, element, f'<plugin> of {quoted(name)}', '')
                 parent.remove(element)
+
+
+def _drop_flexes(document: _Document, name: str) -> Iterator[str]:
+    """Leave out soft bodies of a file that is not there, which MuJoCo reads at once."""
+    for parent in list(document.root.iter()):
+        for element in parent.findall('flexcomp'):
+            if element.get('file') and name.endswith(element.get('file', '')):
+                parent.remove(element)
+                place = document.place(element)
+                yield LostShape(
+                    f'left out: <flexcomp> {quoted(element.get("name", ""))}'
+                    f'{" in " if place else ""}{place}, as there is no file {quoted(name)}; put '
+                    'it there, or correct its name')
 
 
 def _rename_main(document: _Document) -> Iterator[str]:

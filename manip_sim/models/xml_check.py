@@ -32,6 +32,9 @@ _COMMENT, _BLANKS = re.compile(rb'<!--.*?-->', re.DOTALL), b' \t\r\n\xef\xbb\xbf
 #: An attribute that another one follows without a blank, and an ampersand that begins no entity.
 _ATTRIBUTE = re.compile(rb'(=\s*(?:"[^"<]*"|\'[^\'<]*\'))(?=[A-Za-z_])')
 _AMPERSAND = re.compile(rb'&(?!#?\w+;)')
+#: A tag, and in it a value in quotes or an attribute whose value has none.
+_TAG = re.compile(rb'<[A-Za-z_](?:"[^"]*"|\'[^\']*\'|[^"\'<>])*>')
+_UNQUOTED = re.compile(rb'"[^"]*"|\'[^\']*\'|(\s[A-Za-z_][\w:.-]*\s*=\s*)([^\s"\'<>=/]+)')
 
 
 @dataclass
@@ -143,7 +146,8 @@ class XmlModel:
         try:
             root = self._parsed_as_mujoco_does(data)
         except (expat.ExpatError, LookupError) as error:
-            raise ModelError(f'{one_line(str(file))} is not well-formed XML: {error}') from error
+            raise ModelError(f'{one_line(str(file))} is not well-formed XML: {error}; correct it '
+                             'there') from error
         self._look_through(root, times, depth)
         self._open.pop()
         self._chain.pop()
@@ -310,16 +314,23 @@ def mended_xml(data: bytes) -> bytes:
     """
     Return a document with what MuJoCo and other readers accept written as XML; no line moves.
 
-    Hyphens in comments become blanks, attributes get one between them, and a lone ampersand is
-    that character.
+    Hyphens in comments become blanks, attributes get one between them, values without quotes get
+    these, and a lone ampersand is that character.
     """
     if b'<![CDATA[' in data:
         return data
     parts = _COMMENT.split(data)
     comments = [b'<!--' + comment[4:-3].replace(b'-', b' ') + b'-->'
                 for comment in _COMMENT.findall(data)]
-    parts = [_ATTRIBUTE.sub(rb'\1 ', _AMPERSAND.sub(b'&amp;', part)) for part in parts]
+    parts = [_ATTRIBUTE.sub(rb'\1 ', _TAG.sub(_with_quotes, _AMPERSAND.sub(b'&amp;', part)))
+             for part in parts]
     return b''.join(part + comment for part, comment in zip(parts, [*comments, b'']))
+
+
+def _with_quotes(tag: re.Match[bytes]) -> bytes:
+    """Return a tag with its values in quotes."""
+    return _UNQUOTED.sub(lambda found: found[1] + b'"' + found[2] + b'"' if found[1] else found[0],
+                         tag[0])
 
 
 def _replace(element: ElementTree.Element, parent: ElementTree.Element | None,

@@ -300,3 +300,92 @@ def test_the_abduction_of_a_single_arm_is_the_arms(tmp_path):
 def test_a_leg_alone_stays_one(tmp_path):
     leg = chain('hip', 1, inside=chain('knee', 1, inside=chain('ankle', 1)))
     assert parts_of(tmp_path, leg)[0] == {'legs': 3}
+
+
+def corners(names, joints, size=0.2, limits='-1 1'):
+    """Return four limbs at the corners of a square, with the same joints each."""
+    text = ''
+    for name, (x, y) in zip(names, ((1, 1), (1, -1), (-1, 1), (-1, -1))):
+        limb = ''
+        for joint in reversed(joints):
+            limb = chain(f'{name}_{joint}', 1, f'{size * x} {size * y} 0'
+                         if joint == joints[0] else '0 0 -0.1', limits, limb)
+        text += limb
+    return text
+
+
+SIDES = ('front_left', 'front_right', 'rear_left', 'rear_right')
+
+
+def test_four_limbs_alike_with_shoulders_and_hands_are_legs(tmp_path):
+    parts, said = parts_of(tmp_path, corners(SIDES, ('base_to_shoulder', 'shoulder_to_arm',
+                                                     'arm_to_hand')))
+    assert parts == {'legs': 12}
+    assert any(note.startswith('legs is a guess: ') for note in said)
+
+
+def test_four_limbs_with_elbows_are_no_legs(tmp_path):
+    parts, _ = parts_of(tmp_path, corners(SIDES, ('shoulder', 'elbow', 'wrist')))
+    assert 'legs' not in parts and 'right/gripper' not in parts
+
+
+def test_legs_whose_links_have_their_frames_in_one_place_stand_where_their_masses_are(tmp_path):
+    limbs = ''.join(chain(f'J{i}_', 3).replace(
+        SHAPE, f'<geom size="0.02" mass="0.1" pos="{0.2 * x} {0.2 * y} 0"/>')
+        for i, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))))
+    assert parts_of(tmp_path, limbs)[0] == {'legs': 12}
+
+
+@pytest.mark.parametrize(('turns', 'part'), [(2.3, 'right/gripper'), (2.5, 'other')])
+def test_limbs_that_turn_by_more_than_three_quarters_of_a_turn_are_no_fingers(
+        tmp_path, turns, part):
+    limbs = ''.join(chain(f'J{i}_', 3, place, limits=f'-{turns} {turns}')
+                    for i, place in enumerate(around(3, 0.04)))
+    assert parts_of(tmp_path, limbs)[0] == {part: 9}
+
+
+@pytest.mark.parametrize(('wrist', 'fingers', 'expected'), [
+    ('joint_claw', ('right_gripper', 'left_gripper'), {'arm': 4, 'right/gripper': 2}),
+    ('claw_finger', ('right_gripper', 'left_gripper'), {'arm': 3, 'right/gripper': 3}),
+    ('joint_claw', ('gripper',), {'arm': 3, 'right/gripper': 2})])
+def test_a_joint_with_a_grippers_name_that_turns_both_fingers_is_of_the_arm(
+        tmp_path, wrist, fingers, expected):
+    jaws = ''.join(chain(name, 1, f'0 {y} 0.1', kind='slide', limits='0 0.02')
+                   for name, y in zip(fingers, (-0.02, 0.02)))
+    arm = chain('j', 3, '0 0 0.1', inside='')
+    end = chain(wrist, 1, '0 0 0.1', inside=jaws, axis='0 0 1')
+    parts, _ = parts_of(tmp_path, arm.replace('</body>' * 3, end + '</body>' * 3))
+    assert parts == expected
+
+
+def test_a_chain_with_the_name_of_a_hand_beside_two_arms_is_no_hand(tmp_path):
+    upper = ''.join(chain(f'{side}_arm', 4, f'0 {y} 0.2')
+                    for side, y in (('left', 0.15), ('right', -0.15)))
+    upper += chain('hand', 2, '0 0 0.3')
+    parts, _ = parts_of(tmp_path, chain('body', 2, '0 0 0.1').replace(
+        '</body>' * 2, upper + '</body>' * 2))
+    assert parts == {'torso': 2, 'right': 4, 'left': 4, 'other': 2}
+
+
+def cell(lengths, places=('0 0.4 0', '0 -0.4 0')):
+    """Return the MJCF of arms that stand on roots of their own."""
+    roots = ''.join(f'<body name="stand{i}" pos="{place}">{SHAPE}{chain(f"m{i}_", length)}</body>'
+                    for i, (length, place) in enumerate(zip(lengths, places)))
+    return f'<mujoco><compiler angle="radian"/><worldbody>{roots}</worldbody></mujoco>'
+
+
+@pytest.mark.parametrize('lengths', [(7, 6), (6, 6)])
+def test_two_arms_of_a_cell_are_told_apart_by_their_places_whatever_their_lengths(
+        tmp_path, lengths):
+    robot = load_robot(write(tmp_path / 'cell.xml', cell(lengths)))
+    parts = Simulation(compose(robot)).robot.parts
+    assert (len(parts['left'].joints), len(parts['right'].joints)) == lengths
+    assert any('left is the one that stands further left' in note
+               and 'in a YAML file changes it' in note for note in robot.inferred)
+
+
+@pytest.mark.parametrize('legs', [2, 0])
+def test_a_pelvis_that_carries_no_arm_is_a_torso_if_there_are_legs(tmp_path, legs):
+    limbs = chain('pelvis_', 2, '0 0 0.1') + ''.join(
+        chain(f'{side}_knee', 3, f'0 {y} 0') for side, y in (('left', 0.1), ('right', -0.1))[:legs])
+    assert parts_of(tmp_path, limbs)[0] == ({'torso': 2, 'legs': 6} if legs else {'arm': 2})

@@ -430,11 +430,28 @@ def test_limits_that_cannot_be_are_rejected_with_joint_and_file(tmp_path, limit,
     assert str(error.value) == f"{file}: joint 'elbow': {message}"
 
 
+@pytest.mark.parametrize(('limits', 'effort', 'velocity'), [
+    ('effort="-1" velocity="2"', 0.0, 2.0), ('effort="5" velocity="-1.0"', 5.0, 0.0),
+    ('effort="-1" velocity="-1"', 0.0, 0.0)])
+def test_minus_one_is_no_limit_of_effort_or_velocity_as_in_sdf(
+        tmp_path, limits, effort, velocity):
+    file = write(tmp_path / 'arm.urdf', arm_with('continuous', f'<limit {limits}/>'))
+    robot = load_robot(file)
+    model = robot.compile()
+    joint = int(model.joint('robot0_elbow').id)
+    actuator = int(np.flatnonzero(model.actuator_trnid[:, 0] == joint)[0])
+    assert model.actuator_forcelimited[actuator] == bool(effort)
+    assert model.actuator_forcerange[actuator, 1] == effort
+    assert model.jnt_user[joint, 0] == velocity
+    assert "without a limit of effort or velocity, as SDF writes it by -1 in their <limit>: " \
+        "'elbow'; write 0 in the file" in robot.inferred
+
+
 @pytest.mark.parametrize(('kind', 'more', 'message'), [
     ('revolute', '<limit lower="-1" upper="1" effort="-5" velocity="1"/>',
      'effort of its <limit> is negative: -5; write 5, or 0 for none'),
-    ('continuous', '<limit effort="5" velocity="-1"/>',
-     'velocity of its <limit> is negative: -1; write 1, or 0 for none'),
+    ('continuous', '<limit effort="5" velocity="-2"/>',
+     'velocity of its <limit> is negative: -2; write 2, or 0 for none'),
     ('continuous', '<dynamics damping="-0.2"/>',
      'damping of its <dynamics> is negative: -0.2; write 0.2, or 0 for none'),
     ('continuous', '<dynamics damping="1" friction="-1e-3"/>',

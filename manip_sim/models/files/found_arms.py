@@ -12,7 +12,8 @@ import re
 import mujoco
 
 from manip_sim.models.files.body_tree import BodyTree, words_of
-from manip_sim.models.files.found_hands import FoundHand, hand_below, lone_hands
+from manip_sim.models.files.found_hands import (
+    carries_arms, FoundHand, hand_below, lone_hands)
 from manip_sim.models.files.limbs import FINGERS, Limbs, MAX_FINGERS
 from manip_sim.models.robots.subsystems import classify
 from manip_sim.quoting import quoted_names
@@ -29,7 +30,7 @@ _WORDS = {
     'legs': {'leg', 'legs', 'hip', 'knee', 'ankle', 'ank', 'foot', 'toe', 'thigh', 'calf', 'shin',
              'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'abad', 'coxa', 'femur',
              'tibia', 'hx', 'hy', 'kn', 'haa', 'hfe', 'kfe', 'ffe', 'faa', 'hr'},
-    'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column'}}
+    'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column', 'pelvis'}}
 #: Words in names of bodies, which decide where those of joints do not.
 _BODY_WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
@@ -73,6 +74,8 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     free = {joint for joint in unnamed if found[joint] == 'arm'}
     _correct_base(tree, found, declared)
     limbs = Limbs(tree)
+    free |= {joint for joint in limbs.legs_with_shoulders() if found.get(joint) == 'arm'
+             and str(model.joint(joint).name) not in declared and joint not in fingers}
     _find_unnamed(tree, limbs, found, free, notes)
     _complete_legs(tree, limbs, found, declared, fingers)
     _correct_single_limbs(tree, found, declared, fingers)
@@ -154,14 +157,20 @@ def _correct_base(tree: BodyTree, found: dict[int, str], declared: Mapping[str, 
 
 def _correct_single_limbs(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str],
                           fingers: Collection[int]) -> None:
-    """Assign torso and leg joints to the arm where they move one limb, legs only with fingers."""
+    """
+    Assign torso and leg joints to the arm where they move one limb, legs only with fingers.
+
+    A torso that moves none is an arm, too, if there are no legs.
+    """
+    most = 0 if 'legs' in found.values() else -1
     for joint, subsystem in list(found.items()):
         name = str(tree.model.joint(joint).name)
         if subsystem not in ('torso', 'legs') or name in declared or classify(name) == subsystem:
             continue
         below = set(tree.joints(tree.below(int(tree.model.jnt_bodyid[joint]))))
         limbs = {j for j in below - set(fingers) if found.get(j) in ('arm', 'head', 'legs')}
-        if len(tree.ends(limbs)) < 2 and (subsystem == 'torso' or below.intersection(fingers)):
+        count = len(tree.ends(limbs))
+        if most < count < 2 if subsystem == 'torso' else count < 2 and below.intersection(fingers):
             found[joint] = 'arm'
 
 
@@ -199,7 +208,7 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     if not hands and all(_length(tree, tip, joints) < 2 for tip in tips) and (
             len(tips) > 1 or {'base', 'torso', 'head', 'legs'} & set(subsystems.values())):
         return {}  # Such as a laser that turns, or two antennas.
-    by_side = _by_side(tree, tips, joints, notes)
+    by_side = _by_side(tree, tips, joints, hands, notes)
     arms = {side: _end_of(tree, tip, hands) for side, tip in by_side.items()}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
 
@@ -301,17 +310,24 @@ def _hands_of_chains(tree: BodyTree, subsystems: Mapping[int, str], hands: Colle
         whole = max(_length(tree, tip, joints) for tip in tips)
         # No robot has three arms on a link that moves, but fingers may have more joints than a
         # wrist.
+        above = joints.intersection(tree.joints(tree.path(carrier)))
         if len(branches) <= MAX_FINGERS and (
-                shared > _ARM_SHARE * whole or (shared and len(branches) >= FINGERS)):
+                shared > _ARM_SHARE * whole or (shared and len(branches) >= FINGERS)
+                ) and not carries_arms(tree, carrier, above):
             found.append(hand_below(tree, carrier))
         else:
             groups += branches.values()
     return found
 
 
-def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int], notes: list[str]
-             ) -> dict[str, int]:
-    """Return the tip of the longest chain by side, preferring end names; one alone is right."""
+def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int],
+             hands: Collection[FoundHand], notes: list[str]) -> dict[str, int]:
+    """
+    Return the tip of the longest chain by side, preferring end names; one alone is right.
+
+    One without a side beside two with one is none. Two without a side are arms by their place if
+    they have as many joints, or if they stand on two roots or carry two hands.
+    """
     if len(tips) <= 1:
         return dict.fromkeys(['right'], tips[0]) if tips else {}
     found: dict[str | None, list[int]] = {}
@@ -323,12 +339,16 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int], notes: li
     ranked = sorted(tips, key=rank, reverse=True)
     for tip, side in zip(ranked, tree.sides(ranked)):
         found.setdefault(side, []).append(tip)
+    if {'right', 'left'} < found.keys():
+        del found[None]  # What two arms leave between them is another one seldom, and often a head.
     ambiguous = any(len(of_side) > 1 and rank(of_side[0]) == rank(of_side[1])
                     for of_side in found.values())
-    if set(found) == {None} and not ambiguous:  # The others are rods beside an arm.
+    are_two = len(tips) == 2 and (
+        ambiguous or not tree.common(tips) or all(_hand_of(tree, tip, hands) for tip in tips))
+    if set(found) == {None} and not (ambiguous or are_two):  # The others are rods beside an arm.
         return {'right': found[None][0]}
     shared = _length(tree, tree.common(tips), joints)
-    if set(found) == {None} and len(tips) == 2 and rank(tips[0])[0] > shared + 1:
+    if set(found) == {None} and are_two and rank(ranked[-1])[0] > shared + 1:
         sides, why = _by_place(tree, tips)
         right, left = (tree.name(sides[side]) for side in ('right', 'left'))
         notes.append(f"the arms' names have no side: {why}; arms: {{right: {{mount: {left}}}, "
@@ -369,9 +389,15 @@ def _length(tree: BodyTree, body: int, joints: Collection[int]) -> int:
     return len(set(tree.joints(tree.path(body))) & set(joints))
 
 
+def _hand_of(tree: BodyTree, tip: int, hands: Collection[FoundHand]) -> FoundHand | None:
+    """Return the hand that the end of an arm carries."""
+    below = tree.below(tip)
+    return next((hand for hand in hands if hand.body in below), None)
+
+
 def _end_of(tree: BodyTree, tip: int, hands: Collection[FoundHand]) -> FoundArm:
     below = tree.below(tip)
-    hand = next((hand for hand in hands if hand.body in below), None)
+    hand = _hand_of(tree, tip, hands)
     if hand is not None:
         return FoundArm('body', tree.name(hand.body), hand, 'it carries a hand')
     model = tree.model

@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.limbs import (
-    FINGERS, is_unlimited, Limbs, MAX_FINGERS, PALM_WORDS)
+    FINGERS, Limbs, MAX_FINGERS, PALM_WORDS, turns_farther_than)
 
 #: Words that only parts of hands have, of joints and of bodies: the carriage of a lift or a gantry
 #: is no finger. A wrist with a hand may have words of hands too.
@@ -21,6 +23,8 @@ _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
 _FLIGHT_WORDS = {'thrust', 'thruster', 'rotor', 'propeller', 'gimbal'}
 #: Words of joints that are no fingers', whatever they move is called.
 _ARM_WORDS = {'shoulder', 'elbow', 'wrist'}
+#: Words of joints that no hand carries.
+_CARRIED_BY_NO_HAND = _ARM_WORDS | {'arm'}
 
 #: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
@@ -29,6 +33,8 @@ _LEAST_OF_ARM = 3
 #: A finger has at most so many times the joints of another; axes of two fingers are parallel if
 #: the cosine of their angle is greater than this.
 _UNEQUAL, _ONE_DIRECTION = 2, 0.9
+#: A hinge of a finger turns by no more than this [rad].
+_FINGER_TURNS_RAD = 1.5 * np.pi
 
 
 @dataclass(frozen=True)
@@ -53,13 +59,26 @@ def hand_below(tree: BodyTree, body: int) -> FoundHand:
     return FoundHand(body, tuple(joints), tuple(actuators))
 
 
+def carries_arms(tree: BodyTree, body: int, others: Collection[int]) -> bool:
+    """
+    Return whether joints below a body have words of arms, which no hand carries.
+
+    :param others: joints whose words count for nothing, as those of a robot called arm
+    """
+    words = _CARRIED_BY_NO_HAND - frozenset().union(
+        *(words_of(_name(tree, joint)) for joint in others))
+    return any(words_of(_name(tree, joint)) & words
+               for joint in set(hand_below(tree, body).joints) - set(others))
+
+
 def find_hands(tree: BodyTree) -> list[FoundHand]:
     """
     Return the hands of a robot, at most one for each side, or for each arm without a side.
 
     The body of a hand is the last one that carries all joints with a finger's name, or with a
     gripper's if none has a finger's, and the joints that are coupled to them. The bodies that
-    joints move may have the names of fingers instead.
+    joints move may have the names of fingers instead. One that carries all fingers turns the hand,
+    and what carries arms, too, is none.
     """
     fingers = {j for j in range(tree.model.njnt) if tree.is_scalar(j) and _is_of_finger(tree, j)}
     named = {j for j in range(tree.model.njnt)
@@ -70,6 +89,8 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
             fingers |= tree.driven(actuator)
         elif words & _HAND_WORDS:
             named |= tree.driven(actuator)
+    if named:
+        named -= set(Limbs(tree).legs_with_shoulders())
     by_side: dict[str | None, set[int]] = {}
     for joints in (fingers, named):
         sides = _by_side(tree, joints)
@@ -80,10 +101,23 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     hands = []
     for joints in by_side.values():
         for of_hand in _by_arm(tree, tree.coupled(joints)):
+            of_hand = _without_wrist(tree, of_hand)
             body = _common_carrier(tree, of_hand)
-            if body:
+            if body and not carries_arms(tree, body, of_hand):
                 hands.append(hand_below(tree, _with_branches(tree, body)))
     return [hand for hand in hands if hand.joints]
+
+
+def _without_wrist(tree: BodyTree, joints: Collection[int]) -> set[int]:
+    """Return the joints of a hand without one that turns all others, which are on two sides."""
+    first = _first_bodies(tree, joints)
+    above = {joint for joint in joints if int(tree.model.jnt_bodyid[joint]) in first}
+    others = set(joints) - above
+    if (len(above) != 1 or len(_first_bodies(tree, others)) < FINGERS - 1
+            or any(_is_of_finger(tree, joint) for joint in above)
+            or tree.coupled(above) & others):
+        return set(joints)
+    return others
 
 
 def hands_of_hand(tree: BodyTree, hand: FoundHand) -> list[str]:
@@ -134,8 +168,8 @@ def _are_fingers(tree: BodyTree, limbs: Limbs, fingers: Sequence[int]) -> bool:
     """
     Return whether limbs of one body are those of a hand, by their kind.
 
-    There are two to five, none of which branches, turns without limits, has the name of a rotor or
-    has more than twice the joints of another. Two are fingers if each has one degree of freedom
+    There are two to five, none of which branches, turns by more than three quarters of a turn, has
+    the name of a rotor or has more than twice the joints of another. Two are fingers if each has one degree of freedom
     and they move along or about one direction; longer ones may be arms. Four that stand in pairs
     are legs. The name of a body that carries fingers, such as palm, is enough where there are
     several or a single joint.
@@ -144,7 +178,8 @@ def _are_fingers(tree: BodyTree, limbs: Limbs, fingers: Sequence[int]) -> bool:
     counts = [len({min(tree.coupled([joint])) for joint in of_limb}) for of_limb in joints]
     if len(fingers) > MAX_FINGERS or any(
             len(tree.ends(of_limb)) > 1 or any(
-                is_unlimited(tree.model, j) or _drives_flight(tree, j) for j in of_limb)
+                turns_farther_than(_FINGER_TURNS_RAD, tree.model, j) or _drives_flight(tree, j)
+                for j in of_limb)
             for of_limb in joints):
         return False
     if words_of(tree.name(tree.parent(fingers[0]))) & PALM_WORDS:

@@ -23,6 +23,8 @@ from manip_sim.models.files.body_tree import BodyTree, words_of
 MAX_FINGERS, FINGERS = 5, 3
 #: Words in the name of a body that carries fingers.
 PALM_WORDS = {'gripper', 'hand', 'palm', 'claw'}
+#: Words in the name of a hip that some call a shoulder, and those that only arms and hands have.
+_HIP_WORDS, _BEYOND_HIP = {'shoulder'}, {'elbow', 'wrist', 'finger', 'thumb'}
 #: The fewest limbs that may be legs by their places alone.
 _LEAST_LEGS = 4
 #: A hinge that turns farther than this has no limits in practice [rad].
@@ -37,8 +39,13 @@ _MIRRORED = 0.1
 
 def is_unlimited(model: mujoco.MjModel, joint: int) -> bool:
     """Return whether a joint is a hinge that turns on and on."""
+    return turns_farther_than(_UNLIMITED_RAD, model, joint)
+
+
+def turns_farther_than(angle: float, model: mujoco.MjModel, joint: int) -> bool:
+    """Return whether a joint is a hinge whose range is greater than an angle [rad]."""
     return int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE) and (
-        not model.jnt_limited[joint] or bool(np.ptp(model.jnt_range[joint]) > _UNLIMITED_RAD))
+        not model.jnt_limited[joint] or bool(np.ptp(model.jnt_range[joint]) > angle))
 
 
 def slides_on(model: mujoco.MjModel, joint: int) -> bool:
@@ -54,6 +61,7 @@ class Limbs:
         self._tree, self._model = tree, tree.model
         self._data = mujoco.MjData(tree.model)
         mujoco.mj_kinematics(tree.model, self._data)
+        mujoco.mj_comPos(tree.model, self._data)
         rigid = tree.model.body_weldid.tolist()
         self._limbs_on: dict[int, list[int]] = {}
         for body in range(1, tree.model.nbody):
@@ -156,6 +164,18 @@ class Limbs:
                 and not self.are_of_two_hands(list(self.by_carrier(limbs).values()))
                 for limb in limbs for joint in self.joints(limb)]
 
+    def legs_with_shoulders(self) -> list[int]:
+        """
+        Return the joints of legs whose names are those of arms: no robot has so many arms.
+
+        Each has a shoulder, and none an elbow, a wrist or a finger.
+        """
+        words = {limb: frozenset().union(*(words_of(str(self._model.joint(joint).name))
+                                           for joint in self.joints(limb)))
+                 for limb in self.on(self.trunk)}
+        return self.legs([joint for limb, of_limb in words.items() for joint in self.joints(limb)
+                          if of_limb & _HIP_WORDS and not of_limb & _BEYOND_HIP])
+
     def _is_floating_trunk(self) -> bool:
         """Return whether nothing is above the trunk but joints that move the whole robot."""
         scalar = [joint for joint in self.leading if self._tree.is_scalar(joint)]
@@ -166,12 +186,15 @@ class Limbs:
 
     def in_pairs(self, limbs: Sequence[int]) -> bool:
         """Return whether limbs stand in pairs that mirror each other, with none in the middle."""
-        places = self._data.xpos[list(limbs)]
         rotation = self._data.xmat[self._tree.parent(limbs[0])].reshape(3, 3)
-        places = (places - places.mean(axis=0)) @ rotation
-        size = float(np.abs(places).max(initial=0.0))
-        return len(limbs) % 2 == 0 and any(
-            _mirrors(places, axis, _MIRRORED * size) for axis in range(3))
+        # Some files have the frames of all links in one place, where only masses are apart.
+        for places in (self._data.xpos[list(limbs)], self._data.subtree_com[list(limbs)]):
+            local = (places - places.mean(axis=0)) @ rotation
+            size = float(np.abs(local).max(initial=0.0))
+            if len(limbs) % 2 == 0 and any(
+                    _mirrors(local, axis, _MIRRORED * size) for axis in range(3)):
+                return True
+        return False
 
     def by_carrier(self, limbs: Iterable[int]) -> dict[int, list[int]]:
         """Return limbs by the body that they hang on."""

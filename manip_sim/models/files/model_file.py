@@ -18,6 +18,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
+from manip_sim.models.files.dangling_references import leave_out_dangling
 from manip_sim.models.files.effort_limits import guess_efforts, report_efforts
 from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
@@ -173,7 +174,7 @@ def read_model(file: Path, description: Description, where: object,
         spec, notes = _load_mjcf(file, expects_meshes)
     else:
         spec = hold_robot(file, files).load_tried(notes)
-    notes += [*_gravity_of_file(spec), *touch_other_files(spec)]
+    notes += [*_gravity_of_file(spec), *touch_other_files(spec), *leave_out_dangling(spec)]
     name_unnamed_elements(spec)
     for joint in spec.joints:  # MuJoCo would leave the rotor out of dof_invweight0 of some slides.
         joint.parent.simple = 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
+import re
 from typing import Any
 from xml.etree import ElementTree
 
@@ -39,7 +40,8 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     Reject impossible limits and mimics, and complete what MuJoCo's reader reads differently.
 
     As URDF defines, a missing ``lower`` or ``upper`` is 0. If both are there, the smaller number
-    is the lower one. A joint that has neither is not limited. One that is fixed follows no other;
+    is the lower one. A joint that has neither is not limited; nor is an effort or velocity of -1,
+    as in SDF. One that is fixed follows no other;
     one that follows it is fixed where that puts it. A link that only joints name is added.
 
     :param robot: changed in place
@@ -50,9 +52,11 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     notes = _declare_links(robot, file)
     joints = {joint.get('name', ''): joint for joint in robot.findall('joint')}
     fixed: dict[str, float] = {}
-    unlimited, swapped = [], []
+    unlimited, swapped, of_sdf = [], [], []
     for name, joint in joints.items():
         limit, kind = joint.find('limit'), joint.get('type')
+        if _read_minus_one(limit):
+            of_sdf.append(name)
         _reject_negative(limit, ('effort', 'velocity'), name, file)
         _reject_negative(joint.find('dynamics'), ('damping', 'friction'), name, file)
         if kind not in _WITH_RANGE:
@@ -80,6 +84,8 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
           if equal else []),
         *([f'read the other way round, as lower is above upper in their <limit>: '
            f'{quoted_names(swapped)}; swap these numbers in the file'] if swapped else []),
+        *(['without a limit of effort or velocity, as SDF writes it by -1 in their <limit>: '
+           f'{quoted_names(of_sdf)}; write 0 in the file'] if of_sdf else []),
         *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
           if unlimited else [])]
 
@@ -101,6 +107,15 @@ def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joi
                              f'must be a finite number, got {quoted(given)}')
         values.append(value)
     return values
+
+
+def _read_minus_one(limit: ElementTree.Element | None) -> bool:
+    """Return whether a limit of effort or velocity is SDF's -1 for none, which becomes 0."""
+    none = [attribute for attribute in ('effort', 'velocity')
+            if limit is not None and re.fullmatch(r'\s*-1(\.0*)?\s*', limit.get(attribute, ''))]
+    if limit is not None:
+        limit.attrib.update(dict.fromkeys(none, '0'))
+    return bool(none)
 
 
 def _reject_negative(element: ElementTree.Element | None, attributes: Sequence[str], joint: str,

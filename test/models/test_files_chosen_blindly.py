@@ -1,0 +1,106 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A file for each kind that files had which were chosen before anybody had loaded them."""
+
+from pathlib import Path
+
+from files_rig import write
+import numpy as np
+import pytest
+
+from manip_sim.errors import ModelError
+from manip_sim.models import compose, load_robot
+from manip_sim.simulation import Simulation
+
+DATA = Path(__file__).resolve().parents[1] / 'data' / 'files'
+REMEDY = 'if another file includes this one, load that'
+
+
+@pytest.mark.parametrize(('name', 'expected'), [
+    ('four_shoulders.xml', {'legs': 12}),
+    ('turning_claw.xml', {'arm': 3, 'right/gripper': 2}),
+    ('head_called_hand.xml', {'torso': 1, 'right': 4, 'left': 4, 'other': 2}),
+    ('two_robots_of_a_cell.xml', {'right': 4, 'left': 5, 'other': 1}),
+    ('soft_pads.xml', {'right/gripper': 2}),
+    ('pelvis.xml', {'torso': 2, 'legs': 4})])
+def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
+    parts = Simulation(compose(load_robot(DATA / name))).robot.parts
+    assert {part: len(own.joints) for part, own in parts.items()
+            if own.atomic == (part,) and own.joints} == expected
+
+
+def test_what_refers_to_the_scene_that_includes_a_file_is_left_out_with_what_it_refers_to():
+    robot = load_robot(DATA / 'part_of_a_scene.xml')
+    of_reference = 'with a reference to what is not in the file:'
+    correct = f'; {REMEDY}, else correct the name'
+    assert {note for note in robot.inferred if note.startswith('left out: ')} == {
+        f"left out: 1 exclude {of_reference} 'terrain'{correct}",
+        f"left out: 2 equality constraints {of_reference} 'door', 'target'{correct}",
+        f"left out: 2 sensors {of_reference} 'cube', 'goal'{correct}",
+        f"left out: 1 camera target {of_reference} 'cube'{correct}",
+        f"left out: 1 light {of_reference} 'cube'{correct}",
+        f"left out: 1 material {of_reference} 'steel'{correct}",
+        "left out: keyframe 'home', which has 8 positions where the file has 1; "
+        f"{REMEDY}, or write 'start' in a YAML file"}
+    model = robot.compile()
+    assert [model.sensor(i).name for i in range(model.nsensor)
+            if 'own' in model.sensor(i).name] == ['robot0_own']
+    assert model.neq == 0
+    simulation = Simulation(compose(robot))
+    simulation.advance(100)
+    np.testing.assert_allclose(simulation.robot.state().position, 0.0, atol=1e-3)
+
+
+def test_controls_of_a_keyframe_for_other_actuators_are_left_out_and_its_pose_is_kept(tmp_path):
+    text = (DATA / 'part_of_a_scene.xml').read_text().replace(
+        'qpos="0.5 1 0 0 1 0 0 0"', 'qpos="0.5" ctrl="0.5 0 0"')
+    robot = load_robot(write(tmp_path / 'robot.xml', text))
+    assert "left out: 3 controls of keyframe 'home', as the file has 1 actuator" in robot.inferred
+    np.testing.assert_allclose(Simulation(compose(robot)).robot.state().position, 0.5)
+
+
+def test_what_refers_to_an_own_element_stays(tmp_path):
+    text = (DATA / 'part_of_a_scene.xml').read_text()
+    for name, own in (('cube', 'link'), ('terrain', 'base'), ('target', 'base'), ('goal', 'tip'),
+                      ('"door"', '"turn"'), (' material="steel"', '')):
+        text = text.replace(f'"{name}"' if name.isalpha() else name,
+                            f'"{own}"' if name.isalpha() else own)
+    text = text.replace('<joint joint1="turn" joint2="turn"/>', '<joint joint1="turn"/>')
+    text = text.replace(' 1 0 0 1 0 0 0"', '"')
+    robot = load_robot(write(tmp_path / 'robot.xml', text))
+    assert not [note for note in robot.inferred if 'not in the file' in note
+                or 'keyframe' in note and 'left out' in note]
+    model = robot.compile()
+    assert model.neq == 2 and model.nexclude >= 1
+
+
+def test_an_actuator_of_a_joint_that_the_file_lacks_is_an_error(tmp_path):
+    text = (DATA / 'part_of_a_scene.xml').read_text().replace(
+        'position joint="turn"', 'position joint="door"')
+    with pytest.raises(ModelError, match=r"robot\.xml .* transmission target 'door'"):
+        load_robot(write(tmp_path / 'robot.xml', text))
+
+
+def test_soft_bodies_of_a_file_that_is_not_there_are_left_out_with_file_and_line():
+    file = DATA / 'soft_pads.xml'
+    assert (f"left out: <flexcomp> 'pad' in {file}, line 10, as there is no file "
+            "'pad.obj'; put it there, or correct its name") in load_robot(file).inferred
+
+
+@pytest.mark.parametrize(('attribute', 'radius'), [
+    ('size=0.03', 0.03), ("size= '0.03'", 0.03), ('size =0.03', 0.03),
+    ('size=0.03 name="a = b"', 0.03), ("name='x =1' size=3e-2 rgba='1 0 0 1'", 0.03)])
+def test_values_without_quotes_get_them_and_values_with_quotes_stay(tmp_path, attribute, radius):
+    text = (f'<mujoco model=bare><worldbody><body name="base"><geom {attribute}/>'
+            '<body name="link" pos="0 0 0.1"><joint name="j" axis="0 1 0" range="-1 1" '
+            'limited=true /><geom size=0.02></geom></body></body></worldbody></mujoco>')
+    model = load_robot(write(tmp_path / 'bare.xml', text)).compile()
+    assert model.geom_size[0, 0] == radius
+
+
+@pytest.mark.parametrize('attribute', ['size=', 'size', 'size="0.03', 'size=0.03"'])
+def test_what_is_no_value_stays_an_error_with_line_and_column(tmp_path, attribute):
+    text = f'<mujoco>\n<worldbody>\n<geom {attribute}/></worldbody></mujoco>'
+    with pytest.raises(ModelError, match=r'is not well-formed XML: .*: line 3, column \d+; '):
+        load_robot(write(tmp_path / 'bare.xml', text))
