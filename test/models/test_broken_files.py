@@ -75,7 +75,8 @@ GEOM = '<geom size="0.1"/>'
 
 #: By what is wrong, the main file, the line that tells so, and further files.
 BROKEN = {
-    'cut off': (mjcf()[:-9], r'main\.xml is not well-formed XML: .*: line 1, column \d+; correct it there$', {}),
+    'cut off': (mjcf()[:-9], r'main\.xml is not well-formed XML: .*: line 1, column \d+; correct '
+                'it there$', {}),
     'empty': ('', r'main\.xml is not well-formed XML: no element found', {}),
     'random bytes': (bytes(range(256)) * 20, r'main\.xml is not well-formed XML: ', {}),
     'unknown encoding': ('<?xml version="1.0" encoding="klingon"?><mujoco/>',

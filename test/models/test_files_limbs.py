@@ -386,6 +386,7 @@ def test_two_arms_of_a_cell_are_told_apart_by_their_places_whatever_their_length
 
 @pytest.mark.parametrize('legs', [2, 0])
 def test_a_pelvis_that_carries_no_arm_is_a_torso_if_there_are_legs(tmp_path, legs):
+    sides = (('left', 0.1), ('right', -0.1))[:legs]
     limbs = chain('pelvis_', 2, '0 0 0.1') + ''.join(
-        chain(f'{side}_knee', 3, f'0 {y} 0') for side, y in (('left', 0.1), ('right', -0.1))[:legs])
+        chain(f'{side}_knee', 3, f'0 {y} 0') for side, y in sides)
     assert parts_of(tmp_path, limbs)[0] == ({'torso': 2, 'legs': 6} if legs else {'arm': 2})

@@ -62,6 +62,23 @@ def test_a_package_is_found_by_the_name_in_its_package_xml(tmp_path):
     assert height_of(load_robot(folder / FILE.name), 'robot0_lower') == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize('marker', ['.git', 'docs'])
+def test_a_package_is_found_anywhere_in_the_repository_of_the_file(tmp_path, marker):
+    repository = tmp_path / 'repository'
+    (repository / marker).mkdir(parents=True)
+    sources = repository / 'ros' / 'two_link_description'
+    shutil.copytree(FILE.parent, sources)
+    (sources / 'package.xml').write_text('<package><name>two_link_description</name></package>')
+    copied = repository / 'old' / 'backups' / '2026' / 'urdf' / FILE.name
+    copied.parent.mkdir(parents=True)
+    shutil.move(sources / FILE.name, copied)
+    if marker == '.git':
+        assert height_of(load_robot(copied), 'robot0_lower') == pytest.approx(0.2)
+    else:
+        with pytest.raises(ModelError, match="package 'two_link_description' is neither in AMENT"):
+            load_robot(copied)
+
+
 @pytest.mark.parametrize('named, error, message', [
     ('reech:=1.0', UnknownNameError, "unknown argument of .*two_link.urdf.xacro 'reech': did you "
      "mean 'reach'"),

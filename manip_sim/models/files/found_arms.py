@@ -30,7 +30,7 @@ _WORDS = {
     'legs': {'leg', 'legs', 'hip', 'knee', 'ankle', 'ank', 'foot', 'toe', 'thigh', 'calf', 'shin',
              'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'abad', 'coxa', 'femur',
              'tibia', 'hx', 'hy', 'kn', 'haa', 'hfe', 'kfe', 'ffe', 'faa', 'hr'},
-    'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column', 'pelvis'}}
+    'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column'}}
 #: Words in names of bodies, which decide where those of joints do not.
 _BODY_WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
@@ -74,6 +74,9 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     free = {joint for joint in unnamed if found[joint] == 'arm'}
     _correct_base(tree, found, declared)
     limbs = Limbs(tree)
+    for joint in free.difference(limbs.leading):  # One that moves the whole robot is of the base.
+        if 'pelvis' in words_of(str(model.joint(joint).name)):
+            found[joint] = 'torso'
     free |= {joint for joint in limbs.legs_with_shoulders() if found.get(joint) == 'arm'
              and str(model.joint(joint).name) not in declared and joint not in fingers}
     _find_unnamed(tree, limbs, found, free, notes)
@@ -340,7 +343,7 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int],
     for tip, side in zip(ranked, tree.sides(ranked)):
         found.setdefault(side, []).append(tip)
     if {'right', 'left'} < found.keys():
-        del found[None]  # What two arms leave between them is another one seldom, and often a head.
+        del found[None]  # Between two arms, there is a head rather than another one.
     ambiguous = any(len(of_side) > 1 and rank(of_side[0]) == rank(of_side[1])
                     for of_side in found.values())
     are_two = len(tips) == 2 and (

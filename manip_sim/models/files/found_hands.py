@@ -169,10 +169,10 @@ def _are_fingers(tree: BodyTree, limbs: Limbs, fingers: Sequence[int]) -> bool:
     Return whether limbs of one body are those of a hand, by their kind.
 
     There are two to five, none of which branches, turns by more than three quarters of a turn, has
-    the name of a rotor or has more than twice the joints of another. Two are fingers if each has one degree of freedom
-    and they move along or about one direction; longer ones may be arms. Four that stand in pairs
-    are legs. The name of a body that carries fingers, such as palm, is enough where there are
-    several or a single joint.
+    the name of a rotor or has more than twice the joints of another. Two are fingers if each has
+    one degree of freedom and they move along or about one direction; longer ones may be arms. Four
+    that stand in pairs are legs. The name of a body that carries fingers, such as palm, is enough
+    where there are several or a single joint.
     """
     joints = [limbs.joints(limb) for limb in fingers]
     counts = [len({min(tree.coupled([joint])) for joint in of_limb}) for of_limb in joints]

@@ -120,7 +120,8 @@ class PackageFolders:
                     if _own_name(folder, self._at) is not None]
         # Packages are in a repository, often in a folder of it, and that beside others.
         levels = packages[0] + 3 if packages else 2
-        sources = [number + 1 for number, folder in enumerate(above) if folder.name == 'src']
+        sources = [number + 1 for number, folder in enumerate(above)
+                   if folder.name == 'src' or (folder / '.git').exists()]
         # Below these is everything of a user or of the machine.
         too_high = [number for number, folder in enumerate(above)
                     if len(folder.parts) <= 2 or folder == Path.home()]
