@@ -34,7 +34,8 @@ _ATTRIBUTE = re.compile(rb'(=\s*(?:"[^"<]*"|\'[^\'<]*\'))(?=[A-Za-z_])')
 _AMPERSAND = re.compile(rb'&(?!#?\w+;)')
 #: A tag, and in it a value in quotes or an attribute whose value has none.
 _TAG = re.compile(rb'<[A-Za-z_](?:"[^"]*"|\'[^\']*\'|[^"\'<>])*>')
-_UNQUOTED = re.compile(rb'"[^"]*"|\'[^\']*\'|(\s[A-Za-z_][\w:.-]*\s*=\s*)([^\s"\'<>=/]+)')
+_UNQUOTED = re.compile(rb'"[^"]*"|\'[^\']*\'|'
+                       rb'(\s[A-Za-z_][\w:.-]*\s*=\s*)([^\s"\'<>=]+?)(?=\s|/?>)')
 
 
 @dataclass

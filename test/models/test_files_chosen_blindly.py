@@ -90,7 +90,7 @@ def test_soft_bodies_of_a_file_that_is_not_there_are_left_out_with_file_and_line
 
 @pytest.mark.parametrize(('attribute', 'radius'), [
     ('size=0.03', 0.03), ("size= '0.03'", 0.03), ('size =0.03', 0.03),
-    ('size=0.03 name="a = b"', 0.03), ("name='x =1' size=3e-2 rgba='1 0 0 1'", 0.03)])
+    ('size=0.03 name="a = b"', 0.03), ('name=a/b size=0.03', 0.03), ("name='x =1' size=3e-2 rgba='1 0 0 1'", 0.03)])
 def test_values_without_quotes_get_them_and_values_with_quotes_stay(tmp_path, attribute, radius):
     text = (f'<mujoco model=bare><worldbody><body name="base"><geom {attribute}/>'
             '<body name="link" pos="0 0 0.1"><joint name="j" axis="0 1 0" range="-1 1" '

@@ -367,6 +367,14 @@ def test_a_chain_with_the_name_of_a_hand_beside_two_arms_is_no_hand(tmp_path):
     assert parts == {'torso': 2, 'right': 4, 'left': 4, 'other': 2}
 
 
+def test_a_camera_with_a_word_of_arms_beside_fingers_leaves_them_a_hand(tmp_path):
+    beside = chain('wrist_camera_', 2, '0.05 0 0.05') + ''.join(
+        chain(f'{side}_finger', 1, f'0 {y} 0.1') for side, y in (('l', 0.02), ('r', -0.02)))
+    parts, _ = parts_of(tmp_path, chain('j', 4, '0 0 0.1').replace(
+        '</body>' * 4, beside + '</body>' * 4))
+    assert parts == {'arm': 4, 'right/gripper': 4}
+
+
 def cell(lengths, places=('0 0.4 0', '0 -0.4 0')):
     """Return the MJCF of arms that stand on roots of their own."""
     roots = ''.join(f'<body name="stand{i}" pos="{place}">{SHAPE}{chain(f"m{i}_", length)}</body>'

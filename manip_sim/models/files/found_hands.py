@@ -61,14 +61,16 @@ def hand_below(tree: BodyTree, body: int) -> FoundHand:
 
 def carries_arms(tree: BodyTree, body: int, others: Collection[int]) -> bool:
     """
-    Return whether joints below a body have words of arms, which no hand carries.
+    Return whether a chain below a body has several joints with words of arms: no hand carries one.
 
     :param others: joints whose words count for nothing, as those of a robot called arm
     """
     words = _CARRIED_BY_NO_HAND - frozenset().union(
         *(words_of(_name(tree, joint)) for joint in others))
-    return any(words_of(_name(tree, joint)) & words
-               for joint in set(hand_below(tree, body).joints) - set(others))
+    of_arms = {joint for joint in set(hand_below(tree, body).joints) - set(others)
+               if words_of(_name(tree, joint)) & words}
+    return any(len(of_arms.intersection(tree.joints(tree.path(end)))) >= _LEAST_OF_ARM
+               for end in tree.ends(of_arms))
 
 
 def find_hands(tree: BodyTree) -> list[FoundHand]:
