@@ -73,6 +73,9 @@ _NO_FILE = re.compile(r"Error opening file '(.*)'")
 _UNKNOWN_ELEMENT = 'Schema violation: unrecognized element'
 _RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
 _TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
+#: What to do, by the beginning of a message.
+_REMEDIES = {'repeated name': ': give one of them another name',
+             'invalid keyword': ': write a word that MuJoCo knows, or delete the attribute'}
 #: File and line of each of some elements.
 Origins = Sequence[tuple[Path, int]]
 _ORIENTATIONS = ('quat', 'axisangle', 'xyaxes', 'zaxis', 'euler')
@@ -321,7 +324,8 @@ def _explained(documents: Iterable[_Document], error: Exception, file: Path) -> 
     if what == _UNKNOWN_ELEMENT:
         return (f'{begin}: {place}there is no element <{one_line(tag, 60)}> here: correct its '
                 'name or its place, or delete it')
-    remedy = ': give one of them another name' if what.startswith('repeated name') else ''
+    remedy = next((remedy for beginning, remedy in _REMEDIES.items()
+                   if what.startswith(beginning)), '')
     return f'{begin}: {place}<{tag}>: {one_line(what)}{remedy}'
 
 

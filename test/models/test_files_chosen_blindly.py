@@ -90,7 +90,8 @@ def test_soft_bodies_of_a_file_that_is_not_there_are_left_out_with_file_and_line
 
 @pytest.mark.parametrize(('attribute', 'radius'), [
     ('size=0.03', 0.03), ("size= '0.03'", 0.03), ('size =0.03', 0.03),
-    ('size=0.03 name="a = b"', 0.03), ('name=a/b size=0.03', 0.03), ("name='x =1' size=3e-2 rgba='1 0 0 1'", 0.03)])
+    ('size=0.03 name="a = b"', 0.03), ('name=a/b size=0.03', 0.03),
+    ("name='x =1' size=3e-2 rgba='1 0 0 1'", 0.03)])
 def test_values_without_quotes_get_them_and_values_with_quotes_stay(tmp_path, attribute, radius):
     text = (f'<mujoco model=bare><worldbody><body name="base"><geom {attribute}/>'
             '<body name="link" pos="0 0 0.1"><joint name="j" axis="0 1 0" range="-1 1" '
@@ -104,3 +105,13 @@ def test_what_is_no_value_stays_an_error_with_line_and_column(tmp_path, attribut
     text = f'<mujoco>\n<worldbody>\n<geom {attribute}/></worldbody></mujoco>'
     with pytest.raises(ModelError, match=r'is not well-formed XML: .*: line 3, column \d+; '):
         load_robot(write(tmp_path / 'bare.xml', text))
+
+
+def test_a_word_that_mujoco_does_not_know_is_told_with_file_line_element_and_remedy(tmp_path):
+    file = write(tmp_path / 'robot.xml', (DATA / 'part_of_a_scene.xml').read_text().replace(
+        'reftype="site"', 'reftype="world"'))
+    with pytest.raises(ModelError) as error:
+        load_robot(file)
+    assert str(error.value) == (
+        f"{file} is not MJCF that MuJoCo can read: {file}, line 21: <framepos>: invalid keyword: "
+        "'world': write a word that MuJoCo knows, or delete the attribute")

@@ -34,7 +34,7 @@ def leave_out_dangling(spec: mujoco.MjSpec) -> list[str]:
     """
     lacks = _Lacking(spec)
     cameras = [camera for camera in spec.cameras if lacks.body(camera.targetbody)]
-    notes = []
+    notes: list[str] = []
     for what, elements, missing in (
             ('exclude', spec.excludes, lambda e: lacks.bodies(e.bodyname1, e.bodyname2)),
             ('equality constraint', spec.equalities, lacks.of_equality),
@@ -96,9 +96,9 @@ def _left_out(spec: mujoco.MjSpec, what: str, elements: list[Any],
     found = [(element, names) for element in elements if (names := missing(element))]
     if not found:
         return
-    names = quoted_names(sorted({name for _, of_element in found for name in of_element}))
+    named = {name for _, of_element in found for name in of_element}
     yield (f'left out: {counted(len(found), what)} with a reference to what is not in the file: '
-           f'{names}; {_INCLUDED}, else correct the name')
+           f'{quoted_names(sorted(named))}; {_INCLUDED}, else correct the name')
     for element, _ in found:
         if what == 'material':
             element.material = ''
