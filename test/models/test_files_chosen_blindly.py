@@ -5,7 +5,7 @@
 
 from pathlib import Path
 
-from files_rig import write
+from files_rig import ARM, write
 import numpy as np
 import pytest
 
@@ -115,3 +115,14 @@ def test_a_word_that_mujoco_does_not_know_is_told_with_file_line_element_and_rem
     assert str(error.value) == (
         f"{file} is not MJCF that MuJoCo can read: {file}, line 21: <framepos>: invalid keyword: "
         "'world': write a word that MuJoCo knows, or delete the attribute")
+
+
+def test_an_object_with_a_ball_joint_beside_an_arm_is_left_out(tmp_path):
+    text = ARM.replace('</worldbody>', '<body name="flail" pos="1 0 1"><freejoint/>'
+                       '<geom size="0.1"/><body><joint type="ball"/><geom size="0.1"/></body>'
+                       '</body></worldbody>').replace(
+        'qpos="0.1 0.2 0.3"', 'qpos="0.1 0.2 0.3 1 0 1 1 0 0 0 1 0 0 0"')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert any("left out: 1 body of the world body ('flail')" in note for note in robot.inferred)
+    state = Simulation(compose(robot)).robot.state()
+    np.testing.assert_allclose(state.position, [0.1, 0.2, 0.3])

@@ -324,6 +324,11 @@ def test_four_limbs_alike_with_shoulders_and_hands_are_legs(tmp_path):
     assert any(note.startswith('legs is a guess: ') for note in said)
 
 
+def test_four_limbs_alike_with_elbows_and_feet_are_legs(tmp_path):
+    parts, _ = parts_of(tmp_path, corners(SIDES, ('shoulder', 'elbow', 'foot')))
+    assert parts == {'legs': 12}
+
+
 def test_four_limbs_with_elbows_are_no_legs(tmp_path):
     parts, _ = parts_of(tmp_path, corners(SIDES, ('shoulder', 'elbow', 'wrist')))
     assert 'legs' not in parts and 'right/gripper' not in parts
@@ -356,6 +361,15 @@ def test_a_joint_with_a_grippers_name_that_turns_both_fingers_is_of_the_arm(
     end = chain(wrist, 1, '0 0 0.1', inside=jaws, axis='0 0 1')
     parts, _ = parts_of(tmp_path, arm.replace('</body>' * 3, end + '</body>' * 3))
     assert parts == expected
+
+
+def test_a_joint_with_a_hands_name_that_turns_fingers_without_names_is_of_the_arm(tmp_path):
+    fingers = ''.join(chain(f'd{i}_', 2, place) for i, place in enumerate(
+        ('0 -0.03 0.1', '0 0 0.1', '0 0.03 0.1')))
+    end = chain('hand_turn', 1, '0 0 0.1', inside=fingers, axis='0 0 1')
+    parts, _ = parts_of(tmp_path, chain('j', 4, '0 0 0.1').replace(
+        '</body>' * 4, end + '</body>' * 4))
+    assert parts == {'arm': 5, 'right/gripper': 6}
 
 
 def test_a_chain_with_the_name_of_a_hand_beside_two_arms_is_no_hand(tmp_path):

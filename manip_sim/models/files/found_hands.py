@@ -114,12 +114,12 @@ def _without_wrist(tree: BodyTree, joints: Collection[int]) -> set[int]:
     """Return the joints of a hand without one that turns all others, which are on two sides."""
     first = _first_bodies(tree, joints)
     above = {joint for joint in joints if int(tree.model.jnt_bodyid[joint]) in first}
-    others = set(joints) - above
-    if (len(above) != 1 or len(_first_bodies(tree, others)) < FINGERS - 1
-            or any(_is_of_finger(tree, joint) for joint in above)
-            or tree.coupled(above) & others):
+    if len(above) != 1 or any(_is_of_finger(tree, joint) for joint in above):
         return set(joints)
-    return others
+    body = int(tree.model.jnt_bodyid[min(above)])
+    others = set(joints) - above or set(tree.joints(tree.below(body) - {body}))
+    is_wrist = len(_first_bodies(tree, others)) > 1 and not tree.coupled(above) & others
+    return others if is_wrist else set(joints)
 
 
 def hands_of_hand(tree: BodyTree, hand: FoundHand) -> list[str]:

@@ -23,8 +23,10 @@ from manip_sim.models.files.body_tree import BodyTree, words_of
 MAX_FINGERS, FINGERS = 5, 3
 #: Words in the name of a body that carries fingers.
 PALM_WORDS = {'gripper', 'hand', 'palm', 'claw'}
-#: Words in the name of a hip that some call a shoulder, and those that only arms and hands have.
+#: Words in the name of a hip that some call a shoulder, those that only arms and hands have, and
+#: those that only legs have.
 _HIP_WORDS, _BEYOND_HIP = {'shoulder'}, {'elbow', 'wrist', 'finger', 'thumb'}
+_FOOT_WORDS = {'foot', 'toe', 'paw'}
 #: The fewest limbs that may be legs by their places alone.
 _LEAST_LEGS = 4
 #: A hinge that turns farther than this has no limits in practice [rad].
@@ -168,13 +170,14 @@ class Limbs:
         """
         Return the joints of legs whose names are those of arms: no robot has so many arms.
 
-        Each has a shoulder, and none an elbow, a wrist or a finger.
+        Each has a shoulder, and a foot, or no elbow, wrist or finger.
         """
         words = {limb: frozenset().union(*(words_of(str(self._model.joint(joint).name))
                                            for joint in self.joints(limb)))
                  for limb in self.on(self.trunk)}
         return self.legs([joint for limb, of_limb in words.items() for joint in self.joints(limb)
-                          if of_limb & _HIP_WORDS and not of_limb & _BEYOND_HIP])
+                          if of_limb & _HIP_WORDS and (
+                              of_limb & _FOOT_WORDS or not of_limb & _BEYOND_HIP)])
 
     def _is_floating_trunk(self) -> bool:
         """Return whether nothing is above the trunk but joints that move the whole robot."""

@@ -219,7 +219,7 @@ def read_model(file: Path, description: Description, where: object,
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
-    if any(spec.joint(name) is None for name in places):
+    if _has_lost_joints(spec, model):
         model = compile_copy(spec, str(file), visual)
         places = {name: place for name, place in places.items() if spec.joint(name) is not None}
         named = {key: {name: place for name, place in there.items() if name in places}
@@ -228,6 +228,12 @@ def read_model(file: Path, description: Description, where: object,
     start = _start_pose(model, places, declared, where)
     notes += [*changes, *exclude_overlaps(spec, model, start, file, urdf, files)]
     return ModelFile(file, spec, tree, start, notes, named, mocap)
+
+
+def _has_lost_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> bool:
+    """Return whether a spec lacks joints of a model other than those of free bodies."""
+    return any(spec.joint(model.joint(joint).name) is None for joint in np.flatnonzero(
+        model.jnt_type != int(mujoco.mjtJoint.mjJNT_FREE)).tolist())
 
 
 def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:
