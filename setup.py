@@ -85,6 +85,8 @@ setup(
         'docs': ['furo', 'myst-parser', 'sphinx>=7'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'jazzy-test': ['ros-jazzy-test-msgs'],
+        'kilted': ['ros-rclpy[fastrtps]==9.1.2', 'ros-kilted-common-interfaces'],
+        'kilted-test': ['ros-kilted-test-msgs'],
         'records': ['av', 'h5py', 'mcap>=1.6,<2', 'mcap-ros2-support>=0.6,<1', 'pyarrow'],
         # trimesh smooths shapes by scipy.
         'viewer': ['msgspec', 'scipy', 'trimesh', 'viser>=1.1,<2', 'websockets>=14'],

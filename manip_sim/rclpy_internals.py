@@ -1,7 +1,13 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Parts of rclpy without a public name, in one place; as in its releases 7.1, of ROS 2 Jazzy."""
+"""
+Parts of rclpy without a public name, in one place.
+
+They are those of rclpy 7.1 and 9.1, of ROS 2 Jazzy and Kilted, and of the sources of rclpy for
+ROS 2 Lyrical. Where a release lacks one of those that only save time, :func:`missing_for_waits`
+or :func:`missing_for_publishing` names it, and what rclpy offers publicly is used.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +19,8 @@ import re
 from typing import Any
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError, WaitSet
+# It knows by which name the module of rclpy's C API is imported, which changes with releases.
+from rclpy.impl.implementation_singleton import rclpy_implementation as _C_API
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -21,10 +28,21 @@ from rclpy.publisher import Publisher
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line
 
-__all__ = ['endpoint_counts', 'forget_parameters', 'InUse', 'parameter_overrides',
-           'publish_bytes', 'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet',
-           'without_source']
+__all__ = ['endpoint_counts', 'forget_parameters', 'InUse', 'missing_for_publishing',
+           'missing_for_waits', 'parameter_overrides', 'publish_bytes', 'RCLError', 'start_rclpy',
+           'UnknownROSArgsError', 'WaitSet', 'without_source']
 
+RCLError = _C_API.RCLError
+UnknownROSArgsError = _C_API.UnknownROSArgsError
+#: None in a release of rclpy without it.
+WaitSet = getattr(_C_API, 'WaitSet', None)
+#: What waits for some of a node's subscriptions use, by class of the C API.
+_WAITS = {'Context': ('__enter__', '__exit__'),
+          'EventHandle': ('__enter__', '__exit__'),
+          'GuardCondition': ('__enter__', '__exit__'),
+          'Subscription': ('__enter__', '__exit__', 'pointer', 'take_message'),
+          'WaitSet': ('add_guard_condition', 'add_subscription', 'clear_entities',
+                      'get_ready_entities', 'wait')}
 #: Text of rclpy's error if it cannot write its log.
 _LOG = re.compile(r'log directory|log file|Failed opening file .*\.log')
 
@@ -75,6 +93,12 @@ class InUse:
     def __exit__(self, *_: object) -> None:
         for handle in self._entered:
             handle.__exit__(None, None, None)
+
+
+def missing_for_waits() -> list[str]:
+    """Return what waits for some of a node's subscriptions use and this rclpy lacks."""
+    return [f'{name}.{attribute}' for name, attributes in _WAITS.items()
+            for attribute in attributes if not hasattr(getattr(_C_API, name, None), attribute)]
 
 
 def endpoint_counts(node: Node, topics: Sequence[str]) -> list[tuple[int, int]]:
@@ -131,6 +155,11 @@ def _rcl() -> Any:
     publish.argtypes = (ctypes.c_void_p, ctypes.POINTER(_SerializedMessage), ctypes.c_void_p)
     publish.restype, text.restype = ctypes.c_int, _ErrorText
     return publish, text, found[1].rcutils_reset_error
+
+
+def missing_for_publishing() -> list[str]:
+    """Return what publishing without Python's global lock uses and cannot be found here."""
+    return [] if _rcl() is not None else ['rcl_publish_serialized_message in librcl.so']
 
 
 def publish_bytes(publisher: Publisher, content: bytes) -> None:

@@ -7,14 +7,13 @@ Take commands without rclpy's executor.
 An executor goes through all entities of a node, in Python, before and after each wait. Here one
 thread waits for nothing but commands: in lock-step the simulation's thread, which uses them next,
 else a separate thread, so that a flood takes no time from the physics. rclpy has no public
-way to wait for some subscriptions only; with releases of rclpy for which this is not known to
-work, the executor takes the commands too.
+way to wait for some subscriptions only; with a release of rclpy that lacks what is used for it,
+the executor takes the commands too, and a warning says so.
 """
 
 from __future__ import annotations
 
 import contextlib
-from importlib.metadata import PackageNotFoundError, version
 import threading
 import time
 from typing import Any
@@ -23,12 +22,11 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
-from manip_sim.rclpy_internals import InUse, RCLError, WaitSet
+from manip_sim.quoting import one_line
+from manip_sim.rclpy_internals import InUse, missing_for_waits, RCLError, WaitSet
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.runtime.inbox import Inbox
 
-#: The releases of rclpy, those of ROS 2 Jazzy, whose wait sets are known.
-_KNOWN = '7.1.'
 #: Period at which events are looked at [s].
 _EVENTS_S = 0.2
 #: How long to pause when there is nothing to wait for, as while the context is shut down [s].
@@ -104,6 +102,10 @@ class CommandInbox(Inbox):
                 self._guard.trigger()
                 if not self._receive(0.0):
                     break
+
+    def close(self) -> None:
+        """Destroy what wakes this; not needed before the node is destroyed."""
+        self._node.destroy_guard_condition(self._guard)
 
     def _receive(self, timeout_s: float) -> bool:
         """Wait for messages and take one of each topic that has some; return whether one has."""
@@ -218,13 +220,18 @@ class CommandThread:
 
 
 def create_command_inbox(node: Node, log: RejectionLog) -> CommandInbox | None:
-    """Create an inbox that takes commands, or return None if the executor has to."""
-    return CommandInbox(node, log) if is_known() else None
-
-
-def is_known() -> bool:
-    """Return whether rclpy is a release whose wait sets are known."""
-    try:
-        return version('rclpy').startswith(_KNOWN)
-    except PackageNotFoundError:
-        return False
+    """Create an inbox that takes commands; None, with a warning, if the executor has to."""
+    missing = [f'no {name}' for name in missing_for_waits()]
+    if not missing:
+        inbox = CommandInbox(node, log)
+        try:
+            inbox.take()
+        except (AttributeError, TypeError) as error:  # What is there is used in another way.
+            inbox.close()
+            missing = [one_line(str(error))]
+        else:
+            return inbox
+    node.get_logger().warning(
+        f'this rclpy cannot wait for commands alone ({", ".join(missing)}): its executor takes '
+        'them, which is slower, and slows down all else in a flood')
+    return None

@@ -15,6 +15,7 @@ from manip_sim.models import World
 from manip_sim.models.missing_meshes import inferred_by_model, lost_shapes, LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
+from manip_sim.rclpy_internals import missing_for_publishing
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.optional_packages import missing_note
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -34,6 +35,8 @@ def log_start(context: NodeContext, world: World) -> None:
     for note in (*_inferred(world), *simulation.lowered_gains, *context.notes,
                  *([missing_note(context.missing)] if context.missing else ())):
         log.info(note)
+    for name in missing_for_publishing():
+        log.warning(f'no {name}: Python does nothing else while a message is published')
     for sentence in lost_shapes(world):
         log.warning(sentence)
     for defect in simulation.start_defects:

@@ -1,10 +1,9 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""In lock-step the simulation's thread takes commands itself, where rclpy is known to allow it."""
+"""Commands are taken by the simulation's thread or their own, where rclpy has what that uses."""
 
 from concurrent.futures import ThreadPoolExecutor
-from importlib.metadata import PackageNotFoundError
 import threading
 import time
 from types import SimpleNamespace as Plain
@@ -12,9 +11,11 @@ from types import SimpleNamespace as Plain
 import pytest
 import rclpy
 from rclpy.duration import Duration
+from rclpy.logging import LoggingSeverity
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from manip_sim import rclpy_internals
 from manip_sim.ros import command_inbox
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import CommandSubscription
@@ -28,8 +29,6 @@ def inbox(node):
     """Return an inbox, its log, and the messages of the topic ``command`` that it has taken."""
     log, taken = RejectionLog(node.get_logger()), []
     inbox = create_command_inbox(node, log)
-    if inbox is None:
-        pytest.skip('this rclpy is not known: its executor takes commands')
     CommandSubscription(
         Plain(node=node, is_built=False), JointState, 'command', taken.append, inbox)
     return inbox, log, taken
@@ -41,14 +40,41 @@ def took_s(function):
     return time.monotonic() - begin
 
 
-@pytest.mark.parametrize('found', ['0.1.0', None])
-def test_an_rclpy_that_is_not_known_leaves_commands_to_the_executor(found, node, monkeypatch):
-    def version(_):
-        if found is None:  # As where it was copied, and not installed.
-            raise PackageNotFoundError('rclpy')
-        return found
-    monkeypatch.setattr(command_inbox, 'version', version)
-    assert create_command_inbox(node, RejectionLog(node.get_logger())) is None
+class Another(rclpy_internals.WaitSet):
+    """A wait set of another release, which wants one number less."""
+
+    def __init__(self, subscriptions, guards, timers, clients, services, context):
+        super().__init__(subscriptions, guards, timers, clients, services, 0, context)
+
+
+def lacking(monkeypatch, what):
+    """Let rclpy lack what the inbox uses, and return what the warning says of it."""
+    if what == 'another signature':
+        monkeypatch.setattr(command_inbox, 'WaitSet', Another)
+        return '__init__'
+    api = dict(vars(rclpy_internals._C_API))
+    if what == 'no class':
+        del api['WaitSet']
+    else:
+        api['Subscription'] = type('Subscription', (rclpy_internals._C_API.Destroyable,), {})
+    monkeypatch.setattr(rclpy_internals, '_C_API', Plain(**api))
+    return {'no class': 'no WaitSet.add_guard_condition', 'no method': 'no Subscription.pointer, '
+            'no Subscription.take_message)'}[what]
+
+
+@pytest.mark.parametrize('what', ['another signature', 'no class', 'no method'])
+def test_an_rclpy_that_lacks_what_is_used_leaves_commands_to_the_executor_and_a_warning_says_so(
+        what, node, monkeypatch):
+    said = lacking(monkeypatch, what)
+    lines = []
+    told = Plain(**{name: getattr(node, name) for name in (
+        'create_guard_condition', 'destroy_guard_condition', 'context')},
+        get_logger=lambda: Plain(warning=lines.append))
+    guards = len(list(node.guards))
+    assert create_command_inbox(told, RejectionLog(node.get_logger())) is None
+    (line,) = lines
+    assert line.startswith('this rclpy cannot wait for commands alone (') and said in line
+    assert len(list(node.guards)) == guards
 
 
 def test_a_wake_ends_the_wait_that_is_or_the_next_one(inbox):
@@ -111,10 +137,12 @@ def test_after_the_end_of_the_context_waits_are_short_and_nothing_is_raised(node
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('known', ['7.1.', 'another'])
+@pytest.mark.parametrize('lacks', [False, True])
 @pytest.mark.parametrize('stepping', ['lockstep', 'realtime'])
-def test_commands_are_used_whoever_takes_them(serve, client, monkeypatch, stepping, known):
-    monkeypatch.setattr(command_inbox, '_KNOWN', known)
+def test_commands_are_used_whoever_takes_them(serve, client, monkeypatch, stepping, lacks):
+    if lacks:
+        lacking(monkeypatch, 'another signature')
+    log = client.log(LoggingSeverity.WARN)
     node, threads = serve(stepping=stepping), []
     parse = node.simulation.robot.parse.joint_command
 
@@ -127,11 +155,13 @@ def test_commands_are_used_whoever_takes_them(serve, client, monkeypatch, steppi
         client.spin_until(
             lambda sent=count: node.commands.robots[0].statistics['arm'].accepted == sent)
     assert len(threads) == 5
-    if not command_inbox.is_known():
+    if lacks:
         assert not {'physics', 'commands'} & set(threads)
+        client.spin_until(lambda: bool(log))
     else:
         # In real time a flood of messages must not take time from the physics.
         assert set(threads) == {'physics' if stepping == 'lockstep' else 'commands'}
+    assert len([line for line in log if 'cannot wait for commands alone' in line]) == lacks
 
 
 def test_a_command_that_came_before_a_step_is_used_in_it(serve, client):
