@@ -19,10 +19,11 @@
 # With LOCKED=1, such as LOCKED=1 make run, pip installs exactly the versions of requirements/, and
 # checks their hashes. They are those of ROS 2 Jazzy from wheels.
 #
-# With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
-# site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix: an environment of the other
-# kind is cleared. Otherwise what is installed in an environment stays: what a target needs besides is
-# added, and the package is installed once.
+# With ROS 2 Jazzy, Kilted or Lyrical sourced, its Python packages are used through a virtual
+# environment with system site packages; without it, ROS 2 comes from wheels, those of Jazzy, or of
+# Kilted with WHEELS=kilted. Never a mix: an environment of another kind is cleared. Otherwise what is
+# installed in an environment stays: what a target needs besides is added, and the package is installed
+# once.
 
 # The node and its clients talk within this machine, unless the environment says otherwise:
 # ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET make run  (docs/how_to/security.md)
@@ -44,19 +45,27 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Each of some hundred processes of the tests would compile all modules.
 unexport PYTHONDONTWRITEBYTECODE
 
-ifeq ($(ROS_DISTRO),jazzy)
+WHEELS ?= jazzy
+# Files in an environment say which ROS it has: wheels are those of Jazzy.
+ROS_KINDS = wheels kilted sourced
+ifneq ($(filter $(ROS_DISTRO),jazzy kilted lyrical),)
 ROS_FROM = sourced
-ROS_NOT_FROM = wheels
+LAST_PYTHON = 14
 VENV_ARGS = --system-site-packages
 RUN_EXTRAS = viewer
 TEST_EXTRAS = docs,mutate,test
 else
-ROS_FROM = wheels
-ROS_NOT_FROM = sourced
-VENV_ARGS =
-RUN_EXTRAS = jazzy,viewer
-TEST_EXTRAS = docs,jazzy-test,mutate,test
+ifeq ($(filter $(WHEELS),jazzy kilted),)
+$(error make: WHEELS is jazzy or kilted, got '$(WHEELS)')
 endif
+ROS_FROM = $(if $(filter jazzy,$(WHEELS)),wheels,$(WHEELS))
+# There are no wheels of ROS for a newer one.
+LAST_PYTHON = 13
+VENV_ARGS =
+RUN_EXTRAS = $(WHEELS),viewer
+TEST_EXTRAS = docs,$(WHEELS)-test,mutate,test
+endif
+ROS_NOT_FROM = $(filter-out $(ROS_FROM),$(ROS_KINDS))
 
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready-$(ROS_FROM)
@@ -74,8 +83,8 @@ endef
 
 # The packages of an extra, or what a file of requirements/ locks.
 ifeq ($(LOCKED),1)
-ifeq ($(ROS_FROM),sourced)
-$(error make: LOCKED=1 is for ROS 2 Jazzy from wheels, and another one is sourced)
+ifneq ($(ROS_FROM),wheels)
+$(error make: LOCKED=1 is for ROS 2 Jazzy from wheels, not for $(or $(filter-out sourced,$(ROS_FROM)),what is sourced))
 endif
 RUN_PACKAGES = --require-hashes --requirement requirements/run.txt
 TEST_PACKAGES = --require-hashes --requirement requirements/test.txt
@@ -148,9 +157,9 @@ soak: $(TEST_READY)
 	$(BIN)/python test/soak/soak.py $(SOAK_ARGS)
 
 $(READY): setup.py
-	@$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), sys.version' \
-		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.13' >&2; exit 1; }
-	@$(PYTHON) -m venv $(if $(wildcard $(VENV)/.ready-$(ROS_NOT_FROM)),--clear) $(VENV_ARGS) $(VENV)
+	@$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info[:2] <= (3, $(LAST_PYTHON)), sys.version' \
+		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.$(LAST_PYTHON)' >&2; exit 1; }
+	@$(PYTHON) -m venv $(if $(wildcard $(ROS_NOT_FROM:%=$(VENV)/.ready-%)),--clear) $(VENV_ARGS) $(VENV)
 	@$(PREPARE)
 	$(call install,the package and what it runs with,$(RUN_PACKAGES))
 	@[ '$(LOCKED)' != 1 ] \

@@ -67,7 +67,7 @@ setup(
         *files_below('config'),
         *launchers(),
     ],
-    python_requires='>=3.10,<3.14',
+    python_requires='>=3.10,<3.15',
     # A new major version of those with an upper bound may change what is used here, as NumPy 2
     # and pydantic 2 did; for viser, the names of its handles.
     install_requires=['setuptools', 'mujoco>=3.17.0,<5', 'numba>=0.58,<1', 'numpy<3',
@@ -112,7 +112,7 @@ setup(
         'Intended Audience :: Developers',
         'Intended Audience :: Science/Research',
         'Operating System :: POSIX :: Linux',
-        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 14)),
+        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 15)),
         'Topic :: Scientific/Engineering',
         'Typing :: Typed',
     ],

@@ -35,7 +35,7 @@ __all__ = ['endpoint_counts', 'forget_parameters', 'InUse', 'missing_for_publish
 RCLError = _C_API.RCLError
 UnknownROSArgsError = _C_API.UnknownROSArgsError
 #: None in a release of rclpy without it.
-WaitSet = getattr(_C_API, 'WaitSet', None)
+WaitSet: Any = getattr(_C_API, 'WaitSet', None)
 #: What waits for some of a node's subscriptions use, by class of the C API.
 _WAITS = {'Context': ('__enter__', '__exit__'),
           'EventHandle': ('__enter__', '__exit__'),

@@ -25,6 +25,7 @@ _FROM_PIP = {'mujoco': 'mujoco', 'numpy': 'numpy', 'PIL': 'pillow', 'pydantic': 
 #: Folder of Fast DDS for messages between processes, room that a node and its clients need there,
 #: and most leftovers that an error names.
 _SHARED_MEMORY, _NEEDED_BYTES, _NAMED = Path('/dev/shm'), 4_000_000, 5  # noqa: S108
+_DISTRIBUTION = re.compile('[a-z]+')
 _OF_VIEWER = ('scipy', 'trimesh', 'viser')
 
 
@@ -114,8 +115,19 @@ def missing_module(error: ImportError) -> str:
             return f"module '{module}' cannot be used: {reason}"
         found = find_spec(module)
         return (f'{found.origin if found else module} cannot be used: {reason}; it is of another '
-                'Python or another ROS than this program: in a new shell, source ROS 2 Jazzy only')
+                'Python or another ROS than this program: in a new shell, source one ROS 2 only')
     if of_pip:
         return f"no module '{module}': install it with pip install {of_pip}"
-    return (f"no module '{module}': source ROS 2 Jazzy, or install it from wheels with "
-            "pip install 'manip_sim[jazzy]'")
+    return (f"no module '{module}': source ROS 2 Jazzy or a later one, or install it from wheels "
+            "with pip install 'manip_sim[jazzy]'")
+
+
+def apt_names(*packages: str) -> str:
+    """
+    Return the names by which apt knows packages of ROS, separated by blanks.
+
+    They are those of the ROS 2 that is sourced, else of the variable that says which.
+    """
+    sourced = os.environ.get('ROS_DISTRO', '')
+    distribution = sourced if _DISTRIBUTION.fullmatch(sourced) else '$ROS_DISTRO'
+    return ' '.join(f'ros-{distribution}-{package.replace("_", "-")}' for package in packages)

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies
 import pytest
 
 from manip_sim.errors import ManipSimError
-from manip_sim.ros_environment import check_ros_environment, missing_module
+from manip_sim.ros_environment import apt_names, check_ros_environment, missing_module
 
 #: Run a program as if a module were not installed.
 WITHOUT = """
@@ -118,8 +118,19 @@ def test_a_rclpy_that_cannot_be_used_is_named_with_its_folder(tmp_path):
         assert (done.returncode, done.stdout) == (1, '')
         assert done.stderr.startswith(
             f'sim_node: {tmp_path}/rclpy/__init__.py cannot be used: {reason}'), done.stderr
-        assert done.stderr.endswith('in a new shell, source ROS 2 Jazzy only\n')
+        assert done.stderr.endswith('in a new shell, source one ROS 2 only\n')
         assert done.stderr.count('\n') == 1
+
+
+@pytest.mark.parametrize(('sourced', 'name'), [
+    ('kilted', 'ros-kilted-tf2-msgs'), ('lyrical', 'ros-lyrical-tf2-msgs'),
+    (None, 'ros-$ROS_DISTRO-tf2-msgs'), ('x; rm -r .', 'ros-$ROS_DISTRO-tf2-msgs')])
+def test_packages_of_apt_are_those_of_the_ros_that_is_sourced(sourced, name, monkeypatch):
+    monkeypatch.delenv('ROS_DISTRO', raising=False)
+    if sourced:
+        monkeypatch.setenv('ROS_DISTRO', sourced)
+    assert apt_names('tf2_msgs') == name
+    assert apt_names('tf2_msgs', 'xacro').split(' ros-')[-1].endswith('-xacro')
 
 
 def test_a_package_from_pip_that_cannot_be_used_is_not_one_of_ros():

@@ -28,17 +28,51 @@ def test_make_keeps_ros_within_this_machine_unless_told_otherwise(given, seen, t
     assert f'range={seen}' in done.stdout, done.stderr
 
 
-@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
-@pytest.mark.parametrize('marker, cleared', [
-    ('pyvenv.cfg', False), ('.ready-wheels', False), ('.ready-sourced', True)])
-def test_make_keeps_what_is_installed_unless_ros_comes_from_elsewhere(marker, cleared, tmp_path):
-    (tmp_path / marker).touch()
+def dry_run(*words, distribution=None):
+    """Return what make would do without or with a distribution of ROS sourced."""
     environment = {k: v for k, v in os.environ.items() if k not in ('ROS_DISTRO', 'MAKEFLAGS')}
-    done = subprocess.run(
-        ['make', '--dry-run', '--always-make', f'VENV={tmp_path}', 'run'], capture_output=True,
-        text=True, env=environment, cwd=MAKEFILE.parent, timeout=60.0, check=True)
+    if distribution:
+        environment['ROS_DISTRO'] = distribution
+    return subprocess.run(
+        ['make', '--dry-run', '--always-make', *words], capture_output=True, text=True,
+        env=environment, cwd=MAKEFILE.parent, timeout=60.0)
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
+@pytest.mark.parametrize('marker, wheels, cleared', [
+    ('pyvenv.cfg', 'jazzy', False), ('.ready-wheels', 'jazzy', False),
+    ('.ready-sourced', 'jazzy', True), ('.ready-kilted', 'jazzy', True),
+    ('.ready-kilted', 'kilted', False), ('.ready-wheels', 'kilted', True)])
+def test_make_keeps_what_is_installed_unless_ros_comes_from_elsewhere(
+        marker, wheels, cleared, tmp_path):
+    (tmp_path / marker).touch()
+    done = dry_run(f'VENV={tmp_path}', f'WHEELS={wheels}', 'run')
     (line,) = [line for line in done.stdout.splitlines() if ' -m venv ' in line]
     assert ('--clear' in line) == cleared, line
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
+@pytest.mark.parametrize('distribution', [None, 'humble', 'jazzy', 'kilted', 'lyrical'])
+@pytest.mark.parametrize('wheels', ['jazzy', 'kilted'])
+def test_make_uses_the_ros_that_is_sourced_and_else_wheels(distribution, wheels, tmp_path):
+    made = dry_run(
+        f'VENV={tmp_path}', f'WHEELS={wheels}', 'lint', distribution=distribution).stdout
+    is_sourced = distribution in ('jazzy', 'kilted', 'lyrical')
+    assert ('--system-site-packages' in made) == is_sourced
+    assert (f"'.[{wheels},viewer]'" in made) != is_sourced
+    assert (f'[docs,{wheels}-test,' in made) != is_sourced
+    # There are wheels of MuJoCo and numba for Python 3.14, but none of ROS.
+    assert ('3.10 to 3.14' in made) == is_sourced
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
+@pytest.mark.parametrize('words, error', [
+    (['WHEELS=humble'], "WHEELS is jazzy or kilted, got 'humble'"),
+    (['WHEELS=kilted', 'LOCKED=1'],
+     'LOCKED=1 is for ROS 2 Jazzy from wheels, not for kilted')])
+def test_make_says_which_wheels_there_are(words, error):
+    done = dry_run(*words, 'run')
+    assert done.returncode == 2 and error in done.stderr
 
 
 @pytest.mark.skipif(shutil.which('make') is None, reason='needs make')

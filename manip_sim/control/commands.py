@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import ClassVar, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -182,6 +182,22 @@ class NoCommand(Command):
 
     It has no effect, but in lock-step it is the answer of its parts.
     """
+
+
+class TrajectoryReference(NamedTuple):
+    """
+    What the joints of a trajectory follow at an instant, arrays of shape (n,).
+
+    :ivar position: [rad or m]
+    :ivar velocity: [rad/s or m/s]
+    :ivar acceleration: [rad/s^2 or m/s^2]
+    :ivar points_ahead: number of its points that are still to come
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    points_ahead: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,7 +22,7 @@ from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.command_timeouts import CommandTimeouts
 from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointImpedance, JointSetpoint, JointTrajectory, Status,
-    TrajectoryStop)
+    TrajectoryReference, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.modes import Arrival, ControlMode, MODES
 from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
@@ -411,9 +411,9 @@ class JointController(ControlledJoints):
         return -self._trajectories.clock.ahead_s(now_s)
 
     def trajectory_reference(self, handle: CommandHandle, now_s: float
-                             ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+                             ) -> TrajectoryReference | None:
         """
-        Return position, velocity and acceleration of a trajectory that runs, or None.
+        Return what the joints of a trajectory that runs follow, or None.
 
         :param now_s: simulation time since the last reset [s]
         """

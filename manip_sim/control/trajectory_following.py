@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.commands import CommandHandle, JointTrajectory, Status
+from manip_sim.control.commands import (
+    CommandHandle, JointTrajectory, Status, TrajectoryReference)
 from manip_sim.control.ledger import Ledger
 from manip_sim.control.path_clock import PathClock
 from manip_sim.control.setpoints import SetpointGenerator
@@ -126,10 +127,9 @@ class TrajectoryFollowing:
         self._setpoints.follow(command.indices, motion)
         return motion[0] if since_s >= command.trajectory.end_s - 1e-9 else None
 
-    def reference(self, handle: CommandHandle, now_s: float
-                  ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    def reference(self, handle: CommandHandle, now_s: float) -> TrajectoryReference | None:
         """
-        Return position, velocity and acceleration of a trajectory that runs, or None.
+        Return what the joints of a trajectory that runs follow, or None.
 
         Unlike the setpoints, they are not held back for joints that cannot keep up.
 
@@ -138,5 +138,7 @@ class TrajectoryFollowing:
         for command in self._commands.running:
             if command.handle is handle and isinstance(command, JointTrajectory):
                 position, velocity, acceleration = self.clock.motion(command, now_s)
-                return position, velocity, acceleration
+                since_s = float(self.clock.at(now_s)) - (command.start_s or 0.0)
+                return TrajectoryReference(position, velocity, acceleration,
+                                           command.trajectory.points_after(since_s))
         return None

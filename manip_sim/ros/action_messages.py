@@ -93,6 +93,8 @@ class TrajectoryMessages(ActionMessages):
             message.desired = _point(position, velocity, acceleration)
             message.actual = _point(view.position, view.velocity)
             message.error = _point(position - view.position, velocity - view.velocity)
+            if hasattr(message, 'index'):  # Since version 6.3 of control_msgs.
+                message.index = view.index
         return message
 
     def result_of(self, goal: TrajectoryGoal) -> Any:

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 import importlib
 from typing import Any
 
+from manip_sim.ros_environment import apt_names
+
 
 def import_optional(module: str) -> Any:
     """
@@ -34,6 +36,5 @@ def missing_note(missing: Mapping[str, str]) -> str:
     :param missing: by package, such as ``tf2_msgs``, what does not exist without it
     """
     without = ', '.join(f'{what} ({package})' for package, what in missing.items())
-    names = ' '.join(f'ros-jazzy-{package.replace("_", "-")}' for package in missing)
     return (f'without packages that are not installed, there are no {without}; they are not '
-            f'available from pip: apt install {names}, or build them')
+            f'available from pip: apt install {apt_names(*missing)}, or build them')

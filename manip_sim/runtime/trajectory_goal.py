@@ -63,12 +63,14 @@ class TrajectoryView:
     :ivar desired: position, velocity and acceleration of the trajectory, each of shape (n,)
     :ivar position: measured [rad or m], shape (n,)
     :ivar velocity: measured [rad/s or m/s], shape (n,)
+    :ivar index: of the point that the trajectory goes to, of those of the request
     """
 
     time_ns: int
     desired: tuple[FloatArray, FloatArray, FloatArray]
     position: FloatArray
     velocity: FloatArray
+    index: int
 
 
 class TrajectoryGoal(ActionGoal):
@@ -107,6 +109,7 @@ class TrajectoryGoal(ActionGoal):
         super().__init__(robot, command, robot.joints.commands)
         self._last = command.trajectory.positions[-1].copy()
         _check_end(part, self.names, request, self._last, self._end)
+        self._points = len(request.times_s)
         self._goal_time_s = request.goal_time_s
         self._length_ns = round(request.times_s[-1] * 1e9)
         self._stamped_ns = request.start_ns
@@ -124,10 +127,15 @@ class TrajectoryGoal(ActionGoal):
         self._on_the_way = reference is not None
         if not self._has_started:
             self._late_s = self.robot.trajectories_late_s
+        if reference is not None:
+            # Points that were past at the start were left out.
+            index = min(self._points - reference.points_ahead, self._points - 1)
+            self.view = TrajectoryView(time_ns, reference[:3], position, velocity, index)
+            return
         still = np.zeros(len(self._last))
         # Before it starts there is nothing to compare with.
-        goal = self._last if self._has_started else position
-        self.view = TrajectoryView(time_ns, reference or (goal, still, still), position, velocity)
+        goal, index = (self._last, self._points - 1) if self._has_started else (position, 0)
+        self.view = TrajectoryView(time_ns, (goal, still, still), position, velocity, index)
 
     @property
     def _has_started(self) -> bool:

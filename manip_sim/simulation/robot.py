@@ -18,7 +18,8 @@ from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.commands import (
-    Command, CommandHandle, GripperCommand, JointSetpoint, JointTrajectory, NoCommand, Status)
+    Command, CommandHandle, GripperCommand, JointSetpoint, JointTrajectory, NoCommand, Status,
+    TrajectoryReference)
 from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
@@ -463,10 +464,9 @@ class SimulatedRobot:
         """
         return self.joints.controller_state(part, self._physics.data, self._efforts.values)
 
-    def trajectory_reference(self, handle: CommandHandle
-                             ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    def trajectory_reference(self, handle: CommandHandle) -> TrajectoryReference | None:
         """
-        Return position, velocity and acceleration of a trajectory that runs, or None.
+        Return what the joints of a trajectory that runs follow, or None.
 
         :param handle: of the trajectory's command
         """

@@ -103,6 +103,30 @@ def test_feedback_tells_desired_actual_and_their_difference(simulation, follow):
         feedback.error.velocities)
 
 
+@pytest.mark.parametrize(('past_s', 'seen'), [(0.0, {0, 1, 2}), (0.15, {1, 2})])
+def test_feedback_has_the_index_of_the_point_that_the_trajectory_goes_to(
+        simulation, past_s, seen):
+    # As control_msgs has it since version 6.3.
+    follow = messages(simulation, TrajectoryMessages, Plain(
+        Feedback=lambda: Plain(header=Header(), index=-1), Result=Plain), 'arm')
+    simulation.advance(100)
+    times_s, sent, indices = (0.1, 0.3, 0.5), JointTrajectory(joint_names=[J1]), []
+    sent.points = [JointTrajectoryPoint(positions=[0.1 * time_s], time_from_start=Duration(
+        nanosec=round(time_s * 1e9))) for time_s in times_s]
+    if past_s:
+        sent.header.stamp.nanosec = simulation.time_ns - round(past_s * 1e9)
+    goal = follow.goal_of(request(trajectory=sent))
+    simulation.robot.apply(goal.command, period_s=0.01)
+    while goal.outcome is None:
+        simulation.advance(5)
+        goal.check(simulation)
+        indices.append(follow.feedback_of(goal).index)
+        since_s = past_s + 0.01 * len(indices)
+        if min(abs(since_s - at_s) for at_s in times_s) > 0.011:
+            assert indices[-1] == min(sum(at_s < since_s for at_s in times_s), 2), since_s
+    assert set(indices) == seen
+
+
 @pytest.mark.parametrize('field', ['path_tolerance', 'goal_tolerance'])
 def test_tolerances_and_their_time_are_those_of_the_message(simulation, follow, field):
     simulation.data.qfrc_applied[0] = -20.0

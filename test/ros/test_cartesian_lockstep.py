@@ -87,7 +87,8 @@ def policy():
     script = next(block for block in blocks if 'rclpy.spin' in block)
     process = subprocess.Popen([sys.executable, '-c', script])
     yield process
-    process.terminate()
+    # Some releases of rclpy miss a SIGTERM that comes while a program starts.
+    process.kill()
     process.wait(timeout=300.0)
 
 

@@ -14,7 +14,7 @@ from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-pytest.importorskip('test_msgs', reason='test_msgs is not installed (ros-jazzy-test-msgs)')
+pytest.importorskip('test_msgs', reason='test_msgs is not installed')
 
 from test_msgs.action import Fibonacci  # noqa: E402
 

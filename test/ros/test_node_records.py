@@ -180,8 +180,9 @@ def test_a_killed_recorder_and_a_full_disk_leave_what_came_before(
                 resource.RLIMIT_FSIZE, (120_000, 120_000))) as limited:
         _, errors = limited.communicate(timeout=WAIT_S)
     assert limited.returncode == 1
-    assert errors == (f'manip_sim: {full}: File too large; what was recorded before can be '
-                      'read\n')
+    # Before it, Fast DDS 3 says that the limit is too small for its shared memory.
+    assert errors.splitlines()[-1] == (
+        f'manip_sim: {full}: File too large; what was recorded before can be read')
     grown(client, killed, 60_000)
     command.send_signal(signal.SIGKILL)
     command.wait(WAIT_S)

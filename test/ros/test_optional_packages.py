@@ -22,6 +22,7 @@ def test_a_package_that_is_not_installed_is_none_and_one_that_is_broken_an_error
 
 def test_packages_that_are_missing_are_noted_in_one_line_with_the_way_to_get_them(
         serve, client, monkeypatch):
+    monkeypatch.setenv('ROS_DISTRO', 'kilted')
     monkeypatch.setattr(action_servers, 'ACTION_TYPES', None)
     monkeypatch.setattr(standard_services, 'AVAILABLE', False)
     monkeypatch.setattr(transforms, 'TFMessage', None)
@@ -33,5 +34,5 @@ def test_packages_that_are_missing_are_noted_in_one_line_with_the_way_to_get_the
         'without packages that are not installed, there are no planning scene for MoveIt '
         '(moveit_msgs), /tf and /tf_static (tf2_msgs), actions (control_msgs), standard '
         'simulation services (simulation_interfaces); they are not available from pip: apt '
-        'install ros-jazzy-moveit-msgs ros-jazzy-tf2-msgs ros-jazzy-control-msgs '
-        'ros-jazzy-simulation-interfaces, or build them']
+        'install ros-kilted-moveit-msgs ros-kilted-tf2-msgs ros-kilted-control-msgs '
+        'ros-kilted-simulation-interfaces, or build them']

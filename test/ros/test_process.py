@@ -19,7 +19,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 
-
 def catches(process, number):
     """Return whether a process has come as far as to catch a signal."""
     status = Path(f'/proc/{process.pid}/status').read_text()

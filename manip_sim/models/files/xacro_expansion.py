@@ -19,6 +19,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.old_xacro import called, parsed
 from manip_sim.models.files.package_folders import PackageFolders
 from manip_sim.quoting import one_line, quoted
+from manip_sim.ros_environment import apt_names
 
 SUFFIX = '.xacro'
 _WITH_ARGUMENTS = re.compile(r'(.*?\.xacro)\s+(\S.*)', re.IGNORECASE | re.DOTALL)
@@ -100,7 +101,7 @@ def expanded(file: Path, arguments: Mapping[str, str]) -> str:
         from xacro import substitution_args
     except ImportError as error:
         raise ModelError(f'{file} needs xacro: pip install xacro, or apt install '
-                         'ros-jazzy-xacro') from error
+                         f'{apt_names("xacro")}') from error
     given = _Arguments(arguments)
     with _ONE_FILE:
         finder = _Finder(xacro, file)
