@@ -13,6 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.physics.bounds import Box, box_around
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 
@@ -125,6 +126,22 @@ class Entities:
             acceleration[3:] += self._model.opt.gravity
         return EntityState(Pose(pose[:3], pose[3:]), Twist(twist[:3], twist[3:]),
                            acceleration[3:], acceleration[:3])
+
+    def bounds(self, data: mujoco.MjData, name: str, in_world: bool = False) -> Box | None:
+        """
+        Return the smallest box around the shapes of an entity, of a robot with all of its links.
+
+        :param data: the ``mujoco.MjData`` at the instant of the last ``mj_forward``
+        :param in_world: along the axes of ``world``; else along those of the entity's body, from
+            its origin
+        :returns: None if it has no shapes
+        :raises UnknownNameError: if there is no such entity
+        """
+        body, model = self._body(name), self._model
+        own = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body_rootid[body])
+        frame = 0 if in_world else body
+        return box_around(model, data, own.tolist(), data.xpos[frame],
+                          data.xmat[frame].reshape(3, 3))
 
     def place(self, data: mujoco.MjData, name: str, pose: Pose | None, twist: Twist | None
               ) -> None:
