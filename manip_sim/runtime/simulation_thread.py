@@ -137,17 +137,18 @@ class SimulationThread:
                 self.observers.remove(observer)
         self.call(remove)
 
-    def change_robots(self, plan: RobotsPlan) -> None:
+    def change_robots(self, plan: RobotsPlan, what: str = 'a robot came or went') -> None:
         """
         Change the robots; lock-step waits for no part of a robot that comes.
 
         :param plan: as for ``Simulation.change_robots``
+        :param what: for records, which cannot repeat it
         """
         def change() -> None:
             self._simulation.change_robots(plan)
             self.changes.commands.look_at_robots()
             self.observers.look_again()
-        self.call(change, 'a robot came or went')
+        self.call(change, what)
 
     def start(self) -> None:
         """Start the thread; it first shows the observers the present state."""

@@ -11,14 +11,15 @@ periods, which is quick.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, TYPE_CHECKING
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.arenas import EmptyArena
+from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.gravity_compensation import compensate_free_robots
+from manip_sim.models.object_model import ObjectModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.setpoint_activation import (
     add_setpoint_activation, position_servos_without_dynamics)
@@ -116,12 +117,38 @@ def plan_without_robot(simulation: Simulation, name: str) -> RobotsPlan:
         [robot for robot in world.robots if robot.name_in_world != name]))
 
 
-def _follow(simulation: Simulation, world: World, start: Mapping[str, float] | None = None
-            ) -> RobotsPlan:
+def plan_in_arena(simulation: Simulation, arena: Arena, cameras: Iterable[str] = ()) -> RobotsPlan:
+    """
+    Return the plan of a running world in another arena, without objects but for the arena's own.
+
+    Robots stay where they are placed; one that nothing placed stands where the arena says.
+
+    :param simulation: only read
+    :param arena: the new one
+    :param cameras: that the world must have
+    :raises ModelError: if the world draws where objects are placed, a camera is missing, or MuJoCo
+        cannot compile the world
+    """
+    world: World = copy.copy(simulation.world)
+    if world.randomization is not None:
+        raise ModelError('the world draws its objects and properties at random, which belong to '
+                         'its arena')
+    world.arena, world.objects = arena, list(arena.objects)
+    plan = _follow(simulation, world, objects=tuple(world.objects))
+    there = {camera.name for camera in plan.plan.spec.cameras}
+    for camera in cameras:
+        if camera not in there:
+            raise ModelError(f"the arena {arena.arena_name} has no camera '{camera}', whose "
+                             'images are published')
+    return plan
+
+
+def _follow(simulation: Simulation, world: World, start: Mapping[str, float] | None = None,
+            objects: tuple[ObjectModel, ...] | None = None) -> RobotsPlan:
     before = simulation.plan
     base = compose_base(world)
     base.compiler.discardvisual = before.base.compiler.discardvisual
-    plan = plan_world(base, before.objects, world.name)
+    plan = plan_world(base, before.objects if objects is None else objects, world.name)
     return RobotsPlan(world, replace(plan, since=ElementMap(before.compiled, plan.compiled)),
                       start or {})
 
