@@ -165,6 +165,25 @@ class FilesBelow(Files):
         """Return whether there is a folder whose files may be read."""
         return self._has(path / 'any file') and os.path.isdir(path)
 
+    def found(self, suffixes: Sequence[str], most: int) -> list[Path]:
+        """
+        Return the files whose names end in a certain way, sorted in each folder.
+
+        :param suffixes: such as ``.xml``
+        :param most: number of files after which the search ends
+        """
+        files: list[Path] = []
+        for top in self._folders:
+            for folder, folders, names in os.walk(top):
+                folders.sort()
+                for name in sorted(names):
+                    path = Path(folder, name)
+                    if path.suffix in suffixes and self.is_file(path):
+                        files.append(path)
+                        if len(files) == most:
+                            return files
+        return files
+
     def _has(self, file: Path) -> bool:
         try:
             real = Path(os.path.realpath(file))

@@ -27,12 +27,13 @@ from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quaternion import xyzw_to_wxyz
 from manip_sim.quoting import quoted
-from manip_sim.ros.background import in_background
+from manip_sim.ros.background import in_background, Rounds
 from manip_sim.ros.messages import numbers_of, WORLD
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
 from manip_sim.ros.standard_answers import (
-    answering_later, change_unless_diverged, free_name, Rejection, ResultCode, SpawnCode)
+    answering_later, change_unless_diverged, free_name, Rejection, resource_of, result_filled,
+    ResultCode, SpawnAllCode, SpawnCode, StandardTypes)
 from manip_sim.simulation.robot_spawning import plan_with_robot, RobotsPlan
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
@@ -40,6 +41,8 @@ _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
 FORMATS = ('mjcf', 'urdf', 'yaml')
 _URDF = ('.urdf', '.xacro')
 _YAML, _MJCF = ('.yaml', '.yml'), ('.xml', '.mjcf')
+#: Ends of the names of files that can be spawned.
+SUFFIXES = (*_MJCF, *_URDF, *_YAML)
 #: Longest text that is read in the executor.
 _MAX_QUICK = 5_000
 
@@ -53,20 +56,35 @@ class SpawningServices:
     as it was.
 
     :param files: those that a request may name
-    :param types: of the services, as ``simulation_interfaces.srv`` has them
+    :param types: those of the package
+    :ivar group: of the services
     """
 
-    def __init__(self, context: NodeContext, files: FilesBelow, types: Any) -> None:
+    def __init__(self, context: NodeContext, files: FilesBelow, types: StandardTypes) -> None:
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
         self._robots = SpawnedRobots(context)
-        self._files = files
+        self._files, self._messages = files, types.messages
         # One group, because each plan is made from the one before.
-        group = MutuallyExclusiveCallbackGroup()
-        for service_type, name, answer in (
-                (types.SpawnEntity, 'spawn_entity', self._spawn),
-                (types.DeleteEntity, 'delete_entity', self._delete)):
-            context.node.create_service(service_type, f'~/{name}', answering_later(answer),
-                                        callback_group=group)
+        self.group = MutuallyExclusiveCallbackGroup()
+        types.offer(context.node, {
+            'SpawnEntity': answering_later(self._spawn),
+            'SpawnEntities': answering_later(self._spawn_all),
+            'DeleteEntity': answering_later(self._delete)}, self.group)
+
+    async def _spawn_all(self, request: Any, response: Any) -> None:
+        """Spawn one after the other, whatever becomes of those before."""
+        results = []
+        for one in request.spawn_requests:
+            results.append(self._messages.SpawnResult())
+            with result_filled(results[-1].result):
+                await self._spawn(one, results[-1])
+            await Rounds(self._context.node)
+        response.results = results
+        reasons = [one.result.error_message for one in results
+                   if one.result.result != ResultCode.RESULT_OK]
+        if reasons:
+            raise Rejection(SpawnAllCode.ENTITIES_SPAWN_FAILED,
+                            f'{len(reasons)} of {len(results)} failed, the first: {reasons[0]}')
 
     async def _spawn(self, request: Any, response: Any) -> None:
         namespace, pose = request.entity_namespace.strip('/'), _pose(request.initial_pose)
@@ -85,7 +103,8 @@ class SpawningServices:
         if isinstance(plan, RobotsPlan):
             self._robots.add(name, plan)
         else:
-            text = None if request.uri else request.resource_string.strip()
+            resource = resource_of(request, 'entity_resource')
+            text = None if resource.uri else resource.resource_string.strip()
             self._take_over(plan, 'spawn', name, text, *place)
         response.entity_name = name
 
@@ -143,11 +162,12 @@ _Item = ObjectModel | RequestedRobot
 
 def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], _Item]]:
     """Return whether it is quickly made for sure, and return what makes it."""
-    if request.uri:
-        path = _path(request.uri)
+    resource = resource_of(request, 'entity_resource')
+    if resource.uri:
+        path = _path(resource.uri)
         return False, lambda: _from_file(path, files)
     # The text is used where there is no file.
-    text = OneText(request.resource_string.strip(), 'resource_string')
+    text = OneText(resource.resource_string.strip(), 'resource_string')
     if not text.content:
         raise Rejection(SpawnCode.NO_RESOURCE, 'give a file (uri) or a text (resource_string)')
     if len(text.content) > _MAX_QUICK:
@@ -186,7 +206,7 @@ def _path(uri: str) -> str:
         raise Rejection(SpawnCode.UNSUPPORTED_FORMAT,
                         f'uri {quoted(uri)}: only paths and file:// can be read')
     path = unquote(parts.path)
-    if Path(path).suffix not in (*_MJCF, *_URDF, *_YAML):
+    if Path(path).suffix not in SUFFIXES:
         raise Rejection(SpawnCode.UNSUPPORTED_FORMAT,
                         f'uri {quoted(uri)}: only MJCF (.xml, .mjcf), URDF and YAML can be read')
     return path

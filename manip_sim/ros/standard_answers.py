@@ -4,21 +4,31 @@
 """
 Answers of ``simulation_interfaces``, with its numbers, the same in its versions 1 and 2.
 
+The services are offered that the installed version has: :class:`StandardTypes`.
+
 The numbers are copied because the package may be absent; where it is installed, a test compares
 them with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Collection, Iterator
+from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import IntEnum
+import re
 from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
 
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
+
+
+#: Before a word within a name such as ``GetEntities``.
+_CAPITAL = re.compile('(?<!^)(?=[A-Z])')
 
 
 class ResultCode(IntEnum):
@@ -56,12 +66,32 @@ class SpawnCode(IntEnum):
     INVALID_POSE = 109
 
 
+class SpawnAllCode(IntEnum):
+    """Constants of the response of ``SpawnEntities``."""
+
+    ENTITIES_SPAWN_FAILED = 150
+
+
+class LoadCode(IntEnum):
+    """Constants of the response of ``LoadWorld``."""
+
+    UNSUPPORTED_FORMAT = 101
+    NO_RESOURCE = 102
+
+
+class WorldCode(IntEnum):
+    """Constants of the responses of ``GetCurrentWorld`` and ``UnloadWorld``."""
+
+    NO_WORLD_LOADED = 101
+
+
 class StateCode(IntEnum):
     """Constants of the message ``SimulationState``."""
 
     STATE_STOPPED = 0
     STATE_PLAYING = 1
     STATE_PAUSED = 2
+    STATE_NO_WORLD = 4
 
 
 class ScopeCode(IntEnum):
@@ -78,12 +108,25 @@ class Category(IntEnum):
 
     CATEGORY_OBJECT = 0
     CATEGORY_ROBOT = 1
+    CATEGORY_HUMAN = 2
+    CATEGORY_DYNAMIC_OBJECT = 4
+    CATEGORY_STATIC_OBJECT = 5
 
 
 class BoundsType(IntEnum):
     """Constants of the message ``Bounds``."""
 
     TYPE_EMPTY = 0
+    TYPE_BOX = 1
+    TYPE_CONVEX_HULL = 2
+    TYPE_SPHERE = 3
+
+
+class TagsMode(IntEnum):
+    """Constants of the message ``TagsFilter``."""
+
+    FILTER_MODE_ANY = 0
+    FILTER_MODE_ALL = 1
 
 
 class FeatureCode(IntEnum):
@@ -91,10 +134,18 @@ class FeatureCode(IntEnum):
 
     SPAWNING = 0
     DELETING = 1
+    NAMED_POSES = 2
+    POSE_BOUNDS = 3
+    ENTITY_TAGS = 4
+    ENTITY_BOUNDS = 5
+    ENTITY_BOUNDS_BOX = 6
     ENTITY_CATEGORIES = 8
     SPAWNING_RESOURCE_STRING = 9
     ENTITY_STATE_GETTING = 10
     ENTITY_STATE_SETTING = 11
+    ENTITY_INFO_GETTING = 12
+    ENTITY_INFO_SETTING = 13
+    SPAWNABLES = 14
     SIMULATION_RESET = 20
     SIMULATION_RESET_STATE = 22
     SIMULATION_STATE_GETTING = 24
@@ -102,6 +153,65 @@ class FeatureCode(IntEnum):
     SIMULATION_STATE_PAUSE = 26
     STEP_SIMULATION_SINGLE = 31
     STEP_SIMULATION_MULTIPLE = 32
+    STEP_SIMULATION_ACTION = 33
+    WORLD_LOADING = 40
+    WORLD_UNLOADING = 43
+    WORLD_INFO_GETTING = 44
+    AVAILABLE_WORLDS = 45
+    SPAWNING_ENTITIES = 50
+
+
+#: The interface that a feature needs, where not all versions of the package have it.
+NEEDED = {FeatureCode.ENTITY_TAGS: 'SetEntityInfo', FeatureCode.ENTITY_BOUNDS: 'GetEntityBounds',
+          FeatureCode.ENTITY_INFO_GETTING: 'GetEntityInfo',
+          FeatureCode.ENTITY_INFO_SETTING: 'SetEntityInfo',
+          FeatureCode.STEP_SIMULATION_ACTION: 'SimulateSteps',
+          FeatureCode.NAMED_POSES: 'GetNamedPoses', FeatureCode.POSE_BOUNDS: 'GetNamedPoseBounds',
+          FeatureCode.SPAWNABLES: 'GetSpawnables', FeatureCode.WORLD_LOADING: 'LoadWorld',
+          FeatureCode.WORLD_UNLOADING: 'UnloadWorld',
+          FeatureCode.WORLD_INFO_GETTING: 'GetCurrentWorld',
+          FeatureCode.AVAILABLE_WORLDS: 'GetAvailableWorlds',
+          FeatureCode.SPAWNING_ENTITIES: 'SpawnEntities'}
+
+
+@dataclass(frozen=True)
+class StandardTypes:
+    """
+    The interfaces of the installed version of the package.
+
+    :ivar services: such as ``simulation_interfaces.srv``
+    :ivar messages: such as ``simulation_interfaces.msg``
+    :ivar actions: such as ``simulation_interfaces.action``
+    """
+
+    services: Any
+    messages: Any
+    actions: Any
+
+    def has(self, name: str) -> bool:
+        """Return whether there is a service or an action of this name."""
+        return hasattr(self.services, name) or hasattr(self.actions, name)
+
+    def offer(self, node: Any, answers: Mapping[str, Callable[[Any, Any], Any]],
+              group: CallbackGroup) -> None:
+        """
+        Offer the services that there are, under ``~/`` with their names in small letters.
+
+        :param answers: callbacks by name of a service
+        """
+        for name, answer in answers.items():
+            if hasattr(self.services, name):
+                node.create_service(getattr(self.services, name), f'~/{_CAPITAL.sub("_", name)}'
+                                    .lower(), answer, callback_group=group)
+
+
+def resource_of(message: Any, field: str) -> Any:
+    """
+    Return what has the uri and the text of a message; in older versions the message has them.
+
+    :param field: that has them in newer versions
+    """
+    return getattr(message, field, message)
 
 
 class Rejection(ManipSimError):

@@ -26,6 +26,7 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.ros.standard_answers import StandardTypes
 
 DEFAULTS = {'name': '', 'allow_renaming': False, 'uri': '', 'resource_string': '',
             'entity_namespace': '', 'entity': '', 'frame': '', 'position': [0.0] * 3,
@@ -43,8 +44,8 @@ class SpawningByParameters:
     def __init__(self, node: Any, folder: Any) -> None:
         self._node = node
         SpawningServices(replace(node.shared, node=self), FilesBelow([folder], 'spawn_roots'),
-                         Plain(SpawnEntity=SetParametersAtomically,
-                               DeleteEntity=SetParametersAtomically))
+                         StandardTypes(Plain(SpawnEntity=SetParametersAtomically,
+                                             DeleteEntity=SetParametersAtomically), None, None))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._node, name)

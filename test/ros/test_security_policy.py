@@ -32,8 +32,11 @@ WORLDS = ({'robot': 'PandaOmron', 'arena': 'table', 'cameras': ['birdview']},
 #: With or without the package in this environment.
 STANDARD_SERVICES = {f'/manip_sim/{name}' for name in (
     'get_simulator_features', 'get_simulation_state', 'set_simulation_state', 'step_simulation',
-    'reset_simulation', 'get_entities', 'get_entity_state', 'set_entity_state',
-    'spawn_entity', 'delete_entity')}
+    'reset_simulation', 'get_entities', 'get_entities_states', 'get_entity_info',
+    'set_entity_info', 'get_entity_bounds', 'get_entity_state', 'set_entity_state',
+    'spawn_entity', 'spawn_entities', 'delete_entity', 'get_spawnables', 'get_named_poses',
+    'get_named_pose_bounds', 'get_available_worlds', 'get_current_world', 'load_world',
+    'unload_world')}
 
 #: With or without tf2_msgs in this environment.
 FRAMES = {'/tf', '/tf_static'}
@@ -71,8 +74,8 @@ def graph():
                     else re.sub('^/objects/.*/', '/objects/*/', name))
                     for name, _ in entities('manip_sim', '/') if '/_action/' not in name}
             # With or without control_msgs in this environment.
-            names['execute'] |= {f'/{action.name}' for action in actions_of(
-                served.node.simulation.robot.parts)}
+            names['execute'] |= {'/manip_sim/simulate_steps', *(
+                f'/{action.name}' for action in actions_of(served.node.simulation.robot.parts))}
         finally:
             served.close()
     return names

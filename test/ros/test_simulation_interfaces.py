@@ -7,9 +7,11 @@ import math
 from pathlib import Path
 import re
 
+from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Twist, Vector3
 import numpy as np
 import pytest
+from rclpy.action import ActionClient
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -17,12 +19,17 @@ from std_srvs.srv import SetBool, Trigger
 pytest.importorskip('simulation_interfaces',
                     reason='the optional package simulation_interfaces is not installed')
 
+from simulation_interfaces import msg as messages  # noqa: E402
+from simulation_interfaces import srv  # noqa: E402
+from simulation_interfaces.action import SimulateSteps  # noqa: E402
 from simulation_interfaces.msg import (  # noqa: E402
-    Bounds, EntityCategory, EntityFilters, Result, SimulationState,
+    Bounds, EntityCategory, EntityFilters, EntityInfo, Result, SimulationState,
     SimulatorFeatures, TagsFilter)
 from simulation_interfaces.srv import (  # noqa: E402
-    DeleteEntity, GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures,
-    ResetSimulation, SetEntityState, SetSimulationState, SpawnEntity, StepSimulation)
+    DeleteEntity, GetEntities, GetEntitiesStates, GetEntityBounds, GetEntityInfo,
+    GetEntityState, GetSimulationState, GetSimulatorFeatures,
+    ResetSimulation, SetEntityInfo, SetEntityState, SetSimulationState, SpawnEntity,
+    StepSimulation)
 
 from manip_sim.ros import standard_answers as codes  # noqa: E402
 
@@ -35,6 +42,9 @@ FAILED, INCORRECT_STATE = Result.RESULT_OPERATION_FAILED, Result.RESULT_INCORREC
 INVALID_POSE = SetEntityState.Response.INVALID_POSE
 HAS_FLAGS = 'set_pose' in SetEntityState.Request.get_fields_and_field_types()
 NAN = math.nan
+#: Since version 2 and 1.1.
+HAS_WORLDS = hasattr(srv, 'LoadWorld')
+HAS_SPAWN_ENTITIES = hasattr(srv, 'SpawnEntities')
 #: The first instant is one control period after zero, which as a stamp means none.
 FIRST_NS = 10_000_000
 
@@ -102,10 +112,16 @@ def nanoseconds(stamp):
     (codes.SetEntityCode, SetEntityState.Response), (codes.SpawnCode, SpawnEntity.Response),
     (codes.StateCode, SimulationState), (codes.ScopeCode, ResetSimulation.Request),
     (codes.Category, EntityCategory), (codes.BoundsType, Bounds),
-    (codes.FeatureCode, SimulatorFeatures)], ids=lambda kind: kind.__name__)
+    (codes.TagsMode, TagsFilter), (codes.FeatureCode, SimulatorFeatures), *(
+        [(codes.LoadCode, srv.LoadWorld.Response), (codes.WorldCode, srv.UnloadWorld.Response),
+         (codes.WorldCode, srv.GetCurrentWorld.Response)] if HAS_WORLDS else []), *(
+        [(codes.SpawnAllCode, srv.SpawnEntities.Response)] if HAS_SPAWN_ENTITIES else [])],
+    ids=lambda kind: kind.__name__)
 def test_the_numbers_are_those_of_the_package(ours, theirs):
     assert {code.name: code.value for code in ours} == {
-        code.name: getattr(theirs, code.name) for code in ours}
+        code.name: getattr(theirs, code.name, code.value) for code in ours}
+    # Older versions lack some.
+    assert any(hasattr(theirs, code.name) for code in ours)
 
 
 def test_the_features_are_those_that_work(serve, client):
@@ -119,7 +135,15 @@ def test_the_features_are_those_that_work(serve, client):
         SimulatorFeatures.SIMULATION_STATE_SETTING, SimulatorFeatures.SIMULATION_STATE_PAUSE,
         SimulatorFeatures.STEP_SIMULATION_SINGLE, SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
         SimulatorFeatures.SPAWNING, SimulatorFeatures.SPAWNING_RESOURCE_STRING,
-        SimulatorFeatures.DELETING}
+        SimulatorFeatures.DELETING, SimulatorFeatures.ENTITY_TAGS,
+        SimulatorFeatures.ENTITY_BOUNDS, SimulatorFeatures.ENTITY_BOUNDS_BOX,
+        SimulatorFeatures.ENTITY_INFO_GETTING, SimulatorFeatures.ENTITY_INFO_SETTING,
+        SimulatorFeatures.STEP_SIMULATION_ACTION, SimulatorFeatures.NAMED_POSES,
+        SimulatorFeatures.POSE_BOUNDS, SimulatorFeatures.SPAWNABLES, *(
+            [SimulatorFeatures.WORLD_LOADING, SimulatorFeatures.WORLD_UNLOADING,
+             SimulatorFeatures.WORLD_INFO_GETTING, SimulatorFeatures.AVAILABLE_WORLDS]
+            if HAS_WORLDS else []), *(
+            [SimulatorFeatures.SPAWNING_ENTITIES] if HAS_SPAWN_ENTITIES else [])}
     assert list(features.spawn_formats) == ['mjcf', 'urdf', 'yaml']
     assert 'control period' in features.custom_info
 
@@ -129,10 +153,15 @@ def test_the_services_are_documented_with_their_types(serve, client):
     client.state()
     services = node.get_service_names_and_types_by_node('manip_sim', '/')
     found = {(name.replace('/manip_sim/', '~/'), kinds[0].replace('/srv/', '/'))
-             for name, kinds in services if kinds[0].startswith('simulation_interfaces/')}
+             for name, kinds in services if kinds[0].startswith('simulation_interfaces/srv/')}
     page = Path(__file__).resolve().parents[2] / 'docs' / 'reference' / 'services.md'
-    assert found == set(re.findall(r'^\| `(~/\w+)` \| (simulation_interfaces/\w+) \|',
-                                   page.read_text(), re.MULTILINE))
+    documented = set(re.findall(r'^\| `(~/\w+)` \| (simulation_interfaces/\w+) \|',
+                                page.read_text(), re.MULTILINE))
+    # What an older version of the package does not have is not offered.
+    assert found == {row for row in documented if hasattr(srv, row[1].partition('/')[2])}
+    assert {kind.partition('/')[2] for _, kind in documented} >= {
+        name for name in vars(srv) if name[0].isupper() and '_' not in name}
+    assert client.node.count_services('/manip_sim/simulate_steps/_action/send_goal') == 1
 
 
 def test_a_simulation_plays_is_paused_and_stopped(serve, client):
@@ -229,6 +258,76 @@ def test_the_node_ends_while_it_makes_many_steps(sim_process, client):
     assert (started.returncode, 'Traceback' in errors) == (0, False)
 
 
+@pytest.fixture
+def action(client):
+    """Return a function that sends a goal, and lists that are filled with feedback."""
+    action = ActionClient(client.node, SimulateSteps, 'manip_sim/simulate_steps')
+
+    def send(steps):
+        seen = []
+        client.spin_until(action.server_is_ready)
+        sent = action.send_goal_async(SimulateSteps.Goal(steps=steps),
+                                      feedback_callback=lambda m: seen.append(m.feedback))
+        client.spin_until(sent.done)
+        return sent.result(), seen
+    yield send
+    action.destroy()
+
+
+def outcome(client, handle):
+    result = handle.get_result_async()
+    client.spin_until(result.done)
+    return result.result().status, result.result().result.result
+
+
+def test_the_action_makes_steps_with_feedback_after_each(sim_process, client, action):
+    sim_process('start_paused:=true')
+    clocks = client.listen(Clock, '/clock')
+    handle, seen = action(5)
+    status, result = outcome(client, handle)
+    assert (status, result.result, result.error_message) == (
+        GoalStatus.STATUS_SUCCEEDED, OK, '')
+    client.spin_until(lambda: len(seen) == 5)
+    assert [(f.completed_steps, f.remaining_steps) for f in seen] == [
+        (n, 5 - n) for n in range(1, 6)]
+    client.spin_until(lambda: nanoseconds(clocks[-1].clock) == FIRST_NS + 50_000_000)
+    assert get_state(client) == PAUSED
+
+
+def test_the_action_is_cancelled_between_two_steps_and_takes_one_goal(serve, client, action):
+    node = serve(start_paused=True)
+    handle, seen = action(2**63)
+    client.spin_until(lambda: len(seen) > 3)
+    assert not action(1)[0].accepted
+    canceling = handle.cancel_goal_async()
+    client.spin_until(canceling.done)
+    status, result = outcome(client, handle)
+    assert (status, result.result) == (GoalStatus.STATUS_CANCELED, FAILED)
+    made = int(re.fullmatch(rf'canceled after (\d+) of {2**63} steps', result.error_message)[1])
+    assert node.simulation.time_ns == FIRST_NS + made * 10_000_000
+    assert outcome(client, action(1)[0])[0] == GoalStatus.STATUS_SUCCEEDED
+    assert node.simulation.time_ns == FIRST_NS + (made + 1) * 10_000_000
+
+
+@pytest.mark.parametrize(('steps', 'parameters', 'text'), [
+    (0, {'start_paused': True}, 'steps must be 1 or more'), (3, {}, 'pause it first')])
+def test_steps_of_the_action_that_cannot_be_made_abort_it(
+        steps, parameters, text, serve, client, action):
+    serve(**parameters)
+    status, result = outcome(client, action(steps)[0])
+    assert (status, result.result) == (GoalStatus.STATUS_ABORTED, FAILED)
+    assert text in result.error_message
+
+
+def test_the_node_ends_while_the_action_makes_steps(sim_process, client, action):
+    started = sim_process('start_paused:=true')
+    _, seen = action(2**63)
+    client.spin_until(lambda: len(seen) > 20)
+    started.terminate()
+    _, errors = started.communicate(timeout=300.0)
+    assert (started.returncode, 'Traceback' in errors) == (0, False), errors
+
+
 @pytest.mark.parametrize('scope, restarts', [
     (ResetSimulation.Request.SCOPE_DEFAULT, True), (ResetSimulation.Request.SCOPE_ALL, True),
     (ResetSimulation.Request.SCOPE_STATE, False),
@@ -303,8 +402,9 @@ def test_entities_are_filtered_by_category(serve, client):
 
 @pytest.mark.parametrize('filters, code, text', [
     ({'filter': '('}, FAILED, '('), ({'filter': 'x' * 200_000}, FAILED, 'filter'),
-    ({'tags': TagsFilter(tags=['red'])}, UNSUPPORTED, 'tags'),
-    ({'bounds': Bounds(type=Bounds.TYPE_SPHERE)}, UNSUPPORTED, 'bounds')])
+    ({'tags': TagsFilter(tags=['red'], filter_mode=7)}, UNSUPPORTED, 'tags'),
+    ({'bounds': Bounds(type=Bounds.TYPE_CONVEX_HULL)}, UNSUPPORTED, 'bounds'),
+    ({'bounds': Bounds(type=Bounds.TYPE_SPHERE)}, FAILED, 'has 2 points, got 0')])
 def test_a_filter_that_does_not_work_is_rejected(filters, code, text, serve, client):
     serve(arena='table')
     result = entities(client, **filters).result
@@ -410,6 +510,31 @@ def test_only_what_is_flagged_is_set(serve, client):
     assert rejected.result == FAILED and 'nothing to set' in rejected.error_message
 
 
+def test_what_is_said_about_an_entity_its_bounds_and_all_states_come_over_ros(
+        sim_process, client):
+    sim_process('arena:=table', 'start_paused:=true')
+
+    def call(kind, name, **fields):
+        return client.call(kind, f'manip_sim/{name}', kind.Request(**fields))
+    info = EntityInfo(category=EntityCategory(category=EntityCategory.CATEGORY_DYNAMIC_OBJECT),
+                      description='to be moved', tags=['red', 'small'])
+    assert call(SetEntityInfo, 'set_entity_info', entity='cube', info=info).result.result == OK
+    told = call(GetEntityInfo, 'get_entity_info', entity='cube')
+    assert (told.result.result, told.info) == (OK, info)
+    assert entities(client, tags=TagsFilter(tags=['red'])).entities == ['cube']
+    bounds = call(GetEntityBounds, 'get_entity_bounds', entity='cube').bounds
+    assert bounds.type == Bounds.TYPE_BOX
+    np.testing.assert_allclose([numbers(point) for point in bounds.points],
+                               [[0.025] * 3, [-0.025] * 3])
+    near = Bounds(type=Bounds.TYPE_SPHERE, points=[Vector3(z=0.825), Vector3(x=0.001)])
+    found = call(GetEntitiesStates, 'get_entities_states', filters=EntityFilters(bounds=near))
+    assert found.result.result == OK and found.entities == ['cube']
+    assert found.states == [entity_state(client, 'cube').state]
+    for kind, name in ((GetEntityInfo, 'get_entity_info'), (SetEntityInfo, 'set_entity_info'),
+                       (GetEntityBounds, 'get_entity_bounds')):
+        assert call(kind, name, entity='sphere').result.result == NOT_FOUND
+
+
 # ---------------------------------------------------------------------- objects that come and go
 
 BALL = '{name: ball, shape: sphere, size: 0.1, mass: 0.2}'
@@ -419,7 +544,9 @@ Code = SpawnEntity.Response
 
 
 def spawn(client, text=BALL, name='', rename=False, uri='', position=(1.5, 0.0, 1.0), **more):
-    request = SpawnEntity.Request(name=name, allow_renaming=rename, uri=uri, resource_string=text)
+    request = SpawnEntity.Request(name=name, allow_renaming=rename)
+    resource = getattr(request, 'entity_resource', request)  # Of version 2; of version 1.
+    resource.uri, resource.resource_string = uri, text
     request.initial_pose.pose.position = Point(x=position[0], y=position[1], z=position[2])
     for field, value in more.items():
         setattr(request, field, value)
@@ -504,3 +631,75 @@ def test_a_reset_brings_spawned_objects_back_to_where_they_came(serve, client):
     set_state(client, PAUSED)
     assert client.call(Trigger, 'manip_sim/reset').success
     assert entity_state(client, 'ball').state.pose.position.z == pytest.approx(1.0)
+
+
+@pytest.mark.skipif(not HAS_SPAWN_ENTITIES, reason='this version has no SpawnEntities')
+def test_several_entities_come_at_once(sim_process, client):
+    sim_process('arena:=table')
+    request = srv.SpawnEntities.Request()
+    for text in (BALL, MJCF, BALL):
+        request.spawn_requests.append(messages.SpawnEntity(entity_resource=messages.Resource(
+            resource_string=text)))
+        request.spawn_requests[-1].initial_pose.pose.position.x = 1.5
+        request.spawn_requests[-1].initial_pose.pose.position.y = float(
+            len(request.spawn_requests))
+    response = client.call(srv.SpawnEntities, 'manip_sim/spawn_entities', request)
+    assert response.result.result == srv.SpawnEntities.Response.ENTITIES_SPAWN_FAILED
+    assert [(one.result.result, one.entity_name) for one in response.results] == [
+        (OK, 'ball'), (OK, 'pin'), (Code.NAME_NOT_UNIQUE, '')]
+    assert set(entities(client).entities) == {'robot0_base', 'cube', 'ball', 'pin'}
+
+
+def load(client, uri):
+    request = srv.LoadWorld.Request()
+    getattr(request, 'world_resource', request).uri = uri
+    return client.call(srv.LoadWorld, 'manip_sim/load_world', request)
+
+
+@pytest.mark.skipif(not HAS_WORLDS, reason='this version has no worlds')
+@pytest.mark.parametrize('stepping', ['realtime', 'lockstep'])
+def test_worlds_are_loaded_and_unloaded_and_followed(stepping, sim_process, client):
+    sim_process('arena:=table', f'stepping:={stepping}', 'cameras:=[agentview]')
+    clocks = client.listen(Clock, '/clock')
+    available = client.call(srv.GetAvailableWorlds, 'manip_sim/get_available_worlds')
+    uris = {world.name: world.world_resource.uri for world in available.worlds}
+    assert available.result.result == OK and {'table', 'bins', 'drawer', 'empty'} <= set(uris)
+    assert spawn(client).result.result == OK
+    assert spawn(client, '{robot: UR5e, name: second}').result.result == OK
+    client.spin_until(lambda: client.node.count_publishers('second/joint_states') == 1)
+    response = load(client, uris['drawer'])
+    assert (response.result.result, response.world.name) == (OK, 'drawer'), response.result
+    assert get_state(client) == STOPPED
+    assert entities(client).entities == ['robot0_base']
+    client.spin_until(lambda: nanoseconds(clocks[-1].clock) == FIRST_NS)
+    client.spin_until(lambda: client.node.count_publishers('second/joint_states') == 0
+                      and client.node.count_publishers('objects/cube/pose') == 0)
+    poses = client.call(srv.GetNamedPoses, 'manip_sim/get_named_poses').poses
+    assert [pose.name for pose in poses] == ['table_top', 'handle']
+    bounds = client.call(srv.GetNamedPoseBounds, 'manip_sim/get_named_pose_bounds',
+                         srv.GetNamedPoseBounds.Request(name='handle'))
+    assert (bounds.result.result, bounds.bounds.type) == (OK, Bounds.TYPE_EMPTY)
+    unload = client.call(srv.UnloadWorld, 'manip_sim/unload_world').result
+    assert unload.result == OK and get_state(client) == SimulationState.STATE_NO_WORLD
+    assert set_state(client, PLAYING).result == INCORRECT_STATE
+    assert load(client, 'arena:nowhere').result.result == NOT_FOUND
+    assert load(client, uris['table']).result.result == OK
+    current = client.call(srv.GetCurrentWorld, 'manip_sim/get_current_world')
+    assert (current.result.result, current.world.name) == (OK, 'table')
+    assert entities(client).entities == ['robot0_base', 'cube']
+    client.spin_until(lambda: client.node.count_publishers('objects/cube/pose') == 1)
+    if stepping == 'realtime':
+        assert set_state(client, PLAYING).result == OK
+        client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
+        client.spin_until(lambda: client.state().position[0] > 0.4)
+
+
+def test_what_can_be_spawned_is_spawned(serve, client, tmp_path):
+    (tmp_path / 'pin.xml').write_text(MJCF)
+    serve(arena='table', spawn_roots=[str(tmp_path)])
+    response = client.call(srv.GetSpawnables, 'manip_sim/get_spawnables',
+                           srv.GetSpawnables.Request(sources=['/nowhere']))
+    assert response.result.result == OK and '/nowhere' in response.result.error_message
+    uris = [getattr(one, 'entity_resource', one).uri for one in response.spawnables]
+    (uri,) = filter(None, uris)
+    assert spawn(client, '', uri=uri).entity_name == 'pin'

@@ -35,6 +35,7 @@ from manip_sim.ros import spawning_services
 from manip_sim.ros.background import begin, in_background, THREAD_NAME
 from manip_sim.ros.spawned_robots import RequestedRobot
 from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.ros.standard_answers import StandardTypes
 from manip_sim.startup import leave
 
 pytestmark = pytest.mark.full
@@ -60,7 +61,8 @@ class TriggeredSpawning:
         self._node = node
         self.request = request()
         SpawningServices(replace(node.shared, node=self), FilesBelow([folder], 'spawn_roots'),
-                         Plain(SpawnEntity=Trigger, DeleteEntity=Trigger))
+                         StandardTypes(Plain(SpawnEntity=Trigger, DeleteEntity=Trigger),
+                                       None, None))
 
     def __getattr__(self, name):
         return getattr(self._node, name)

@@ -12,7 +12,7 @@ import math
 from types import SimpleNamespace as Plain
 import zipfile
 
-from geometry_msgs.msg import Accel, Pose, PoseStamped, Twist
+from geometry_msgs.msg import Accel, Point, Pose, PoseStamped, Twist
 import numpy as np
 import pytest
 from std_msgs.msg import Header
@@ -21,27 +21,30 @@ from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros import spawning_services
+from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_answers import (
-    BoundsType, Category, FeatureCode, ResultCode, ScopeCode, SetEntityCode, SetStateCode,
-    SpawnCode, StateCode)
-from manip_sim.ros.standard_services import EntityServices
-from manip_sim.ros.standard_services import SimulationInterfaces
+    BoundsType, Category, FeatureCode, LoadCode, ResultCode, ScopeCode, SetEntityCode,
+    SetStateCode, SpawnAllCode, SpawnCode, StandardTypes, StateCode, TagsMode, WorldCode)
+from manip_sim.ros.standard_simulation import SimulationInterfaces
+from manip_sim.ros.world_services import WorldServices
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
 OK, FAILED = ResultCode.RESULT_OK, ResultCode.RESULT_OPERATION_FAILED
 UNSUPPORTED, NOT_FOUND = ResultCode.RESULT_FEATURE_UNSUPPORTED, ResultCode.RESULT_NOT_FOUND
-STOPPED, PLAYING, PAUSED = StateCode
+STOPPED, PLAYING, PAUSED, NO_WORLD = StateCode
 PERIOD_NS = 10_000_000
 BALL = '{name: ball, shape: sphere, size: 0.1, mass: 0.2}'
 MJCF = ('<mujoco><worldbody><body name="can"><freejoint/>'
         '<geom size="0.03" mass="0.1"/></body></worldbody></mujoco>')
-TYPES = Plain(**{name: name for name in (
+SERVICES = (
     'GetSimulatorFeatures', 'GetSimulationState', 'SetSimulationState', 'StepSimulation',
-    'ResetSimulation', 'GetEntities', 'GetEntityState', 'SetEntityState', 'SpawnEntity',
-    'DeleteEntity')})
+    'ResetSimulation', 'GetEntities', 'GetEntitiesStates', 'GetEntityInfo', 'SetEntityInfo',
+    'GetEntityBounds', 'GetEntityState', 'SetEntityState', 'SpawnEntity', 'SpawnEntities',
+    'DeleteEntity', 'GetSpawnables', 'GetNamedPoses', 'GetNamedPoseBounds', 'LoadWorld',
+    'UnloadWorld', 'GetCurrentWorld', 'GetAvailableWorlds')
 
 
 def state_message():
@@ -56,6 +59,21 @@ def spawn_request(text, uri='', name='', allow_renaming=False, namespace='', fra
             'resource_string': text, 'entity_namespace': namespace, 'initial_pose': pose}
 
 
+TYPES = StandardTypes(Plain(**{name: name for name in SERVICES}),
+                      Plain(EntityState=state_message, SpawnResult=lambda: Plain(
+                          result=Plain(result=0, error_message=''), entity_name=''),
+                          WorldResource=lambda: world_message(), NamedPose=lambda name: Plain(
+                              name=name, description='', tags=[], pose=Pose()),
+                          Spawnable=lambda description: Plain(
+                              description=description, entity_resource=Plain(
+                                  uri='', resource_string=''))), None)
+
+
+def world_message():
+    return Plain(name='', description='', tags=[],
+                 world_resource=Plain(uri='', resource_string=''))
+
+
 class Standard:
     """A simulation with the services, called as the executor calls them."""
 
@@ -66,13 +84,17 @@ class Standard:
         self.simulation = Simulation(self.world)
         self.thread = SimulationThread(self.simulation, steps=5, stepping='free', paused=True)
         self.services, self.groups, self.followed = {}, {}, []
+        self.parameters = {'task': '', 'cameras': ['']}
         context = NodeContext(
-            node=self, simulation=self.simulation, thread=self.thread, robots={}, parameters=None,
+            node=self, simulation=self.simulation, thread=self.thread, robots={}, parameters=Plain(
+                value=self.parameters.get),
             log=None, frame_prefix='', inbox=None, publishing=None, table=[], features=[
                 Plain(world_changed=lambda: self.followed.append(self.simulation))])
-        SimulationInterfaces(context, TYPES)
-        EntityServices(context, TYPES)
-        SpawningServices(context, FilesBelow([folder], 'spawn_roots'), TYPES)
+        states = SimulationInterfaces(context, TYPES)
+        self.entity_services = EntityServices(context, TYPES)
+        files = FilesBelow([folder], 'spawn_roots')
+        spawning = SpawningServices(context, files, TYPES)
+        WorldServices(context, states, files, TYPES, spawning.group)
         self.thread.start()
 
     def create_service(self, service_type, name, callback, callback_group=None):
@@ -82,7 +104,9 @@ class Standard:
     def call(self, service, /, **request):
         """Return the response to a request."""
         response = Plain(result=Plain(result=0, error_message=''), state=state_message(),
-                         features=Plain(), entities=None, entity_name='')
+                         features=Plain(), entities=None, entity_name='', states=None,
+                         info=Plain(category=Plain(category=None), description='', tags=None),
+                         bounds=Plain(type=0, points=[]), results=None, world=world_message())
         answer = self.services[f'~/{service}'][1](Plain(**request), response)
         if hasattr(answer, 'send'):
             try:
@@ -105,10 +129,21 @@ class Standard:
     def set_state(self, state):
         return self.code('set_simulation_state', state=Plain(state=int(state)))
 
-    def entities(self, filter_='', categories=(), tags=(), bounds=0):
-        return self.call('get_entities', filters=Plain(
+    def entities(self, filter_='', categories=(), tags=(), mode=TagsMode.FILTER_MODE_ANY,
+                 bounds=BoundsType.TYPE_EMPTY, points=(), service='get_entities'):
+        return self.call(service, filters=Plain(
             filter=filter_, categories=[Plain(category=int(c)) for c in categories],
-            tags=Plain(tags=list(tags)), bounds=Plain(type=bounds)))
+            tags=Plain(tags=list(tags), filter_mode=int(mode)), bounds=Plain(
+                type=int(bounds), points=[Point(**dict(zip('xyz', map(float, p))))
+                                          for p in points])))
+
+    def set_info(self, name, category=Category.CATEGORY_OBJECT, description='', tags=()):
+        return self.code('set_entity_info', entity=name, info=Plain(
+            category=Plain(category=int(category)), description=description, tags=list(tags)))
+
+    def info(self, name):
+        info = self.call('get_entity_info', entity=name).info
+        return info.category.category, info.description, info.tags
 
     def entity(self, name='cube'):
         return self.call('get_entity_state', entity=name)
@@ -146,7 +181,7 @@ def standard(tmp_path):
 def test_each_service_has_the_type_of_its_name(standard):
     assert {name: kind for name, (kind, _) in standard.services.items()} == {
         '~/' + ''.join('_' * bool(i) * c.isupper() + c.lower() for i, c in enumerate(kind)): kind
-        for kind in vars(TYPES)}
+        for kind in SERVICES}
 
 
 def test_a_request_for_many_steps_holds_up_no_other(standard):
@@ -157,7 +192,7 @@ def test_a_request_for_many_steps_holds_up_no_other(standard):
 def test_features_are_numbers_and_formats_are_told(standard):
     features = standard.call('get_simulator_features').features
     assert {type(number) for number in features.features} == {int}
-    assert set(features.features) == set(FeatureCode)
+    assert set(features.features) == set(FeatureCode) - {FeatureCode.STEP_SIMULATION_ACTION}
     assert features.spawn_formats == ['mjcf', 'urdf', 'yaml']
     assert 'control period' in features.custom_info
 
@@ -166,10 +201,13 @@ def test_numbers_are_those_of_version_2_1_of_the_package():
     # Of its messages Result, SimulatorFeatures, SpawnResult, EntityCategory, SimulationState,
     # Bounds, and of its services SetSimulationState, SetEntityState, ResetSimulation.
     for codes, numbers in {
+            SpawnAllCode: [150], LoadCode: [101, 102], WorldCode: [101],
             ResultCode: [0, 1, 2, 3, 4], SetStateCode: [101, 102], SetEntityCode: [101],
-            SpawnCode: [101, 102, 103, 104, 105, 106, 109], StateCode: [0, 1, 2],
-            ScopeCode: [0, 1, 2, 255], Category: [0, 1], BoundsType: [0],
-            FeatureCode: [0, 1, 8, 9, 10, 11, 20, 22, 24, 25, 26, 31, 32]}.items():
+            SpawnCode: [101, 102, 103, 104, 105, 106, 109], StateCode: [0, 1, 2, 4],
+            ScopeCode: [0, 1, 2, 255], Category: [0, 1, 2, 4, 5], BoundsType: [0, 1, 2, 3],
+            TagsMode: [0, 1], FeatureCode: [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 20,
+                                            22, 24, 25, 26, 31, 32, 33, 40, 43, 44, 45,
+                                            50]}.items():
         assert [int(code) for code in codes.__members__.values()] == numbers
 
 
@@ -257,11 +295,91 @@ def test_entities_are_found_by_name_and_category(standard):
 
 
 @pytest.mark.parametrize(('filters', 'code', 'text'), [
-    ({'filter_': '('}, FAILED, "filter '('"), ({'tags': ['red']}, UNSUPPORTED, 'no tags'),
-    ({'bounds': 3}, UNSUPPORTED, 'no bounds')])
-def test_filter_that_does_not_work_is_rejected(standard, filters, code, text):
-    result = standard.entities(**filters).result
+    ({'filter_': '('}, FAILED, "filter '('"),
+    ({'tags': ['red'], 'mode': 2}, UNSUPPORTED, 'filter_mode 2 is not supported'),
+    ({'bounds': BoundsType.TYPE_CONVEX_HULL}, UNSUPPORTED, 'bounds of type 2 are not supported'),
+    ({'bounds': 9}, UNSUPPORTED, 'bounds of type 9 are not supported'),
+    ({'bounds': BoundsType.TYPE_BOX, 'points': [(0, 0, 0)]}, FAILED, 'has 2 points, got 1'),
+    ({'bounds': BoundsType.TYPE_BOX, 'points': [(0.0, 0.0, math.nan), (0.0, 0.0, 0.0)]}, FAILED,
+     'the numbers of a box must be finite'),
+    ({'bounds': BoundsType.TYPE_SPHERE, 'points': [(0.0, 0.0, 0.0), (math.inf, 0.0, 0.0)]},
+     FAILED, 'the numbers of a sphere must be finite'),
+    ({'bounds': BoundsType.TYPE_SPHERE, 'points': [(0.0, 0.0, 0.0), (-0.1, 0.0, 0.0)]},
+     FAILED, 'must not be negative, got -0.1')])
+@pytest.mark.parametrize('service', ['get_entities', 'get_entities_states'])
+def test_filter_that_does_not_work_is_rejected(standard, filters, code, text, service):
+    result = standard.entities(**filters, service=service).result
     assert result.result == code and text in result.error_message
+
+
+@pytest.mark.parametrize(('bounds', 'points', 'found'), [
+    # The cube of 5 cm stands with its middle at (0, 0, 0.825).
+    ('BOX', [(0.02, 0.02, 0.9), (0.0, 0.0, 0.86)], []),
+    ('BOX', [(0.02, 0.02, 0.9), (0.0, 0.0, 0.84)], ['cube']),
+    ('BOX', [(0.0, 0.0, 0.84), (0.02, 0.02, 0.9)], ['cube']),
+    ('BOX', [(5.0, 5.0, 5.0), (-5.0, -5.0, -5.0)], ['robot0_base', 'cube']),
+    ('SPHERE', [(0.125, 0.0, 0.825), (0.09, math.nan, math.nan)], []),
+    ('SPHERE', [(0.125, 0.0, 0.825), (0.11, math.nan, math.nan)], ['cube']),
+    ('SPHERE', [(0.0, 0.0, 0.825), (0.0, 0.0, 0.0)], ['cube'])])
+def test_entities_are_found_where_their_shapes_are(standard, bounds, points, found):
+    response = standard.entities(bounds=BoundsType[f'TYPE_{bounds}'], points=points)
+    assert (response.result.result, response.entities) == (OK, found)
+
+
+def test_states_of_all_entities_are_of_one_instant(standard):
+    standard.place(position=(0.0, 0.1, 3.0), linear=(0.5, 0.0, 1.0))
+    standard.code('step_simulation', steps=3)
+    response = standard.entities(service='get_entities_states')
+    assert response.entities == ['robot0_base', 'cube']
+    assert response.states == [standard.entity(name).state for name in response.entities]
+    assert standard.entities('^c', service='get_entities_states').entities == ['cube']
+    nothing = standard.entities('x', service='get_entities_states')
+    assert (nothing.result.result, nothing.entities, nothing.states) == (OK, [], [])
+
+
+def test_what_is_said_about_an_entity_is_kept_and_found_until_it_goes(standard):
+    assert standard.info('cube') == (Category.CATEGORY_OBJECT, '', [])
+    assert standard.info('robot0_base') == (Category.CATEGORY_ROBOT, '', [])
+    assert standard.spawn(BALL).entity_name == 'ball'
+    assert standard.set_info('ball', Category.CATEGORY_DYNAMIC_OBJECT, 'it rolls',
+                             ['red', 'round']) == (OK, '')
+    assert standard.set_info('cube', tags=['red']) == (OK, '')
+    assert standard.info('ball') == (Category.CATEGORY_DYNAMIC_OBJECT, 'it rolls',
+                                     ['red', 'round'])
+    assert standard.entities(categories=[Category.CATEGORY_OBJECT]).entities == ['cube']
+    assert standard.entities(categories=[Category.CATEGORY_DYNAMIC_OBJECT]).entities == ['ball']
+    for tags, mode, found in ((['red'], 'ANY', ['cube', 'ball']), (['blue'], 'ANY', []),
+                              (['round', 'blue'], 'ANY', ['ball']),
+                              (['round', 'blue'], 'ALL', []), (['red', 'round'], 'ALL', ['ball'])):
+        assert standard.entities(tags=tags, mode=TagsMode[f'FILTER_MODE_{mode}']).entities == found
+    assert standard.code('delete_entity', entity='ball') == (OK, '')
+    standard.entity_services.forget_gone()
+    assert standard.spawn(BALL).entity_name == 'ball'
+    assert standard.info('ball') == (Category.CATEGORY_OBJECT, '', [])
+    assert standard.info('cube')[2] == ['red']
+
+
+@pytest.mark.parametrize(('fields', 'code', 'text'), [
+    ({'name': 'sphere'}, NOT_FOUND, "'sphere'"), ({'category': 3}, FAILED, 'no category 3'),
+    ({'description': 'x' * 10_001}, FAILED, '10000 characters'),
+    ({'tags': ['x'] * 101}, FAILED, '100 tags'), ({'tags': ['x' * 201]}, FAILED, '200 char')])
+def test_what_cannot_be_said_about_an_entity_is_rejected(standard, fields, code, text):
+    found, told = standard.set_info(**{'name': 'cube', **fields})
+    assert found == code and text in told
+    assert standard.info('cube') == (Category.CATEGORY_OBJECT, '', [])
+
+
+def test_bounds_are_a_box_in_the_frame_of_the_entity(standard):
+    assert standard.place(position=(0.3, 0.1, 3.0)) == (OK, '')
+    bounds = standard.call('get_entity_bounds', entity='cube').bounds
+    assert bounds.type == BoundsType.TYPE_BOX
+    corners = [[point.x, point.y, point.z] for point in bounds.points]
+    np.testing.assert_allclose(corners, [[0.025] * 3, [-0.025] * 3], atol=1e-12)
+    robot = standard.call('get_entity_bounds', entity='robot0_base').bounds
+    high, low = robot.points
+    assert high.z > 0.5 and low.x < 0.0 < high.x
+    for service in ('get_entity_bounds', 'get_entity_info'):
+        assert standard.code(service, entity='sphere')[0] == NOT_FOUND
 
 
 def test_state_of_an_entity_is_where_it_was_put_and_falls_to(standard):
@@ -402,3 +520,138 @@ def test_what_is_no_object_cannot_be_deleted(standard):
     code, text = standard.code('delete_entity', entity='robot0_base')
     assert code == FAILED and 'a robot that was there at the' in text
     assert standard.code('delete_entity', entity='sphere')[0] == NOT_FOUND
+
+
+def requests(*fields):
+    return [Plain(**spawn_request(**one)) for one in fields]
+
+
+def test_several_entities_come_at_once_each_with_its_result(standard):
+    response = standard.call('spawn_entities', spawn_requests=requests(
+        {'text': BALL}, {'text': MJCF}))
+    assert (response.result.result, [one.entity_name for one in response.results]) == (
+        OK, ['ball', 'can'])
+    assert standard.call('spawn_entities', spawn_requests=[]).result.result == OK
+    response = standard.call('spawn_entities', spawn_requests=requests(
+        {'text': BALL}, {'text': BALL, 'allow_renaming': True}, {'text': ''},
+        {'text': BALL, 'height': math.nan}))
+    assert response.result.result == SpawnAllCode.ENTITIES_SPAWN_FAILED
+    assert response.result.error_message == (
+        "3 of 4 failed, the first: there is an entity 'ball' already")
+    assert [one.result.result for one in response.results] == [
+        SpawnCode.NAME_NOT_UNIQUE, OK, SpawnCode.NO_RESOURCE, SpawnCode.INVALID_POSE]
+    assert standard.entities().entities == ['robot0_base', 'cube', 'ball', 'can', 'ball_1']
+
+
+def load(standard, uri='', text=''):
+    return standard.call('load_world', world_resource=Plain(uri=uri, resource_string=text))
+
+
+def test_a_world_is_loaded_in_place_of_another_with_its_objects_and_is_stopped(standard):
+    assert standard.call('get_current_world').world.name == 'table'
+    standard.spawn(BALL)
+    standard.code('step_simulation', steps=3)
+    standard.set_state(PLAYING)
+    response = load(standard, 'arena:bins')
+    assert (response.result.result, response.world.name) == (OK, 'bins'), response.result
+    assert response.world.world_resource.uri == 'arena:bins'
+    assert standard.state() == STOPPED and standard.simulation.time_ns == PERIOD_NS
+    assert standard.entities().entities == ['robot0_base']
+    assert standard.call('get_current_world').world.name == 'bins'
+    assert len(standard.followed) == 2
+    # It is used as any other.
+    assert standard.set_state(PAUSED) == (OK, '')
+    assert standard.spawn(BALL).entity_name == 'ball'
+    assert standard.code('step_simulation', steps=3) == (OK, '')
+    assert load(standard, 'arena:table').result.result == OK
+    assert standard.entities().entities == ['robot0_base', 'cube']
+    alone = Simulation(compose('Panda', arena='table'))
+    assert standard.simulation.model.nq == alone.model.nq
+    np.testing.assert_allclose(standard.simulation.data.qpos, alone.data.qpos, atol=1e-3)
+
+
+@pytest.mark.parametrize(('arguments', 'code', 'text'), [
+    ({}, LoadCode.NO_RESOURCE, 'give the uri'),
+    ({'text': MJCF}, UNSUPPORTED, 'from a text'),
+    ({'uri': '/tmp/world.sdf'}, LoadCode.UNSUPPORTED_FORMAT, 'such as arena:table'),
+    ({'uri': 'arena:tabel'}, NOT_FOUND, "did you mean 'table'"),
+    ({'uri': 'arena:../secret.xml'}, NOT_FOUND, 'secret')])
+def test_a_world_that_cannot_be_loaded_leaves_the_present_one(standard, arguments, code, text):
+    before = standard.entity().state
+    result = load(standard, **arguments).result
+    assert result.result == code and text in result.error_message
+    assert standard.entity().state == before and standard.state() == PAUSED
+
+
+def test_the_world_of_a_task_stays(standard):
+    standard.parameters['task'] = 'lift'
+    result = load(standard, 'arena:bins').result
+    assert result.result == FAILED and 'belongs to a task' in result.error_message
+    assert standard.call('get_current_world').world.name == 'table'
+
+
+def test_without_a_world_nothing_runs_until_one_is_loaded(standard):
+    assert standard.code('unload_world') == (OK, '')
+    assert standard.state() == NO_WORLD
+    for code, text in (standard.set_state(PLAYING), standard.code('step_simulation', steps=1),
+                       standard.code('reset_simulation', scope=0)):
+        assert (code, text) == (ResultCode.RESULT_INCORRECT_STATE,
+                                'no world is loaded: load one first')
+    assert standard.code('unload_world')[0] == WorldCode.NO_WORLD_LOADED
+    assert standard.code('get_current_world')[0] == WorldCode.NO_WORLD_LOADED
+    assert load(standard, 'arena:table').result.result == OK
+    assert standard.state() == STOPPED
+    assert standard.set_state(PLAYING) == (OK, '')
+
+
+def worlds(standard, sources=(), go_on=False, tags=()):
+    return standard.call('get_available_worlds', additional_sources=list(sources), filter=Plain(
+        tags=list(tags), filter_mode=0), offline_only=True, continue_on_error=go_on)
+
+
+def test_the_worlds_that_can_be_loaded_are_the_arenas(standard):
+    response = worlds(standard)
+    assert response.result.result == OK
+    found = {world.name: world for world in response.worlds}
+    assert found.keys() >= {'empty', 'table', 'bins', 'drawer'}
+    assert found['table'].world_resource.uri == 'arena:table'
+    assert found['table'].description.startswith('A table in front of the robot')
+    assert worlds(standard, tags=['indoor']).result.result == UNSUPPORTED
+    rejected = worlds(standard, ['/srv/worlds']).result
+    assert rejected.result == FAILED and "cannot search '/srv/worlds'" in rejected.error_message
+    response = worlds(standard, ['/srv/worlds'], go_on=True)
+    assert response.result.result == OK and len(response.worlds) == len(found)
+    assert "cannot search '/srv/worlds'" in response.result.error_message
+
+
+def test_named_poses_are_the_sites_of_the_arena(standard):
+    def poses(tags=(), mode=0):
+        return standard.call('get_named_poses', tags=Plain(tags=list(tags), filter_mode=mode))
+    (pose,) = poses().poses
+    assert pose.name == 'table_top'
+    assert (pose.pose.position.x, pose.pose.position.z) == pytest.approx((0.0, 0.8))
+    assert pose.pose.orientation.w == pytest.approx(1.0)
+    assert poses(tags=['spawn']).poses == []
+    assert poses(mode=5).result.result == UNSUPPORTED
+    response = standard.call('get_named_pose_bounds', name='table_top')
+    assert (response.result.result, response.bounds.type) == (OK, BoundsType.TYPE_EMPTY)
+    assert standard.code('get_named_pose_bounds', name='table')[0] == NOT_FOUND
+    load(standard, 'arena:bins')
+    assert [pose.name for pose in poses().poses] == ['bin1', 'bin2']
+
+
+def test_what_can_be_spawned_are_files_below_the_roots_and_robots(standard, tmp_path):
+    (tmp_path / 'more').mkdir()
+    (tmp_path / 'more' / 'can.xml').write_text(MJCF)
+    (tmp_path / 'notes.txt').write_text('')
+    (tmp_path / 'link.xml').symlink_to('/etc/passwd')
+    response = standard.call('get_spawnables', sources=[])
+    assert response.result.result == OK and response.result.error_message == ''
+    resources = [spawnable.entity_resource for spawnable in response.spawnables]
+    (uri,) = [resource.uri for resource in resources if resource.uri]
+    assert uri == (tmp_path / 'more' / 'can.xml').as_uri()
+    assert standard.spawn('', uri=uri).entity_name == 'can'
+    assert '{robot: Panda}' in [resource.resource_string for resource in resources]
+    response = standard.call('get_spawnables', sources=[str(tmp_path / 'more'), '/etc', 'x'])
+    assert response.result.result == OK and len(response.spawnables) == len(resources)
+    assert response.result.error_message == "not below spawn_roots: '/etc', 'x'"
