@@ -21,6 +21,7 @@ FLOORS = (
     {'experiments': 'many seeds: rows, intervals, shards'},
     {'ros': 'how it is seen: node, topics', 'records': 'episodes in MCAP files',
      'env': 'tasks for gymnasium'},
+    {'channels': 'what can be read, and its messages'},
     {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing'},
     {'tasks': 'starts, success, episodes', 'worlds': 'many copies of one'},
     {'simulation': 'what happens: robots in a world, states', 'rendering': 'pictures'},
@@ -50,8 +51,8 @@ COMMAND = (
 STATE = (
     ('mj_step, mj_forward', 'the physics'), ('simulation/simulation.py', 'the end of a period'),
     ('runtime/observers.py', 'who has to be called'),
-    ('ros/lazy_publishers.py', 'whoever has a reader'),
-    ('ros/state_publishers.py', 'joints, poses, wrenches'),
+    ('ros/channel_publishers.py', 'whoever has a reader'),
+    ('channels/kinds.py', 'joints, poses, wrenches'),
     ('ros/serialized.py', 'numbers into bytes'),
     ('DDS', 'joint_states'))
 _STYLE = ('<style>text{font:13px sans-serif;fill:#1b2733}.b{font-weight:bold}.s{font-size:11.5px}'

@@ -47,9 +47,9 @@ def test_displays_and_tools_are_those_of_rviz():
 def test_each_topic_is_one_that_the_node_publishes_with_that_type():
     published = {}
     for robot in ('PandaOmron', 'Baxter'):
-        sim = Simulation(compose(robot))
+        sim = Simulation(compose(robot, arena='table'))
         published |= {as_seen(topic.name): topic.type for topic in topics_of_world(
-            [(Scope(), sim.robot.parts, bool(sim.robot.twist_joints))], ['cube'])
+            sim, {Scope(): sim.robot})
             if topic.direction == PUBLISHED}
     shown = [(name, display.get('Topic') or display.get('Description Topic'))
              for name, display in displays()]

@@ -66,14 +66,15 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
     except ImportError:
         return None
     from manip_sim.interface.scope import Scope
+    from manip_sim.ros.channel_publishers import robot_states
     from manip_sim.ros.rejection_log import RejectionLog
-    from manip_sim.ros.state_publishers import StatePublishers
     rclpy.init()
     stack.callback(rclpy.shutdown)
     node = rclpy.create_node('period')
     stack.callback(node.destroy_node)
     context: Any = SimpleNamespace(
         node=node, log=RejectionLog(node.get_logger()), publishing=None, frame_prefix='',
-        is_built=False)
-    publishers = StatePublishers(context, simulation.robot, Scope())
+        is_built=False, robots={Scope(): simulation.robot}, table=[],
+        thread=SimpleNamespace(observe=lambda *_: None))
+    publishers = robot_states(context)
     return lambda: publishers.publish(simulation)

@@ -20,7 +20,6 @@ from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.offered_sensors import offered_topics
 from manip_sim.interface.scope import Scope
-from manip_sim.interface.served_instruments import served_instruments
 from manip_sim.interface.topics import SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world
 from manip_sim.models.bases import RobotBaseModel
@@ -155,11 +154,8 @@ def describe(composed: Composed) -> Row:
     cameras = declare_cameras(parameters, world, model)
     of_robots = [_of_robot(parameters, simulation, model, scope, robot) for scope, robot in served]
     topics = topics_of_world(
-        [(scope, robot.parts, robot.joints.twist_indices is not None) for scope, robot in served],
-        simulation.entities.free_names, {name: images.depth for name, images in cameras.items()},
-        [one.topic for one in served_instruments(simulation, dict(served))],
-        composed.composition.task is not None,
-        {lidar.name: lidar.rays.rings > 1 for lidar in world.lidars}, simulation.surroundings)
+        simulation, dict(served), {name: images.depth for name, images in cameras.items()},
+        composed.composition.task is not None)
     return {
         'name': world.name,
         'arena': world.arena.arena_name,

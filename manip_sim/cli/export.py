@@ -18,7 +18,8 @@ from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import commanded_parts
 from manip_sim.interface.ros2_control import hardware_of, remapped
-from manip_sim.interface.served_instruments import SensorSettings, served_instruments
+from manip_sim.interface.sensor_settings import SensorSettings
+from manip_sim.interface.world_topics import topics_of_instruments
 from manip_sim.models import World
 from manip_sim.models.binary import said_of_text
 from manip_sim.models.urdf_writer import choose_robot, Hardware, urdf_of
@@ -93,9 +94,9 @@ def _hardware(composed: Composed, name: str) -> Hardware:
     for part in commanded_parts(robot.parts):
         if robot.parts[part].atomic == (part,):
             robot.set_control_mode(part, value(scope.parameter(f'control_mode.{part}')))
+    named = topics_of_instruments(simulation, dict(zip(composition.scopes, robots.values())))
     settings = SensorSettings(
-        value('sensors'), served_instruments(simulation, dict(zip(
-            composition.scopes, robots.values()))), value('publish_rate'))
+        value('sensors'), [found.name for found, *_ in named], value('publish_rate'))
     return hardware_of(simulation, robot, scope, value('ros2_control_plugin'),
                        value('stepping') == 'lockstep', remapped, rates_hz=settings.rates_hz)
 

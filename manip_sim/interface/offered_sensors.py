@@ -99,12 +99,14 @@ class Offered:
     :param offer: the entry point
     :param source: its class
     :param robot: the robot
+    :ivar scope: namespace of the topics of the robot
     :ivar topic: its row, filled in
     :ivar offer: the entry point
     """
 
     def __init__(self, topic: Topic, offer: Offer, source: type[TopicSource],
-                 robot: SimulatedRobot) -> None:
+                 scope: Scope, robot: SimulatedRobot) -> None:
+        self.scope = scope
         self.topic = topic
         self.offer = offer
         self._source = source
@@ -139,12 +141,12 @@ def offered_topics(robots: Mapping[Scope, SimulatedRobot], listed: Iterable[Topi
     for offer in offers(GROUP).values():
         try:
             source = _load(offer)
-            for topic, robot in _filled_in(source.topic, robots):
+            for topic, scope, robot in _filled_in(source.topic, robots):
                 owner = owners.setdefault(topic.name, offer)
                 if owner is not offer:
                     raise ModelError(f"its topic '{topic.name}' is that of {owner}")
                 if topic.name not in {other.topic.name for other in found}:
-                    found.append(Offered(topic, offer, source, robot))
+                    found.append(Offered(topic, offer, source, scope, robot))
         except ManipSimError as error:
             warn(f'sensor {offer} cannot be used: {error}')
             found = [other for other in found if other.offer is not offer]
@@ -165,7 +167,7 @@ def _load(offer: Offer) -> type[TopicSource]:
 
 
 def _filled_in(row: Topic, robots: Mapping[Scope, SimulatedRobot]
-               ) -> Iterator[tuple[Topic, SimulatedRobot]]:
+               ) -> Iterator[tuple[Topic, Scope, SimulatedRobot]]:
     for scope, robot in robots.items():
         for topic in topics_of(robot.parts, twist=True, rows=[row]):
-            yield replace(topic, name=scope.topic(topic.name)), robot
+            yield replace(topic, name=scope.topic(topic.name)), scope, robot

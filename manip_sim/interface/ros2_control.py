@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from manip_sim.interface.scope import Scope
-from manip_sim.interface.served_instruments import served_instruments
+from manip_sim.interface.world_topics import topics_of_instruments
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN, TOPIC_PLUGIN
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -47,9 +47,9 @@ def hardware_of(simulation: Simulation, robot: SimulatedRobot, scope: Scope, plu
     wrenches = {f'{arm}_{topic}': resolve(scope.topic(f'{arm}/{topic}'))
                 for arm in robot.end_effectors for topic in ('wrench', 'external_wrench')}
     own = set(robot.sensor_names)
-    imus = {served.instrument.name: resolve(served.topic.name)
-            for served in served_instruments(simulation, {scope: robot})
-            if served.instrument.kind == 'imu' and served.instrument.sensors[0] in own}
+    imus = {found.name: resolve(scope.topic(row.name))
+            for found, _, row in topics_of_instruments(simulation, {scope: robot})
+            if found.kind == 'imu' and found.sensors[0] in own}
     return Hardware(
         robot.command_interfaces(), resolve(scope.topic('joint_states')),
         resolve(scope.topic('joint_command')), plugin, node, modes, wrenches, lockstep, imus,

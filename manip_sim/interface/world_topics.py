@@ -16,6 +16,8 @@ from manip_sim.interface.topics import (
     Action, ACTIONS, ARM, BY_NAME, CAMERA, GRIPPER, LIDAR, MEASURED, OBJECT, PART, SENSOR, TOKEN,
     Topic, TOPICS)
 from manip_sim.physics.parts import Part
+from manip_sim.sensing.instruments import Instrument, WRENCH
+from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: Fields of rows that are of the world, not of a robot.
 _OF_WORLD = ('task', 'arena', 'loose', 'bodies')
@@ -101,41 +103,51 @@ def truths(rows: Iterable[Topic]) -> list[Topic]:
             for row in rows if row.by in MEASURED]
 
 
-def topics_of_sensors(instruments: Iterable[tuple[str, str]]) -> list[Topic]:
+def topics_of_instruments(simulation: Simulation, robots: Mapping[Scope, SimulatedRobot]
+                          ) -> list[tuple[Instrument, Scope, Topic]]:
     """
-    Return the topics that the node has for the instruments of a model.
+    Return the instruments with topics of their own, their namespace, and their topic without it.
 
-    :param instruments: the name of each as a part of a topic, and its kind, such as ``imu``
+    The force/torque sensor of a gripper is published as the wrench of its arm.
+
+    :param robots: by the scope of their topics; instruments of other robots are left out
     """
-    return [row.filled_in(name) for name, kind in instruments for row in TOPICS
-            if row.per == SENSOR and row.by == kind]
+    scopes = {sensor: scope for scope, robot in robots.items() for sensor in robot.sensor_names}
+    elsewhere = {sensor for robot in simulation.robots.values() if robot not in robots.values()
+                 for sensor in robot.sensor_names}
+    of_arms = {reader.ft_frame for robot in robots.values()
+               for reader in robot.end_effectors.values()}
+    return [(found, scopes.get(found.sensors[0], Scope()), row.filled_in(found.topic))
+            for found in simulation.sensors.instruments for row in TOPICS
+            if row.per == SENSOR and row.by == found.kind and found.sensors[0] not in elsewhere
+            and not (found.kind == WRENCH and found.elements[0] in of_arms)]
 
 
-def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, Part], bool]],
-                    objects: Iterable[str] = (),
-                    cameras: Mapping[str, bool] = MappingProxyType({}),
-                    sensors: Iterable[Topic] = (), task: bool = False,
-                    lidars: Mapping[str, bool] = MappingProxyType({}),
-                    surroundings: Surroundings | None = None) -> list[Topic]:
+def topics_of_robot(scope: Scope, robot: SimulatedRobot) -> list[Topic]:
+    """Return the topics of a robot in its namespace, and those of the world beside them."""
+    return [replace(topic, name=scope.topic(topic.name))
+            for topic in topics_of(robot.parts, bool(robot.twist_joints))]
+
+
+def topics_of_world(simulation: Simulation, robots: Mapping[Scope, SimulatedRobot],
+                    cameras: Mapping[str, bool] = MappingProxyType({}), task: bool = False
+                    ) -> list[Topic]:
     """
     Return the topics that the node has for a world.
 
-    :param robots: where the topics of each are, its parts, and whether its base takes a twist
-    :param objects: names of free bodies
+    :param robots: by the scope of their topics
     :param cameras: that are chosen, by name: whether with depth
-    :param sensors: topics of instruments
     :param task: whether there is one
-    :param lidars: by name: whether with several rings
-    :param surroundings: mocap bodies, and joints of the arena
     """
     # A name that is absolute or private is the world's, and found with each robot.
     return list(dict.fromkeys([
-        *(replace(topic, name=scope.topic(topic.name)) for scope, parts, twist in robots
-          for topic in topics_of(parts, twist)),
-        *topics_of_objects(objects), *topics_of_cameras(cameras), *sensors,
-        *topics_of_lidars(lidars),
-        *([] if surroundings is None else topics_of_surroundings(surroundings)),
-        *[BY_NAME['~/task']] * task]))
+        *(topic for scope, robot in robots.items() for topic in topics_of_robot(scope, robot)),
+        *topics_of_objects(simulation.entities.free_names), *topics_of_cameras(cameras),
+        *(replace(row, name=scope.topic(row.name))
+          for _, scope, row in topics_of_instruments(simulation, robots)),
+        *topics_of_lidars({name: lidar.rays.rings > 1
+                           for name, lidar in simulation.lidars.items()}),
+        *topics_of_surroundings(simulation.surroundings), *[BY_NAME['~/task']] * task]))
 
 
 def _has(row: Topic, name: str, parts: Mapping[str, Part]) -> bool:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from dataclasses import replace
 import json
 from pathlib import Path
 import platform
@@ -19,9 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.cdr_patching import PatchedBytes
+from manip_sim.channels import contents
+from manip_sim.channels.channel import Channel, Fields, stamp_fields
+from manip_sim.channels.contents import multi_array
+from manip_sim.channels.kinds import clock_channel, robot_channels
 from manip_sim.errors import RecordError
-from manip_sim.frame_names import FrameNames, OPTICAL
+from manip_sim.frame_names import FrameNames, OPTICAL, ROOT
 from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.records.definitions import definition, encoder, full_name
 from manip_sim.records.record_file import RecordFile
 from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
@@ -46,8 +51,6 @@ TAKEN = '/episode/taken'
 #: What :data:`STATE` holds, one after the other: what it takes to draw all bodies.
 STATE_PARTS = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
                   | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
-_WORLD = 'world'
-_ARRAY, _POSE = 'std_msgs/Float64MultiArray', 'geometry_msgs/PoseStamped'
 
 
 class EpisodeRecorder:
@@ -189,10 +192,10 @@ class EpisodeRecorder:
             self.close()
 
 
-#: Function that makes the content of a message of a stamp and numbers.
-_Make = Callable[[dict[str, int], FloatArray], Any]
-#: Scope, topic, type and content of a quantity, its observed numbers and what reads exact ones.
-_Quantity = tuple[Scope, str, str, _Make, FloatArray, Callable[[], FloatArray]]
+#: Functions of the table of topics whose channels are recorded; of joints that of all.
+_RECORDED = ('joints', 'wrench', 'external_wrench', 'pose')
+#: Returns the content of a message for a simulation time [ns] and numbers.
+_Fields = Callable[[int, FloatArray], Fields]
 
 
 class _Topics:
@@ -207,6 +210,12 @@ class _Topics:
         model = self._simulation.model
         names = [str(model.camera(number).name) for number in range(model.ncam)]
         self._frames = dict(zip(names, FrameNames(model).opticals))
+        robots = self._simulation.robots
+        self._robots = [
+            channel for name, robot in robots.items()
+            for channel in robot_channels(robot, Scope(name if len(robots) > 1 else ''))
+            if channel.topic.by in _RECORDED and not (
+                channel.topic.by == 'joints' and channel.topic.of)]
 
     def _channel(self, topic: str, kind: str) -> int:
         if topic not in self._channels:
@@ -217,53 +226,55 @@ class _Topics:
               images: Mapping[str, NDArray[np.uint8]] | None) -> None:
         """Write what is observed at the present instant, and where it differs what is true."""
         seen = observation or self._episode.observation
-        self._write('/clock', 'rosgraph_msgs/Clock', lambda stamp, _: {'clock': stamp},
-                    np.empty(0))
-        self._write(STATE, _ARRAY, _array('qpos, qvel, mocap'), physics_state(self._simulation))
+        self._write('/clock', 'rosgraph_msgs/Clock', clock_channel().fields, np.empty(0))
+        self.write_numbers(STATE, 'qpos, qvel, mocap', physics_state(self._simulation))
         if 'goal' in seen:
-            self._write(GOAL, _ARRAY, _array('goal'), np.asarray(seen['goal'], dtype=np.float64))
+            self.write_numbers(GOAL, 'goal', np.asarray(seen['goal'], dtype=np.float64))
         exactly = self._episode.observes_exactly
-        for scope, topic, kind, make, numbers, exact in self._quantities(seen):
-            self._write(f'/{scope.topic(topic)}', kind, make, numbers)
+        for channel, numbers in self._observed(seen):
+            self._write_channel(channel, numbers)
             if not exactly:
-                self._write(f'/{scope.topic(f"truth/{topic}")}', kind, make, exact())
+                truth = channel.exact
+                assert truth is not None
+                self._write_channel(truth, truth.read(self._simulation))
         self._write_images({key.removeprefix(IMAGE): value for key, value in seen.items()
                             if key.startswith(IMAGE)} if images is None else images)
 
-    def _quantities(self, seen: Observation) -> Iterator[_Quantity]:
-        simulation, joint, row = self._simulation, 0, 0
-        for robot_name, robot in simulation.robots.items():
-            scope = Scope(robot_name if len(simulation.robots) > 1 else '')
-            exact, joints = robot.sensing.exact, slice(joint, joint + len(robot.joint_names))
-            yield (scope, 'joint_states', 'sensor_msgs/JointState',
-                   _joint_state(robot.joint_names),
-                   np.concatenate([seen[f'joint_{kind}'][joints] for kind in (
-                       'position', 'velocity', 'effort')]), partial(exact, 'joints'))
-            joint = joints.stop
-            for arm, reader in robot.end_effectors.items():
-                make, kind = _wrench(reader.wrench_frame), 'geometry_msgs/WrenchStamped'
-                wrench, external = f'{arm}/wrench', f'{arm}/external_wrench'
-                # No part of observations.
-                yield (scope, wrench, kind, make, robot.sensing.measured(wrench),
-                       partial(exact, wrench))
-                yield (scope, external, kind, make, seen['external_wrench'][row],
-                       partial(exact, external))
-                yield (scope, f'{arm}/eef_pose', _POSE, _pose, seen['eef_pose'][row],
-                       partial(exact, f'{arm}/pose'))
-                row += 1
-        for index, name in enumerate(simulation.entities.free_names):
-            yield (Scope(''), f'objects/{name}/pose', _POSE, _pose, seen['object_pose'][index],
-                   partial(simulation.entities.pose, simulation.data, name))
+    def _observed(self, seen: Observation) -> Iterator[tuple[Channel, FloatArray]]:
+        """Yield the recorded channels with the numbers of an observation."""
+        joint, arm, numbers = 0, -1, np.empty(0)
+        for channel in self._robots:
+            kind = channel.topic.by
+            if kind == 'joints':
+                joints = slice(joint, joint + channel.count // 3)
+                joint = joints.stop
+                numbers = np.concatenate([seen[f'joint_{name}'][joints] for name in (
+                    'position', 'velocity', 'effort')])
+            elif kind == 'wrench':  # No part of observations, and the first of an arm.
+                measured = channel.read(self._simulation)
+                assert measured is not None
+                arm, numbers = arm + 1, measured
+            else:
+                numbers = seen['eef_pose' if kind == 'pose' else kind][arm]
+            yield channel, numbers
+        for index, name in enumerate(self._simulation.entities.free_names):
+            yield _object_pose(name), seen['object_pose'][index]
+
+    def _write_channel(self, channel: Channel, numbers: FloatArray | None) -> None:
+        assert numbers is not None
+        self._write(f'/{channel.topic.name}', channel.topic.type, channel.fields, numbers)
 
     def write_numbers(self, topic: str, label: str, numbers: FloatArray) -> None:
         """Write an array, shape (n,)."""
-        self._write(topic, _ARRAY, _array(label), numbers)
+        make = multi_array((label, len(numbers)))
+        self._write(topic, 'std_msgs/Float64MultiArray',
+                    lambda _, numbers: make({}, numbers), numbers)
 
-    def _write(self, topic: str, kind: str, make: _Make, numbers: FloatArray) -> None:
+    def _write(self, topic: str, kind: str, fields: _Fields, numbers: FloatArray) -> None:
         if topic not in self._patched:
             encode = encoder(kind)
             self._patched[topic] = PatchedBytes(
-                lambda time_ns, numbers: encode(make(_stamp(time_ns), numbers)), len(numbers))
+                lambda time_ns, numbers: encode(fields(time_ns, numbers)), len(numbers))
         time_ns = self._simulation.time_ns
         self._file.write(self._channel(topic, kind), time_ns,
                          self._patched[topic].at(time_ns, numbers))
@@ -282,7 +293,8 @@ class _Topics:
             self._file.write(
                 self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
                 encoder(kind)({
-                    'header': _header(_stamp(time_ns), self._frames.get(camera, camera + OPTICAL)),
+                    'header': {'stamp': stamp_fields(time_ns),
+                               'frame_id': self._frames.get(camera, camera + OPTICAL)},
                     'format': JPEG_FORMAT, 'data': jpeg_of(rgb)}))
 
 
@@ -305,41 +317,11 @@ def physics_state(simulation: Simulation) -> FloatArray:
     return state
 
 
-def _stamp(time_ns: int) -> dict[str, int]:
-    return {'sec': time_ns // 1_000_000_000, 'nanosec': time_ns % 1_000_000_000}
+def _object_pose(name: str) -> Channel:
+    """Return the pose of a free body, whose name need not fit into that of a topic of a node."""
+    row = BY_NAME['objects/<name>/pose'].filled_in(name)
 
-
-def _header(stamp: dict[str, int], frame: str) -> dict[str, Any]:
-    return {'stamp': stamp, 'frame_id': frame}
-
-
-def _array(label: str) -> _Make:
-    def make(_: dict[str, int], numbers: FloatArray) -> Any:
-        count = len(numbers)
-        return {'layout': {'dim': [{'label': label, 'size': count, 'stride': count}]},
-                'data': numbers.tolist()}
-    return make
-
-
-def _joint_state(names: tuple[str, ...]) -> _Make:
-    def make(stamp: dict[str, int], numbers: FloatArray) -> Any:
-        position, velocity, effort = numbers.reshape(3, -1).tolist()
-        return {'header': _header(stamp, ''), 'name': list(names), 'position': position,
-                'velocity': velocity, 'effort': effort}
-    return make
-
-
-def _vector(numbers: list[float]) -> dict[str, float]:
-    return dict(zip('xyzw', numbers))
-
-
-def _wrench(frame: str) -> _Make:
-    def make(stamp: dict[str, int], numbers: FloatArray) -> Any:
-        return {'header': _header(stamp, frame), 'wrench': {
-            'force': _vector(numbers[:3].tolist()), 'torque': _vector(numbers[3:].tolist())}}
-    return make
-
-
-def _pose(stamp: dict[str, int], numbers: FloatArray) -> Any:
-    return {'header': _header(stamp, _WORLD), 'pose': {
-        'position': _vector(numbers[:3].tolist()), 'orientation': _vector(numbers[3:].tolist())}}
+    def read(simulation: Simulation) -> FloatArray:
+        return simulation.entities.pose(simulation.data, name)
+    pose = Channel(row, read, contents.pose, 7, ROOT)
+    return replace(pose, exact=replace(pose, topic=replace(row, name=f'truth/{row.name}')))

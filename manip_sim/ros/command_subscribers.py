@@ -29,8 +29,8 @@ from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.feature import Feature
-from manip_sim.ros.lazy_publishers import message_class, qos_options
-from manip_sim.ros.messages import nanoseconds_of, numbers_of
+from manip_sim.ros.lazy_publishers import qos_options
+from manip_sim.ros.messages import message_class, nanoseconds_of, numbers_of
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.reading import read_command, trajectory_fields
 from manip_sim.ros.rejection_log import kind_of
@@ -162,7 +162,7 @@ class CommandSubscribers:
                 self._subscribe(row, partial(parsers[row.by], row.of))
 
     def _subscribe(self, row: Topic, parse: Parse) -> None:
-        topic, message_type = self.scope.topic(row.name), message_class(row)
+        topic, message_type = self.scope.topic(row.name), message_class(row.type)
         part, robot = row.of or row.name, self.robot.name
         entry = self._entry_of.get(part, part)
 

@@ -26,7 +26,7 @@ from manip_sim.ros.feature import Feature
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
 from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.surroundings_topics import SurroundingsTopics
+from manip_sim.ros.surroundings_commands import SurroundingsCommands
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot
 
@@ -89,7 +89,7 @@ class Diagnostics(Feature):
     """Publishes the status of the simulation, commands of each part, images and other nodes."""
 
     def __init__(self, context: NodeContext, commands: RobotCommands,
-                 surroundings: SurroundingsTopics, cameras: Cameras) -> None:
+                 surroundings: SurroundingsCommands, cameras: Cameras) -> None:
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
         self._commands, self._surroundings, self._cameras = commands.robots, surroundings, cameras
         self._pace = Pace(context.thread)

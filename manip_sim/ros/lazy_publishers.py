@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 from rclpy.duration import Duration
@@ -18,14 +17,12 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
-from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import Topic
 from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
+from manip_sim.ros.messages import message_class
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
-from manip_sim.ros.serialized import Make, SerializedMessage
-from manip_sim.simulation import Simulation
 
 
 class Output:
@@ -99,12 +96,6 @@ class Output:
             self._log.failure('publications', self._publisher.topic_name, error)
 
 
-def message_class(row: Topic) -> Any:
-    """Return the type of the messages of a row of the table of topics."""
-    package, _, kind = row.type.partition('/')
-    return getattr(import_module(f'{package}.msg'), kind)
-
-
 def qos_options(context: NodeContext, topic: str) -> dict[str, Any]:
     """
     Return the arguments with which parameters override the QoS of a topic that is created now.
@@ -121,7 +112,7 @@ def qos_options(context: NodeContext, topic: str) -> dict[str, Any]:
 
 def create_publisher(context: NodeContext, row: Topic, message_type: Any = None) -> Publisher:
     """Create the publisher of a row of the table, or of another message type."""
-    message_type = message_type or message_class(row)
+    message_type = message_type or message_class(row.type)
     if row.latched:
         return context.node.create_publisher(message_type, row.name, QoSProfile(
             depth=row.depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
@@ -136,55 +127,3 @@ def create_output(context: NodeContext, row: Topic, message_type: Any = None) ->
     :param message_type: instead of that of the row
     """
     return Output(create_publisher(context, row, message_type), context.log, context.publishing)
-
-
-class Publication:
-    """
-    Messages of a topic that differ in their stamps and numbers only.
-
-    :param output: where they are published
-    :param make: returns the message for a stamp and for numbers, shape (count,)
-    :param read: returns the numbers of the present instant, or None to publish no message
-    :param count: how many numbers there are
-    :param every: number of control periods for each message
-    """
-
-    def __init__(self, output: Output, make: Make, read: Callable[[Simulation], FloatArray | None],
-                 count: int, every: int = 1) -> None:
-        self.output = output
-        self.every = every
-        self._read = read
-        self._message = SerializedMessage(make, count)
-
-    def publish(self, simulation: Simulation) -> None:
-        numbers = self._read(simulation)
-        if numbers is not None:
-            self.output.publish(self._message.at(simulation.time_ns, numbers))
-
-
-class Publications:
-    """Publications that are made only while they have subscribers."""
-
-    def __init__(self) -> None:
-        self._all: tuple[Publication, ...] = ()
-        self._subscribed: tuple[Publication, ...] = ()
-
-    def replace(self, topics: tuple[Publication, ...]) -> None:
-        """Publish other topics from now on; any thread may call this."""
-        self._all = topics
-
-    def destroy(self, node: Node) -> None:
-        """Publish nothing any more, and destroy the publishers."""
-        gone, self._all, self._subscribed = self._all, (), ()
-        for topic in gone:
-            topic.output.close(node)
-
-    def look(self) -> bool:
-        """Check which topics have subscribers, and return whether any has."""
-        self._subscribed = tuple(topic for topic in self._all if topic.output.has_subscribers)
-        return bool(self._subscribed)
-
-    def publish(self, simulation: Simulation) -> None:
-        """Publish the present instant on the topics that had subscribers at the last check."""
-        for topic in self._subscribed:
-            topic.publish(simulation)

@@ -1,24 +1,26 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages made of stamps and numbers; the one place that makes and reads stamps."""
+"""Messages of ROS made of fields and numbers; the one place that makes and reads stamps."""
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
 from typing import Any
 
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
 
 from manip_sim.arrays import FloatArray
+from manip_sim.channels.contents import CONTROL_MSGS, CONTROLLER_STATE
+from manip_sim.ros.optional_packages import import_optional
 
 WORLD = 'world'
+#: The type of ``<part>/controller_state``.
+CONTROLLER_TYPE = CONTROL_MSGS if hasattr(
+    import_optional('control_msgs.msg'), 'JointTrajectoryControllerState') else CONTROLLER_STATE
 #: Of topics whose last message is kept for subscribers that come later.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -37,24 +39,34 @@ def seconds_of(stamp: Time | Duration) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
-def clock(stamp: Time, _: FloatArray) -> Clock:
-    """Return a clock message; no numbers are used."""
-    return Clock(clock=stamp)
+@cache
+def message_class(kind: str) -> Any:
+    """Return the class of a type of messages, such as ``std_msgs/Bool``."""
+    package, _, name = kind.partition('/')
+    return getattr(import_module(f'{package}.msg'), name)
 
 
-def joint_state(names: Sequence[str], stamp: Time, numbers: FloatArray) -> JointState:
-    """
-    Return the joint states of a part.
+def message_of(kind: str, fields: Mapping[str, Any]) -> Any:
+    """Return a message of a type with the values of fields, in which messages are mappings."""
+    message = message_class(kind)()
+    types = message.get_fields_and_field_types()
+    for name, value in fields.items():
+        inner = types[name].removeprefix('sequence<').removesuffix('>')
+        if isinstance(value, Mapping):
+            value = message_of(inner, value)
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            value = [message_of(inner, item) for item in value]
+        setattr(message, name, value)
+    return message
 
-    :param names: of its joints, n
-    :param numbers: positions, velocities and efforts in SI units, shape (3 n,)
-    """
-    message = JointState()
-    message.header.stamp = stamp
-    message.name = list(names)
-    # rclpy takes an array.array as it is; lists and numpy arrays are checked number by number.
-    message.position, message.velocity, message.effort = (
-        array('d', row.tobytes()) for row in numbers.reshape(3, len(names)))
+
+def checked(message_type: Any) -> Any:
+    """Return a message that checks its fields; rclpy would serialize a wrong type as garbage."""
+    message = message_type(check_fields=True)
+    for name in message.get_fields_and_field_types():
+        value = getattr(message, name)
+        if hasattr(value, 'get_fields_and_field_types'):
+            setattr(message, name, checked(type(value)))
     return message
 
 
@@ -83,19 +95,3 @@ def _fill(message: Any, numbers: Iterator[float]) -> None:
 def numbers_of(message: Any) -> list[float]:
     """Return the numbers of a vector, a point or a quaternion x, y, z, w."""
     return [getattr(message, name) for name in message.get_fields_and_field_types()]
-
-
-def stamped(message_type: Any, frame_id: str, stamp: Time, numbers: FloatArray) -> Any:
-    """
-    Return a message with a header.
-
-    :param numbers: as :func:`filled` takes them
-    """
-    message = message_type()
-    message.header.stamp, message.header.frame_id = stamp, frame_id
-    return filled(message, numbers)
-
-
-#: Make a wrench, shape (6,), a pose, shape (7,), and a twist, shape (6,), in a frame.
-wrench_stamped, pose_stamped, twist_stamped = (
-    partial(stamped, kind) for kind in (WrenchStamped, PoseStamped, TwistStamped))

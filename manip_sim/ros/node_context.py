@@ -34,7 +34,7 @@ class NodeContext:
     :ivar frame_prefix: start of all frame names in messages
     :ivar inbox: takes the messages of commands; None: the executor does
     :ivar publishing: the thread that publishes; None: publishers do so themselves
-    :ivar table: the rows of the table of topics for this world but for objects
+    :ivar table: the rows of the table of topics for this world
     :ivar notes: sentences for the user, logged after the start
     :ivar missing: by a ROS package that is not installed, what does not exist without it
     :ivar features: of the node, in order

@@ -1,43 +1,23 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Organised point clouds, also made of depth images and their colours."""
+"""Organised point clouds, made of depth images and their colours."""
 
 from __future__ import annotations
 
-from array import array
-import sys
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from manip_sim.channels.contents import point_cloud
 from manip_sim.rendering.intrinsics import Intrinsics
+from manip_sim.ros.messages import message_of
 
 #: x, y, z and the colour as a packed number, as in PCL's PointXYZRGB.
 _POINT = np.dtype([(name, np.float32) for name in ('x', 'y', 'z', 'rgb')])
-#: Of the fields of messages, by the kinds and sizes of numbers.
-_DATATYPES = {'f4': PointField.FLOAT32, 'u2': PointField.UINT16}
-
-
-def point_cloud(head: Header, points: NDArray[Any]) -> PointCloud2:
-    """
-    Return the message of points in rows, some of which may be NaN.
-
-    :param points: contiguous, of a type with fields, shape (h, w)
-    """
-    message = PointCloud2(
-        header=head, height=points.shape[0], width=points.shape[1],
-        is_bigendian=sys.byteorder == 'big', point_step=points.itemsize,
-        row_step=points.strides[0], is_dense=False, fields=[
-            PointField(name=name, offset=offset, datatype=_DATATYPES[kind.str[1:]], count=1)
-            for name, (kind, offset, *_) in (points.dtype.fields or {}).items()])
-    content = array('B')
-    content.frombytes(points.view(np.uint8).data.cast('B'))
-    message.data = content
-    return message
 
 
 class PointCloudMaker:
@@ -66,4 +46,5 @@ class PointCloudMaker:
         # In memory the last byte of the number comes first: blue, green, red.
         colours[..., :3] = 255 if rgb is None else rgb[..., ::-1]
         colours[..., 3] = 0
-        return point_cloud(head, points.view(_POINT)[..., 0])
+        return message_of(
+            'sensor_msgs/PointCloud2', point_cloud(head, points.view(_POINT)[..., 0]))

@@ -1,24 +1,25 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish the URDF of each robot, and what a URDF does not say of its joints."""
+"""Publish the URDF of each robot, the dynamics of its joints, and the composed model."""
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 import json
 
 from rclpy.publisher import Publisher
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8MultiArray
 
 from manip_sim.interface.ros2_control import hardware_of
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
+from manip_sim.ros.channel_publishers import InstrumentPublishers
 from manip_sim.ros.feature import Feature
-from manip_sim.ros.instrument_publishers import InstrumentPublishers
 from manip_sim.ros.lazy_publishers import create_publisher
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.simulation import SimulatedRobot
@@ -109,3 +110,35 @@ class DescriptionPublisher(Feature):
             if urdf.notes:
                 name = f'{scope.name}: ' if scope.name else ''
                 self._context.notes.append(f'{name}robot_description: {"; ".join(urdf.notes)}')
+
+
+class ModelPublisher(Feature):
+    """
+    Latched publishers of the composed model; it comes again when robots or objects come or go.
+
+    ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
+    meshes, that it refers to.
+
+    :param world: as it is at the start
+    """
+
+    def __init__(self, context: NodeContext, world: World) -> None:
+        self._mjcf = create_publisher(context, BY_NAME['~/mjcf'])
+        self._archive = create_publisher(context, BY_NAME['~/mjcf_archive'])
+        self._simulation, self._world = context.simulation, world
+
+    def started(self) -> None:
+        self._publish(self._world)
+
+    def world_changed(self) -> None:
+        self._publish(self._simulation.world)
+
+    def _publish(self, world: World) -> None:
+        """
+        Publish the model.
+
+        :raises ModelError: if a file cannot be read
+        """
+        xml, archive = world.to_xml_and_archive()
+        self._mjcf.publish(String(data=xml))
+        self._archive.publish(UInt8MultiArray(data=array('B', archive)))

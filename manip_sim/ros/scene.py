@@ -5,15 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import partial
 
-from builtin_interfaces.msg import Time
-from nav_msgs.msg import Odometry
-import numpy as np
-from rclpy.parameter import Parameter
-
-from manip_sim.arrays import FloatArray
+from manip_sim.channels.channel import Channel
+from manip_sim.channels.kinds import odometry_channel
 from manip_sim.errors import ParameterError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_message
@@ -23,52 +19,17 @@ from manip_sim.physics.frame_tree import FrameTree
 from manip_sim.physics.odometry import OdometryReader
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted
+from manip_sim.ros.channel_publishers import ChannelPublishers
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.markers import MarkerPublisher
-from manip_sim.ros.messages import stamped
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
-from manip_sim.ros.state_publishers import Read, Reading, StatePublishers
 from manip_sim.ros.transforms import offer_transforms, TransformPublisher
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: The frame in which a mobile base has its odometry (REP 105), after the robot's prefix.
 ODOM = 'odom'
-
-
-def odometry_publishers(context: NodeContext, robot: SimulatedRobot, reader: OdometryReader,
-                        scope: Scope, frame: str, base: str) -> StatePublishers:
-    """
-    Publish a base's pose in the frame of its odometry, and its twist in its own axes.
-
-    They have no noise: the covariances are zero.
-
-    :param scope: namespace of its topic
-    :param frame: name of the frame of the odometry
-    :param base: name of the frame of the base
-    """
-    def exact() -> FloatArray:
-        found = reader.read(context.simulation.model, context.simulation.data)
-        return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
-
-    def reading(_: SimulatedRobot, __: str, prefix: str, read: Read) -> Reading:
-        return (partial(odometry, prefix + frame, prefix + base),
-                lambda simulation: read('odom'), 13)
-    robot.sensing.add('odom', exact)
-    return StatePublishers(context, robot, scope, {'odometry': reading})
-
-
-def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArray) -> Odometry:
-    """
-    Return a message with the pose of a frame in another one, and its twist.
-
-    :param numbers: position [m], quaternion x, y, z, w, and linear [m/s] and angular velocity
-        [rad/s] in the axes of the frame that moves, shape (13,)
-    """
-    message: Odometry = stamped(Odometry, frame_id, stamp, numbers)
-    message.child_frame_id = child_frame_id
-    return message
 
 
 def check_frame_prefix(prefix: str) -> str:
@@ -83,15 +44,58 @@ def check_frame_prefix(prefix: str) -> str:
     return prefix
 
 
-class SceneTopics(Feature):
-    """Odometry of each period, and frames, markers and planning scenes at their rates."""
+class OdometryPublishers(ChannelPublishers):
+    """
+    The publishers of the odometry of mobile bases.
+
+    :ivar placed: poses of the frames of odometry in ``world``, by name
+    """
 
     def __init__(self, context: NodeContext) -> None:
+        self._context = context
+        self.placed: dict[str, Pose] = {}
+        self._of: dict[Scope, Channel] = {}
+        for scope, robot in context.robots.items():
+            self._add(scope, robot)
+        super().__init__(context, lambda robots: [
+            [channel] for scope, channel in self._of.items() if scope in robots])
+
+    def _add(self, scope: Scope, robot: SimulatedRobot) -> None:
+        if not robot.twist_joints:
+            return
+        parameters, simulation = self._context.parameters, self._context.simulation
+        name = scope.parameter('prefix')  # Spawned robots have none.
+        prefix = (parameters.value(name) if name in parameters.names
+                  else robot.robot_model.naming_prefix)
+        names = FrameNames(simulation.model, self.placed)
+        frame = names.placed(prefix + ODOM)
+        reader = OdometryReader(simulation.model, robot.twist_joints)
+        self.placed[frame] = reader.origin
+        base = names.bodies[simulation.model.body(reader.base).id]
+        self._of[scope] = odometry_channel(simulation, robot, scope, reader, *(
+            self._context.frame_prefix + name for name in (frame, base)))
+
+    def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
+        self._add(scope, robot)
+        self.world_changed()
+
+    def robot_removed(self, scope: Scope) -> None:
+        super().robot_removed(scope)
+        if scope in self._of:
+            del self.placed[self._of.pop(scope).frame.removeprefix(self._context.frame_prefix)]
+
+
+class SceneTopics(Feature):
+    """
+    Frames, markers and planning scenes at their rates.
+
+    :param placed: poses of further frames in ``world``, by name
+    """
+
+    def __init__(self, context: NodeContext, placed: Mapping[str, Pose]) -> None:
         self._context, self._thread, value = context, context.thread, context.parameters.value
         self._end_effectors: dict[str, EndEffectorReader] = {}
-        #: Poses of the frames of odometry in ``world``, by name.
-        self._placed: dict[str, Pose] = {}
-        self._odometry: dict[Scope, tuple[str, StatePublishers]] = {}
+        self._placed = placed
         self._scenes: dict[Scope, PlanningScenePublisher] = {}
         every = _divider(context, value('publish_rate'), value('tf_rate'))
         self._scene_every = periods_per_message(value('publish_rate'), RATE_HZ)
@@ -110,40 +114,22 @@ class SceneTopics(Feature):
 
     def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
         """Serve a robot; its frames come with :meth:`world_changed`."""
-        thread, parameters = self._thread, self._context.parameters
-        if robot.twist_joints:
-            name = scope.parameter('prefix')  # Spawned robots have none.
-            prefix = (parameters.value(name) if name in parameters.names
-                      else robot.robot_model.naming_prefix)
-            model = self._context.simulation.model
-            names = FrameNames(model, self._placed)
-            frame = names.placed(prefix + ODOM)
-            reader = OdometryReader(model, robot.twist_joints)
-            self._placed[frame] = reader.origin
-            odometry = odometry_publishers(self._context, robot, reader, scope, frame,
-                                           names.bodies[model.body(reader.base).id])
-            self._odometry[scope] = frame, odometry
-            thread.observe(odometry.publish, look=odometry.look)
-        thread.call(partial(self._end_effectors.update, {
+        self._thread.call(partial(self._end_effectors.update, {
             scope.topic(arm): reader for arm, reader in robot.end_effectors.items()}))
         if PLANS:
             scene = self._scenes[scope] = PlanningScenePublisher(self._context, robot, scope)
-            thread.observe(scene.publish, self._scene_every, scene.look)
+            self._thread.observe(scene.publish, self._scene_every, scene.look)
 
     def robot_removed(self, scope: Scope) -> None:
-        frame, odometry = self._odometry.pop(scope, ('', None))
-        scene = self._scenes.pop(scope, None)
-        self._placed.pop(frame, None)
-
         def forget() -> None:
             for name in [*self._end_effectors]:
                 if name.startswith(scope.topic('')):
                     del self._end_effectors[name]
         self._thread.call(forget)
-        for publisher in (odometry, scene):
-            if publisher is not None:
-                self._thread.unobserve(publisher.publish)
-                publisher.destroy(self._context.node)
+        scene = self._scenes.pop(scope, None)
+        if scene is not None:
+            self._thread.unobserve(scene.publish)
+            scene.destroy(self._context.node)
 
     def _frames(self, simulation: Simulation) -> FrameTree:
         sites = [site for reader in self._end_effectors.values()
@@ -154,10 +140,6 @@ class SceneTopics(Feature):
     def world_changed(self) -> None:
         if self._transforms is not None:
             self._transforms.follow(self._context.simulation)
-
-    def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
-        for _, odometry in self._odometry.values():
-            odometry.publish_truth()
 
 
 def _divider(context: NodeContext, publish_rate: float, tf_rate: float) -> int:

@@ -35,17 +35,18 @@ class SerializedMessage:
 
     :param make: returns the message
     :param count: how many numbers it takes
+    :param patches: whether messages differ in their stamps and doubles only
     """
 
-    def __init__(self, make: Make, count: int) -> None:
+    def __init__(self, make: Make, count: int, patches: bool = True) -> None:
         self._make = make
         self._count = count
         self._patched: PatchedBytes | None = None
         # A type that is not generated from a definition cannot be serialized.
-        if hasattr(type(make(stamp_of(0), np.zeros(count))), '_TYPE_SUPPORT'):
+        if patches and hasattr(type(make(stamp_of(0), np.zeros(count))), '_TYPE_SUPPORT'):
             self._patched = PatchedBytes(self._serialize, count)
-        if not self._is_right():
-            self._patched = None
+            if not self._is_right():
+                self._patched = None
 
     @property
     def patches(self) -> bool:
@@ -59,8 +60,7 @@ class SerializedMessage:
         # Bytes cannot be compared: rclpy leaves those between aligned numbers as they were.
         time_ns, numbers = 1_000_000_002, np.linspace(0.1, 9.9, self._count, dtype=np.float64)
         made = self._make(stamp_of(time_ns), numbers)
-        if self._patched is None:
-            return False
+        assert self._patched is not None
         # rclpy appends what happens to be in memory, up to the size that it has estimated.
         self._patched.cut(_ENCODING_SIZE + _end('', made, 0))
         try:

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
+from manip_sim.channels.kinds import clock_channel
 from manip_sim.control.law.kept import all_are_kept
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
@@ -24,13 +25,15 @@ from manip_sim.interface.composition import (
     compose_world, Composition, declare_cameras, declare_parts, spawn_files)
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED, Topic
-from manip_sim.interface.world_topics import (
-    topics_of_objects, topics_of_surroundings, topics_of_world)
+from manip_sim.interface.world_topics import topics_of_surroundings, topics_of_world
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, offer_actions
 from manip_sim.ros.camera_publishers import Cameras
+from manip_sim.ros.channel_publishers import (
+    ChannelPublishers, InstrumentPublishers, lidar_scans, object_states, OfferedSensors,
+    robot_states)
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands
 from manip_sim.ros.declared_parameters import Parameters
@@ -38,22 +41,19 @@ from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.episode_publishers import (
     EpisodePublisher, JournalPublisher, TaskPublisher)
 from manip_sim.ros.feature import Feature
-from manip_sim.ros.instrument_publishers import InstrumentPublishers
-from manip_sim.ros.lidar_publishers import Lidars
 from manip_sim.ros.live_parameters import LiveParameters
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.overrides import check_qos_names, check_qos_values
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
-from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
+from manip_sim.ros.robot_description import (
+    DescriptionPublisher, DynamicsPublisher, ModelPublisher)
 from manip_sim.ros.safety_state import SafetyStatePublisher
-from manip_sim.ros.scene import check_frame_prefix, SceneTopics
-from manip_sim.ros.sensor_publishers import OfferedSensors
+from manip_sim.ros.scene import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
 from manip_sim.ros.startup_log import log_start
-from manip_sim.ros.state_publishers import ClockPublisher, ModelPublisher, RobotStates
-from manip_sim.ros.surroundings_topics import SurroundingsTopics
+from manip_sim.ros.surroundings_commands import SurroundingsCommands
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -80,7 +80,7 @@ class SimNode(Node):
     actions: ActionServers | None = None
 
     def __init__(self, **arguments: Any) -> None:
-        #: The rows of the table for this world but for objects; none while rclpy makes its own
+        #: The rows of the table for this world; none while rclpy makes its own
         #: topics.
         self.table: list[Topic] = []
         try:
@@ -113,11 +113,8 @@ class SimNode(Node):
         self.shared = self._create_context(composition, robots)
         self.thread = self.shared.thread
         self.table += topics_of_world(
-            [(scope, robot.parts, robot.joints.twist_indices is not None)
-             for scope, robot in robots.items()],
-            cameras={name: images.depth for name, images in cameras.items()},
-            task=composition.task is not None, surroundings=self.simulation.surroundings,
-            lidars={lidar.name: lidar.rays.rings > 1 for lidar in self._world.lidars})
+            self.simulation, robots, {name: images.depth for name, images in cameras.items()},
+            composition.task is not None)
         self._add_features(self.shared, composition, cameras)
         self._parameters_changed([])
         check_qos_names(self)
@@ -190,20 +187,23 @@ class SimNode(Node):
             task = self._add(TaskPublisher(context, composition.task))
             restart = task.restart
         self._live = self._add(LiveParameters(context))
-        self._add(RobotStates(context))
+        self._add(robot_states(context))
         self.commands = self._add(RobotCommands(context))
         self._add(OfferedSensors(context))
         self._add(ModelPublisher(context, world))
-        self.surroundings = self._add(SurroundingsTopics(context))
+        self._add(object_states(context))
+        self.surroundings = self._add(SurroundingsCommands(context))
         instruments = self._add(InstrumentPublishers(context))
-        self._add(SceneTopics(context))
+        odometry = self._add(OdometryPublishers(context))
+        self._add(SceneTopics(context, odometry.placed))
         if self.declared.value('publish_clock'):
-            self._add(ClockPublisher(context))
+            self._add(ChannelPublishers(context, lambda _: [[clock_channel()]]))
         self._add(DescriptionPublisher(context, world, instruments))
         dynamics = self._add(DynamicsPublisher(context))
         self._add(EpisodePublisher(context, restart, dynamics.publish))
         self.cameras = self._add(Cameras(context, cameras))
-        self._add(Lidars(context, world.lidars))
+        for lidar in world.lidars:
+            self._add(lidar_scans(context, lidar))
         self.actions = offer_actions(context, self.commands)
         if self.actions is not None:
             self._add(self.actions)
@@ -237,8 +237,7 @@ class SimNode(Node):
         # With use_sim_time rclpy subscribes to the clock.
         if not self.table or (direction, topic) == (SUBSCRIBED, '/clock'):
             return
-        listed = [*self.table, *topics_of_objects(self.simulation.entities.free_names),
-                  *topics_of_surroundings(self.simulation.surroundings)]
+        listed = [*self.table, *topics_of_surroundings(self.simulation.surroundings)]
         if not any((row.direction, row.name) == (direction, topic) for row in listed):
             raise ManipSimError(f"'{topic}' is {direction} but not in the table of topics")
 

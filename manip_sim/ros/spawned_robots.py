@@ -14,7 +14,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.interface.composition import check_robot_name, declare_parts
 from manip_sim.interface.parameters import spawned_parameter
 from manip_sim.interface.scope import Scope
-from manip_sim.interface.world_topics import topics_of_world
+from manip_sim.interface.world_topics import topics_of_robot
 from manip_sim.models import compose_robot
 from manip_sim.models.bases import base_names
 from manip_sim.models.composing import DEFAULT, NONE
@@ -151,9 +151,8 @@ class SpawnedRobots:
         change_unless_diverged(self._simulation, self._thread,
                                partial(self._thread.change_robots, plan))
         context, scope, robot = self._context, Scope(name), self._simulation.robots[name]
-        context.table += [row for row in topics_of_world(
-            [(scope, robot.parts, robot.joints.twist_indices is not None)])
-            if row not in context.table]
+        context.table += [row for row in topics_of_robot(scope, robot)
+                          if row not in context.table]
         context.robots[scope] = robot
         context.parameters.declare([spawned_parameter(scope)])
         declare_parts(context.parameters, [(scope, robot.parts)])

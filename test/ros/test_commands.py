@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from manip_sim.ros.state_publishers import MESSAGE_TYPE
+from manip_sim.ros.messages import CONTROLLER_TYPE, message_class
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
@@ -222,7 +222,7 @@ def test_a_best_effort_publisher_is_heard_and_a_reliable_one_beside_it_once(serv
 
 def test_the_state_of_a_controller_says_what_is_wanted_and_what_is(serve, client):
     node = serve()
-    states = client.listen(MESSAGE_TYPE, 'arm/controller_state')
+    states = client.listen(message_class(CONTROLLER_TYPE), 'arm/controller_state')
     client.publish('arm/joint_command', JointState(name=['robot0_joint1'], position=[0.3]))
     client.spin_until(lambda: states and abs(wanted(states[-1])['error'].velocities[0]) < 1e-3
                       and wanted(states[-1])['feedback'].positions[0] > 0.29999)

@@ -12,11 +12,10 @@ from sensor_msgs.msg import JointState
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
-from manip_sim.interface.served_instruments import served_instruments
 from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS
 from manip_sim.interface.world_topics import topics_of_world
 from manip_sim.ros import planning_scene_publisher, transforms
-from manip_sim.ros.lazy_publishers import message_class
+from manip_sim.ros.messages import message_class
 
 OF_ROS = {'/rosout', '/parameter_events'}
 #: Services that every node of rclpy has, and optional ones.
@@ -47,11 +46,8 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
     declare_parts(given, [(scope, robot.parts) for scope, robot in zip(scopes, robots)])
     cameras = declare_cameras(given, composition.world, simulation.model)
     expected = topics_of_world(
-        [(scope, robot.parts, robot.joints.twist_indices is not None)
-         for scope, robot in zip(scopes, robots)], simulation.entities.free_names,
-        {name: images.depth for name, images in cameras.items()},
-        [one.topic for one in served_instruments(simulation, dict(zip(scopes, robots)))],
-        composition.task is not None, surroundings=simulation.surroundings)
+        simulation, dict(zip(scopes, robots)),
+        {name: images.depth for name, images in cameras.items()}, composition.task is not None)
     missing = [package for package, types in (
         ('tf2_msgs', transforms.TFMessage), ('moveit_msgs', planning_scene_publisher.moveit_msgs))
         if types is None]
@@ -90,7 +86,7 @@ def test_a_topic_that_is_not_in_the_table_cannot_be_made(make, direction, serve)
 def test_a_row_has_a_type_that_exists_and_functions_of_its_own_direction(row):
     package = row.type.partition('/')[0]
     if package not in ('tf2_msgs', 'moveit_msgs'):
-        assert message_class(row).__name__ == row.type.partition('/')[2]
+        assert message_class(row.type).__name__ == row.type.partition('/')[2]
     assert bool(row.rate) == (row.direction == PUBLISHED)
     assert row.latched <= (row.depth == 1)
 

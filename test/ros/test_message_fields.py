@@ -6,10 +6,12 @@
 import numpy as np
 import pytest
 
+from manip_sim.channels import contents
 from manip_sim.ros import messages
 from manip_sim.ros.serialized import SerializedMessage
 
 STAMP = messages.stamp_of(12_000_000_034)
+HEAD = {'stamp': {'sec': 12, 'nanosec': 34}, 'frame_id': 'frame'}
 
 
 def numbers_of(message):
@@ -20,26 +22,27 @@ def numbers_of(message):
 def test_a_stamp_has_whole_seconds_and_the_nanoseconds_that_are_left():
     assert (STAMP.sec, STAMP.nanosec) == (12, 34)
     assert messages.nanoseconds_of(STAMP) == 12_000_000_034
-    assert messages.clock(STAMP, np.empty(0)).clock == STAMP
+    clock = messages.message_of('rosgraph_msgs/Clock', contents.clock(HEAD, np.empty(0)))
+    assert clock.clock == STAMP
 
 
 def test_joint_states_are_positions_then_velocities_then_efforts():
     names = ['a', 'b']
-    message = messages.joint_state(names, STAMP, np.arange(6.0))
+    message = messages.message_of(
+        'sensor_msgs/JointState', contents.joint_state(names)(HEAD, np.arange(6.0)))
     assert (message.header.stamp, message.name) == (STAMP, names)
     assert list(message.position) == [0.0, 1.0]
     assert list(message.velocity) == [2.0, 3.0]
     assert list(message.effort) == [4.0, 5.0]
-    # The model has no frame of its own for joints.
-    assert message.header.frame_id == ''
 
 
 @pytest.mark.parametrize(('make', 'halves', 'count'), [
-    (messages.wrench_stamped, lambda m: (m.wrench.force, m.wrench.torque), 6),
-    (messages.twist_stamped, lambda m: (m.twist.linear, m.twist.angular), 6),
-    (messages.pose_stamped, lambda m: (m.pose.position, m.pose.orientation), 7)])
+    (contents.wrench, lambda m: (m.wrench.force, m.wrench.torque), 6),
+    (contents.twist, lambda m: (m.twist.linear, m.twist.angular), 6),
+    (contents.pose, lambda m: (m.pose.position, m.pose.orientation), 7)])
 def test_two_halves_of_numbers_go_to_the_two_fields_in_their_order(make, halves, count):
-    message = make('frame', STAMP, np.arange(1.0, 1.0 + count))
+    message = messages.message_of(f'geometry_msgs/{make.__name__.capitalize()}Stamped',
+                                  make(HEAD, np.arange(1.0, 1.0 + count)))
     assert (message.header.stamp, message.header.frame_id) == (STAMP, 'frame')
     first, second = halves(message)
     assert numbers_of(first) + numbers_of(second) == list(range(1, 1 + count))
@@ -55,7 +58,8 @@ def test_what_is_no_message_is_returned_as_it_is_made():
 def test_a_message_whose_numbers_cannot_be_replaced_is_made_anew():
     # The name tells the first number, which the bytes of another message would not.
     def make(stamp, numbers):
-        return messages.joint_state([f'joint{numbers[0]:g}'], stamp, numbers)
+        return messages.message_of('sensor_msgs/JointState', contents.joint_state(
+            [f'joint{numbers[0]:g}'])(HEAD, numbers))
     serialized = SerializedMessage(make, 3)
     assert not serialized.patches
     assert serialized.at(0, np.array([5.0, 0.0, 0.0])).name == ['joint5']

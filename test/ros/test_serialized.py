@@ -3,38 +3,64 @@
 
 """Bytes in which numbers are replaced are those that rclpy makes of the messages."""
 
+from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace as Plain
 
 from geometry_msgs.msg import PoseStamped
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
+from manip_sim.channels import contents
+from manip_sim.channels.channel import Channel
+from manip_sim.channels.contents import ROWS
+from manip_sim.channels.kinds import clock_channel, controller_numbers
 from manip_sim.control.controlled_joints import ControllerState, JointReference
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.physics.frame_tree import TreeFrame
-from manip_sim.ros import messages, transforms
-from manip_sim.ros.lazy_publishers import Output, Publication, Publications
-from manip_sim.ros.scene import odometry
+from manip_sim.ros import channel_publishers, messages, transforms
+from manip_sim.ros.channel_publishers import ChannelPublishers
+from manip_sim.ros.lazy_publishers import Output
 from manip_sim.ros.serialized import SerializedMessage
-from manip_sim.ros.state_publishers import controller_numbers, controller_state, ROWS
 
 NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
 FRAMES = [TreeFrame('link1', 'world'), TreeFrame('link2', 'link1'), TreeFrame('ball', 'world')]
 #: Where each number of a message is told by how many names and frames there are before it.
 PREFIXES = ['', 'left/', 'a', 'ab', 'abc', 'rücken_']
+def maker(kind, make, frame=''):
+    """Return what makes messages of the fields that a channel has."""
+    def message(stamp, numbers):
+        channel = Channel(None, None, make, len(numbers), frame)
+        return messages.message_of(kind, channel.fields(messages.nanoseconds_of(stamp), numbers))
+    return message
+
+
+def joints(names):
+    return maker('sensor_msgs/JointState', contents.joint_state(names))
+
+
+def controllers(names):
+    kind = messages.CONTROLLER_TYPE
+    return maker(kind, contents.controller_state(names, kind))
+
+
 KINDS = {
-    'clock': (lambda prefix: messages.clock, 0),
-    'joint_state': (lambda prefix: partial(
-        messages.joint_state, [prefix + name for name in NAMES]), 3 * len(NAMES)),
-    'joint_state_of_one': (lambda prefix: partial(messages.joint_state, [prefix + 'finger']), 3),
-    'joint_state_of_none': (lambda prefix: partial(messages.joint_state, []), 0),
-    'wrench': (lambda prefix: partial(messages.wrench_stamped, prefix + 'ft_frame'), 6),
-    'pose': (lambda prefix: partial(messages.pose_stamped, prefix + 'world'), 7),
-    'twist': (lambda prefix: partial(messages.twist_stamped, prefix + 'world'), 6),
-    'odometry': (lambda prefix: partial(odometry, prefix + 'odom', prefix + 'base'), 13),
-    'controller_state': (lambda prefix: partial(
-        controller_state, [prefix + name for name in NAMES]), ROWS * len(NAMES)),
-    'controller_state_of_one': (lambda prefix: partial(controller_state, [prefix + 'x']), ROWS)}
+    'clock': (lambda prefix: maker('rosgraph_msgs/Clock', contents.clock), 0),
+    'joint_state': (lambda prefix: joints([prefix + name for name in NAMES]), 3 * len(NAMES)),
+    'joint_state_of_one': (lambda prefix: joints([prefix + 'finger']), 3),
+    'joint_state_of_none': (lambda prefix: joints([]), 0),
+    'wrench': (lambda prefix: maker(
+        'geometry_msgs/WrenchStamped', contents.wrench, prefix + 'ft_frame'), 6),
+    'pose': (lambda prefix: maker(
+        'geometry_msgs/PoseStamped', contents.pose, prefix + 'world'), 7),
+    'twist': (lambda prefix: maker(
+        'geometry_msgs/TwistStamped', contents.twist, prefix + 'world'), 6),
+    'odometry': (lambda prefix: maker(
+        'nav_msgs/Odometry', contents.odometry(prefix + 'base'), prefix + 'odom'), 13),
+    'controller_state': (lambda prefix: controllers([prefix + name for name in NAMES]),
+                         ROWS * len(NAMES)),
+    'controller_state_of_one': (lambda prefix: controllers([prefix + 'x']), ROWS)}
 if transforms.TFMessage is not None:
     KINDS['transforms'] = (lambda prefix: partial(transforms.transforms, FRAMES, prefix),
                            7 * len(FRAMES))
@@ -91,7 +117,7 @@ def test_readers_that_allow_nothing_behind_a_message_read_the_bytes(kind):
 
 
 def test_bytes_that_were_given_out_do_not_change():
-    message = SerializedMessage(partial(messages.pose_stamped, 'world'), 7)
+    message = SerializedMessage(KINDS['pose'][0](''), 7)
     first = message.at(1, np.arange(7.0))
     message.at(2, np.ones(7))
     pose = deserialize_message(first, PoseStamped)
@@ -104,7 +130,7 @@ def test_bytes_that_were_given_out_do_not_change():
     lambda numbers: np.minimum(numbers, 2.0)])
 def test_where_numbers_are_not_taken_as_they_are_the_message_itself_is_returned(change):
     def make(stamp, numbers):
-        return messages.twist_stamped('world', stamp, change(numbers))
+        return KINDS['twist'][0]('')(stamp, change(numbers))
 
     message = SerializedMessage(make, 6)
     assert not message.patches
@@ -151,15 +177,26 @@ class Instant:
     time_ns = 7
 
 
-def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_look_only():
-    publisher, reads = Listeners(), []
+@pytest.fixture
+def publish(monkeypatch):
+    """Return a function that publishes a channel, with a publisher in place of rclpy's."""
+    def start(channel):
+        publisher = Listeners()
+        monkeypatch.setattr(channel_publishers, 'create_output',
+                            lambda *_: Output(publisher, None))
+        context = Plain(robots={}, table=[], thread=Plain(observe=lambda *_: None))
+        return publisher, ChannelPublishers(context, lambda _: [[channel]])
+    return start
+
+
+def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_look_only(publish):
+    reads = []
 
     def read(simulation):
         reads.append(simulation)
         return np.ones(6)
-    topics = Publications()
-    make = partial(messages.twist_stamped, 'world')
-    topics.replace((Publication(Output(publisher, None), make, read, 6),))
+    row = BY_NAME['<arm>/eef_twist']
+    publisher, topics = publish(Channel(row, read, contents.twist, 6, 'world'))
     assert not topics.look()
     publisher.count = 1
     topics.publish(Instant())
@@ -167,7 +204,7 @@ def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_loo
     assert topics.look()
     for _ in range(5):
         topics.publish(Instant())
-    expected = serialize_message(make(messages.stamp_of(7), np.ones(6)))
+    expected = serialize_message(KINDS['twist'][0]('')(messages.stamp_of(7), np.ones(6)))
     assert (publisher.asked, publisher.published) == (2, [expected] * 5)
     publisher.count = 0
     assert not topics.look()
@@ -175,10 +212,9 @@ def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_loo
     assert len(publisher.published) == len(reads) == 5
 
 
-def test_a_topic_that_has_nothing_to_tell_publishes_nothing():
-    publisher, topics = Listeners(), Publications()
+def test_a_topic_that_has_nothing_to_tell_publishes_nothing(publish):
+    publisher, topics = publish(replace(clock_channel(), read=lambda _: None))
     publisher.count = 1
-    topics.replace((Publication(Output(publisher, None), messages.clock, lambda _: None, 0),))
     assert topics.look()
     topics.publish(Instant())
     assert publisher.published == []

@@ -11,7 +11,8 @@ from sensor_msgs.msg import Imu, JointState
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.scope import Scope
-from manip_sim.interface.served_instruments import SensorSettings, served_instruments
+from manip_sim.interface.sensor_settings import SensorSettings
+from manip_sim.interface.world_topics import topics_of_instruments
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 
@@ -58,7 +59,8 @@ def simulation():
 
 @pytest.fixture(scope='module')
 def served(simulation):
-    return served_instruments(simulation, {Scope(): simulation.robot})
+    return [found.name for found, *_ in topics_of_instruments(
+        simulation, {Scope(): simulation.robot})]
 
 
 def test_noise_of_a_sensor_is_repeated_by_its_seed_and_is_only_where_it_measures(simulation):
