@@ -174,22 +174,23 @@ def instrument_channels(simulation: Simulation, robots: Mapping[Scope, Simulated
     """
     first = next(iter(robots.values()), None)
     for instrument, scope, row in topics_of_instruments(simulation, robots):
-        measured, exact = (partial(_instrument, instrument.name, exact=exact)
-                           for exact in (False, True))
         channel = Channel(
-            replace(row, name=scope.topic(row.name)), measured,
+            replace(row, name=scope.topic(row.name)), partial(_measured, instrument.name),
             contents.OF_INSTRUMENTS[instrument.kind](instrument), instrument.length,
             instrument.frame and prefix + instrument.frame, every.get(instrument.name, 1))
         robot = robots.get(scope, first)
         yield channel if robot is None else channel.beside(
-            exact, row, scope, robot.sensing, instrument.name in noisy)
+            partial(_exact, instrument.name), row, scope, robot.sensing, instrument.name in noisy)
 
 
-def _instrument(name: str, simulation: Simulation, exact: bool) -> FloatArray | None:
+def _measured(name: str, simulation: Simulation) -> FloatArray | None:
     found = simulation.sensors.instrument(name)
-    if found is None:
-        return None
-    return found.read(simulation.data) if exact else simulation.instruments.measured(found)
+    return None if found is None else simulation.instruments.measured(found)
+
+
+def _exact(name: str, simulation: Simulation) -> FloatArray | None:
+    found = simulation.sensors.instrument(name)
+    return None if found is None else found.read(simulation.data)
 
 
 def lidar_channel(simulation: Simulation, fixed: LidarModel, period_s: float, prefix: str = ''

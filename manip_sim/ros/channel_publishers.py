@@ -40,45 +40,48 @@ class Publication:
     """The publisher of a channel."""
 
     def __init__(self, context: NodeContext, channel: Channel) -> None:
-        self._context = context
+        self._context, self._channel = context, channel
         self.output = create_output(context, channel.topic)
-        self._works = True
-        self._present = channel, _serialized(channel)
+        self._present = channel.read, _serialized(channel), channel.every
 
     def follow(self, channel: Channel) -> None:
         """Publish another channel of the same topic from now on; any thread may call this."""
-        before, message = self._present
-        zeros = np.zeros(channel.count)
+        zeros, before, message = np.zeros(channel.count), self._channel, self._present[1]
         is_alike = before.count == channel.count and before.fields(0, zeros) == channel.fields(
             0, zeros)
-        self._present = channel, message if is_alike else _serialized(channel)
+        self._channel = channel
+        self._present = channel.read, message if is_alike else _serialized(channel), channel.every
 
     def look(self) -> bool:
         """Return whether there are subscribers, and messages for them."""
-        return self._works and self.output.has_subscribers
+        return self.output.has_subscribers
 
     def publish(self, simulation: Simulation) -> None:
         """Publish the present instant, if it is due."""
-        channel, message = self._present
-        if channel.every > 1 and not self._context.thread.is_due(channel.every):
-            return
-        if channel.write is not None:
-            self._write(channel, simulation)
-            return
-        numbers = channel.read(simulation)
-        if numbers is not None:
-            self.output.publish(message.at(simulation.time_ns, numbers))
+        read, message, every = self._present
+        if every == 1 or self._context.thread.is_due(every):
+            numbers = read(simulation)
+            if numbers is not None:
+                self.output.publish(message.at(simulation.time_ns, numbers))
 
-    def _write(self, channel: Channel, simulation: Simulation) -> None:
-        """Publish what another package writes; after a failure nothing is published any more."""
+
+class OfferedPublication(Publication):
+    """The publisher of a channel that another package writes; it ends with the first failure."""
+
+    _works = True
+
+    def look(self) -> bool:
+        return self._works and super().look()
+
+    def publish(self, simulation: Simulation) -> None:
         if not self._works:
             return
         try:
-            message = written(channel, simulation)
+            message = written(self._channel, simulation)
             if message is not None:
                 self.output.publish(message)
         except Exception as error:  # Code of another package may raise anything.
-            self._works = False
+            self._works, channel = False, self._channel
             self._context.log.failure(
                 'sensors', f'{channel.topic.name} ends, sensor {channel.offer}', error)
 
@@ -159,7 +162,8 @@ class ChannelPublishers(Feature):
             else:
                 if not any(row.name == name for row in table):
                     table.append(channel.topic)
-                present[name] = Publication(self._context, channel)
+                present[name] = (Publication if channel.write is None else OfferedPublication)(
+                    self._context, channel)
         self._all = present
         gone = before.keys() - present.keys()
         if gone:

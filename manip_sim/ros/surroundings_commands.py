@@ -29,6 +29,8 @@ from manip_sim.ros.rejection_log import kind_of
 
 #: What the message of a pull holds: two points, and no pose of its own.
 _ENDS, _NOWHERE = 2, PoseMessage()
+
+
 class SurroundingsCommands(Feature):
     """
     Subscriptions of mocap bodies, of actuators of no robot and of pulls; objects may come and go.

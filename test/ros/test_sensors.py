@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu, JointState
+from spawning_node import ask, SpawningByParameters
 from std_msgs.msg import Float64, String
 
 from manip_sim.ros.messages import nanoseconds_of
@@ -149,3 +150,34 @@ class Late{number}(Sensor):
         (pair.key, pair.value) == ('failed_sensors', '3')
         for status in statuses[-1].status for pair in status.values))
     assert len(client.state().position) == 9
+
+
+@pytest.mark.full
+def test_a_robot_that_is_spawned_has_sensors_of_other_packages_until_it_goes(
+        package, serve, client, tmp_path):
+    package('arm_sensors', SOURCE + """
+class OfArm(TopicSource):
+    topic = replace(TOPIC, name='<arm>/height')
+    def write(self, message, simulation):
+        site = self.robot.end_effectors[self.of].grip_site
+        message.data = float(simulation.data.site(site).xpos[2])
+
+class OfWorld(TopicSource):
+    topic = TOPIC
+    def write(self, message, simulation): message.data = 4.0
+""", ['OfArm', 'OfWorld'])
+    node, lines = serve(real_time_factor=2.0), client.log()
+    SpawningByParameters(node, tmp_path)
+    assert ask(client, 'spawn_entity', name='left', resource_string='{robot: UR5e}',
+               position=[0.0, 2.0, 0.0]).successful
+    assert [row.name for row in node.table if row.type == 'std_msgs/Float64'] == [
+        'right/height', '~/one', 'left/right/height']
+    heights = client.listen(Float64, 'left/right/height')
+    client.spin_until(lambda: heights != [])
+    site = node.simulation.robots['left'].end_effectors['right'].grip_site
+    assert heights[-1].data == pytest.approx(node.simulation.data.site(site).xpos[2], abs=1e-3)
+    assert ask(client, 'delete_entity', entity='left').successful
+    client.spin_until(lambda: client.node.count_publishers('left/right/height') == 0)
+    assert client.node.count_publishers('right/height') == 1
+    assert not [line for line in lines if 'cannot be used' in line]
+    assert node.rejections.failed['sensors'] == 0

@@ -28,6 +28,8 @@ NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
 FRAMES = [TreeFrame('link1', 'world'), TreeFrame('link2', 'link1'), TreeFrame('ball', 'world')]
 #: Where each number of a message is told by how many names and frames there are before it.
 PREFIXES = ['', 'left/', 'a', 'ab', 'abc', 'rücken_']
+
+
 def maker(kind, make, frame=''):
     """Return what makes messages of the fields that a channel has."""
     def message(stamp, numbers):
