@@ -202,3 +202,19 @@ def test_a_record_names_the_type_of_the_robot_without_its_number(tmp_path, name,
         recorder.end()
     (recorded,) = Record(path).episodes()
     assert recorded.about['robot'] == robot
+
+
+@pytest.mark.full
+def test_each_of_two_arms_has_its_own_pose_and_wrench(tmp_path):
+    task = create_task('hand_over', 'Baxter')
+    episode = Episode(task, Simulation(task.world))
+    with EpisodeRecorder(tmp_path / 'a.mcap', episode) as recorder:
+        episode.reset(3)
+        recorder.begin(3)
+        recorder.end()
+    sensing = episode.simulation.robot.sensing
+    for arm in ('right', 'left'):
+        for topic, channel in (('eef_pose', 'pose'), ('external_wrench', 'external_wrench')):
+            (message,) = messages(tmp_path / 'a.mcap', f'/{arm}/{topic}')
+            found = message.pose.position if channel == 'pose' else message.wrench.force
+            assert [found.x, found.y, found.z] == sensing.measured(f'{arm}/{channel}')[:3].tolist()

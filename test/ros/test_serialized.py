@@ -11,6 +11,7 @@ from geometry_msgs.msg import PoseStamped
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
 
 from manip_sim.channels import contents
 from manip_sim.channels.channel import Channel
@@ -212,6 +213,23 @@ def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_loo
     assert not topics.look()
     topics.publish(Instant())
     assert len(publisher.published) == len(reads) == 5
+
+
+def test_a_topic_whose_messages_change_has_the_new_ones_on_the_same_publisher(publish):
+    row = BY_NAME['actuators/states']
+    present = [Channel(row, lambda _: np.arange(3.0), contents.joint_state(['a']), 3)]
+    publisher, topics = publish(present[0])
+    publisher.count = 1
+    topics._channels = lambda _: [present]
+    for names in (['a'], ['b'], ['b', 'c']):
+        count = 3 * len(names)
+        present[0] = replace(present[0], read=lambda _, n=count: np.arange(float(n)), count=count,
+                             make=contents.joint_state(names))
+        topics.world_changed()
+        assert topics.look()
+        topics.publish(Instant())
+        message = deserialize_message(publisher.published[-1], JointState)
+        assert list(message.name) == names and len(message.position) == len(names)
 
 
 def test_a_topic_that_has_nothing_to_tell_publishes_nothing(publish):
