@@ -30,7 +30,7 @@ MAY_IMPORT = {
     'control/law': ({'control', 'physics'}, PURE | {'llvmlite', 'numba'}),
     'control': ({'control', 'models', 'physics', 'sensing'}, PURE),
     'simulation': ({'control', 'models', 'physics', 'sensing', 'simulation'}, PURE),
-    'channels': ({'channels', 'control', 'interface', 'models', 'physics', 'sensing',
+    'channels': ({'channels', 'control', 'interface', 'models', 'physics', 'rendering', 'sensing',
                   'simulation'}, PURE),
     'worlds': ({'control', 'models', 'physics', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),

@@ -5,81 +5,38 @@
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 import json
-import sys
 import time
-from typing import Any
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from std_msgs.msg import Header, String
+from std_msgs.msg import String
 
+from manip_sim.channels.channel import Fields, stamp_fields
+from manip_sim.channels.images import image_channels, ImageChannel
 from manip_sim.errors import ManipSimError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_image
-from manip_sim.interface.topics import Topic
-from manip_sim.interface.world_topics import topics_of_cameras, truths
+from manip_sim.interface.topics import BY_NAME, Topic
+from manip_sim.interface.world_topics import truths
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
-from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
 from manip_sim.rendering.offscreen import BACKGROUND, Picture
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import create_publisher, Output
-from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.messages import message_of
 from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.point_clouds import PointCloudMaker
 from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
 from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
-_PLUMB_BOB = 'plumb_bob'
-#: Of images, by the kind of their numbers.
-_ENCODINGS = {'u': 'rgb8', 'f': '32FC1', 'i': '32SC1'}
 #: How long the start waits for OpenGL [s].
 _READY_S = 10.0
-
-
-def image(head: Header, pixels: NDArray[Any]) -> Image:
-    """
-    Return an image: ``rgb8`` of bytes with shape (h, w, 3), ``32FC1`` or ``32SC1`` of (h, w).
-
-    :param pixels: contiguous, the top row first
-    """
-    message = Image(header=head, height=pixels.shape[0], width=pixels.shape[1],
-                    encoding=_ENCODINGS[pixels.dtype.kind],
-                    is_bigendian=sys.byteorder == 'big', step=pixels.strides[0])
-    # rclpy takes an array.array as it is, and checks anything else byte by byte.
-    content = array('B')
-    content.frombytes(pixels.data.cast('B'))
-    message.data = content
-    return message
-
-
-def jpeg(head: Header, rgb: NDArray[np.uint8]) -> CompressedImage:
-    """
-    Return an image as JPEG.
-
-    :param rgb: shape (h, w, 3), the top row first
-    """
-    return CompressedImage(header=head, format=JPEG_FORMAT, data=array('B', jpeg_of(rgb)))
-
-
-def camera_info(found: Intrinsics) -> CameraInfo:
-    """Return the intrinsics of a camera without distortion; the header is empty."""
-    return CameraInfo(
-        width=found.width, height=found.height, distortion_model=_PLUMB_BOB, d=[0.0] * 5,
-        k=[found.fx, 0.0, found.cx, 0.0, found.fy, found.cy, 0.0, 0.0, 1.0],
-        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p=[found.fx, 0.0, found.cx, 0.0, 0.0, found.fy, found.cy, 0.0, 0.0, 0.0, 1.0, 0.0])
 
 
 def body_names(model: mujoco.MjModel) -> str:
@@ -88,37 +45,33 @@ def body_names(model: mujoco.MjModel) -> str:
                        **{body: model.body(body).name for body in range(model.nbody)}})
 
 
+def _create_output(context: NodeContext, row: Topic) -> Output:
+    """Create an output whose messages are published at once, not in a thread of states."""
+    return Output(create_publisher(context, row), context.log)
+
+
 class ImageOutputs:
-    """
-    The topics of the images of one camera, as they are measured or exact.
+    """The topics of the images of one camera, as they are measured or exact."""
 
-    :param outputs: by the end of their names
-    """
-
-    def __init__(self, outputs: Mapping[str, Output], found: Intrinsics) -> None:
-        makers: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
-            'color/image_raw': (image, ('rgb',)), 'color/image_raw/compressed': (jpeg, ('rgb',)),
-            'depth/image_raw': (image, ('depth',)),
-            'depth/points': (PointCloudMaker(found).make, ('depth', 'rgb')),
-            'labels/image_raw': (image, ('labels',))}
-        #: What makes their messages, and of which fields of a picture; the first must be there.
-        self._topics = [(outputs[name], *maker) for name, maker in makers.items()
-                        if name in outputs]
+    def __init__(self, context: NodeContext, channels: Iterable[ImageChannel]) -> None:
+        self._topics = [(channel, _create_output(context, channel.topic)) for channel in channels]
 
     def wanted(self) -> tuple[bool, bool, bool]:
         """Return whether colours, depth and labels have subscribers."""
-        wanted = {field for output, _, fields in self._topics if output.wanted for field in fields}
+        wanted = {part for channel, output in self._topics if output.wanted
+                  for part in channel.parts}
         return 'rgb' in wanted, 'depth' in wanted, 'labels' in wanted
 
-    def publish(self, head: Header, picture: Picture, noise: ImageNoise | None) -> None:
+    def publish(self, head: Fields, picture: Picture, noise: ImageNoise | None) -> None:
         rgb, depth = picture.rgb, picture.depth
         if noise is not None:
             rgb = None if rgb is None else noise.on_colours(rgb)
             depth = None if depth is None else noise.on_depth(depth)
-        found = {'rgb': rgb, 'depth': depth, 'labels': picture.labels}
-        for output, make, fields in self._topics:
-            if found[fields[0]] is not None and output.wanted:
-                output.publish(make(head, *(found[field] for field in fields)))
+        parts = {'rgb': rgb, 'depth': depth, 'labels': picture.labels}
+        for channel, output in self._topics:
+            if parts[channel.parts[0]] is not None and output.wanted:
+                output.publish(message_of(channel.topic.type, channel.make(
+                    head, *(parts[part] for part in channel.parts))))
 
 
 class CameraPublishers:
@@ -133,29 +86,25 @@ class CameraPublishers:
     def __init__(self, context: NodeContext, name: str, found: Intrinsics, depth: bool,
                  sensing: CameraSensing[Snapshot]) -> None:
         self._context = context
-        self._found = found
-        self._rows = topics_of_cameras({name: depth})
         self.view = CameraView(name, found.width, found.height)
         self.sensing = sensing
         model = context.simulation.model
         self._frame_id = context.frame_prefix + FrameNames(model).opticals[model.camera(name).id]
-        self._info = camera_info(found)
-        outputs = self._create(self._rows)
-        self._images = {False: ImageOutputs(outputs, found)}
-        self._names = outputs['labels/names']
-        self._infos = [output for topic, output in outputs.items() if 'camera_info' in topic]
-
-    def _create(self, rows: list[Topic]) -> dict[str, Output]:
-        return {row.name.partition(f'{self.view.camera}/')[2]: Output(
-            create_publisher(self._context, row), self._context.log) for row in rows}
+        channels = image_channels(name, found, depth)
+        self._seen = [channel for channel in channels if channel.parts]
+        self._images = {False: ImageOutputs(context, self._seen)}
+        self._infos = [(channel, _create_output(context, channel.topic)) for channel in channels
+                       if not channel.parts]
+        self._names = _create_output(context, BY_NAME['<camera>/labels/names'].filled_in(name))
 
     def publish_truth(self) -> None:
         """Also publish exact images, below ``truth/``, if noise or latency of images is set."""
         if True in self._images or not self.sensing.sensing.settings.measures_images:
             return
-        rows = truths(self._rows)
+        rows = truths([channel.topic for channel in self._seen])
         self._context.table += rows
-        self._images[True] = ImageOutputs(self._create(rows), self._found)
+        self._images[True] = ImageOutputs(self._context, [
+            replace(channel, topic=row) for channel, row in zip(self._seen, rows)])
 
     def wanted(self, exact: bool) -> tuple[bool, bool, bool]:
         """Return whether colours, depth and labels have subscribers, of exact images or others."""
@@ -166,24 +115,26 @@ class CameraPublishers:
         return any((*self.wanted(False), *self.wanted(True), self.infos_wanted()))
 
     def infos_wanted(self) -> bool:
-        return any(info.wanted for info in self._infos)
+        return any(output.wanted for _, output in self._infos)
 
     def publish_names(self, names: str) -> None:
         """Publish the names of the labels, as :func:`body_names` returns them."""
         self._names.publish(String(data=names))
 
     def publish_infos(self, time_ns: int) -> None:
-        self._info.header = Header(stamp=stamp_of(time_ns), frame_id=self._frame_id)
-        for output in self._infos:
+        for channel, output in self._infos:
             if output.wanted:
-                output.publish(self._info)
+                output.publish(message_of(channel.topic.type, channel.make(self._head(time_ns))))
+
+    def _head(self, time_ns: int) -> Fields:
+        return {'stamp': stamp_fields(time_ns), 'frame_id': self._frame_id}
 
     def publish(self, shot: Shot) -> None:
         """Publish what the camera saw, and the intrinsics for that instant."""
-        head = Header(stamp=stamp_of(shot.snapshot.time_ns), frame_id=self._frame_id)
-        self._images[shot.view.exact].publish(head, shot.picture, shot.noise)
+        time_ns = shot.snapshot.time_ns
+        self._images[shot.view.exact].publish(self._head(time_ns), shot.picture, shot.noise)
         if not shot.view.exact:
-            self.publish_infos(shot.snapshot.time_ns)
+            self.publish_infos(time_ns)
 
 
 class Cameras(Feature):
