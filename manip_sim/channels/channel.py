@@ -71,6 +71,21 @@ class Channel:
         """
         return self.make({'stamp': stamp_fields(time_ns), 'frame_id': self.frame}, numbers)
 
+    def written(self, message: Any, simulation: Simulation) -> Any:
+        """
+        Fill a new message of the present instant by the sensor of another package.
+
+        :param message: of ROS, or of ``manip_sim.records.definitions``
+        :returns: the message; None if there is nothing to publish
+        :raises Exception: anything
+        """
+        assert self.write is not None
+        if hasattr(message, 'header'):
+            head = message.header
+            head.stamp.sec, head.stamp.nanosec = stamp_fields(simulation.time_ns).values()
+            head.frame_id = self.frame
+        return None if self.write(message, simulation) is False else message
+
     def beside(self, exact: Read, row: Topic, scope: Scope, sensing: RobotSensing,
                is_noisy: bool = False) -> Channel:
         """Return the channel with one of exact numbers; ``row`` is its topic without ``scope``."""

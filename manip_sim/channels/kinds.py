@@ -137,11 +137,17 @@ def object_channels(simulation: Simulation, prefix: str = '') -> list[Channel]:
         *topics_of_objects(filter(TOKEN.fullmatch, simulation.entities.free_names)),
         *topics_of_surroundings(found)) if row.direction == PUBLISHED]
     # Actuators that come and go are last.
-    return [_object_channel(simulation, row, prefix) for row in sorted(
+    return [object_channel(simulation, row, prefix) for row in sorted(
         rows, key=lambda row: row.by == 'loose_actuators')]
 
 
-def _object_channel(simulation: Simulation, row: Topic, prefix: str) -> Channel:
+def object_channel(simulation: Simulation, row: Topic, prefix: str = '') -> Channel:
+    """
+    Return one of :func:`object_channels`.
+
+    :param row: of the table, filled in
+    :param prefix: of the names of frames
+    """
     found, names = simulation.surroundings, simulation.surroundings.other_actuators
     if row.by == 'arena_joints':
         return Channel(row, lambda _: found.state(), contents.joint_state(found.joints),

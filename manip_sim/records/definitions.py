@@ -11,7 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import functools
+import os
+from pathlib import Path
+import sys
+from types import SimpleNamespace
 from typing import Any
+
+import numpy as np
+
+from manip_sim.errors import RecordError
 
 #: Fields of each type, without the separator `/msg/` in its name.
 _FIELDS = {
@@ -20,13 +28,29 @@ _FIELDS = {
     'geometry_msgs/Pose': 'geometry_msgs/Point position; geometry_msgs/Quaternion orientation',
     'geometry_msgs/PoseStamped': 'std_msgs/Header header; geometry_msgs/Pose pose',
     'geometry_msgs/Quaternion': 'float64 x 0; float64 y 0; float64 z 0; float64 w 1',
+    'geometry_msgs/Twist': 'geometry_msgs/Vector3 linear; geometry_msgs/Vector3 angular',
+    'geometry_msgs/TwistStamped': 'std_msgs/Header header; geometry_msgs/Twist twist',
     'geometry_msgs/Vector3': 'float64 x; float64 y; float64 z',
     'geometry_msgs/Wrench': 'geometry_msgs/Vector3 force; geometry_msgs/Vector3 torque',
     'geometry_msgs/WrenchStamped': 'std_msgs/Header header; geometry_msgs/Wrench wrench',
     'rosgraph_msgs/Clock': 'builtin_interfaces/Time clock',
     'sensor_msgs/CompressedImage': 'std_msgs/Header header; string format; uint8[] data',
+    'sensor_msgs/Imu': 'std_msgs/Header header; geometry_msgs/Quaternion orientation; '
+                       'float64[9] orientation_covariance; '
+                       'geometry_msgs/Vector3 angular_velocity; '
+                       'float64[9] angular_velocity_covariance; '
+                       'geometry_msgs/Vector3 linear_acceleration; '
+                       'float64[9] linear_acceleration_covariance',
     'sensor_msgs/JointState': 'std_msgs/Header header; string[] name; float64[] position; '
                               'float64[] velocity; float64[] effort',
+    'sensor_msgs/LaserScan': 'std_msgs/Header header; float32 angle_min; float32 angle_max; '
+                             'float32 angle_increment; float32 time_increment; '
+                             'float32 scan_time; float32 range_min; float32 range_max; '
+                             'float32[] ranges; float32[] intensities',
+    'sensor_msgs/MagneticField': 'std_msgs/Header header; geometry_msgs/Vector3 magnetic_field; '
+                                 'float64[9] magnetic_field_covariance',
+    'sensor_msgs/Range': 'std_msgs/Header header; uint8 radiation_type; float32 field_of_view; '
+                         'float32 min_range; float32 max_range; float32 range; float32 variance',
     'std_msgs/Bool': 'bool data',
     'std_msgs/Float64': 'float64 data',
     'std_msgs/Float64MultiArray': 'std_msgs/MultiArrayLayout layout; float64[] data',
@@ -46,10 +70,33 @@ def full_name(name: str) -> str:
     return name.replace('/', '/msg/')
 
 
+@functools.cache
 def definition(name: str) -> str:
-    """Return the definition of a type such as ``std_msgs/Bool``, and of those it refers to."""
-    return joined(full_name(name), lambda kind: _FIELDS[kind.replace('/msg/', '/')].replace(
-        '; ', '\n'))
+    """
+    Return the definition of a type such as ``std_msgs/Bool``, and of those it refers to.
+
+    :raises RecordError: if it is not known here and no such package is installed
+    """
+    return joined(full_name(name), _text)
+
+
+def _text(kind: str) -> str:
+    fields = _FIELDS.get(kind.replace('/msg/', '/'))
+    return installed(kind) if fields is None else fields.replace('; ', '\n')
+
+
+def installed(kind: str) -> str:
+    """
+    Return the definition of a type such as ``std_msgs/msg/Bool`` in an installed package.
+
+    :raises RecordError: if it is not installed
+    """
+    prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
+    for prefix in filter(None, prefixes):
+        file = Path(prefix, 'share', f'{kind}.msg')
+        if file.is_file():
+            return file.read_text()
+    raise RecordError(f'the definition of {kind} is not installed')
 
 
 @functools.cache
@@ -69,6 +116,36 @@ def decoder(name: str) -> Callable[[bytes], Any]:
     decode: Callable[[bytes], Any] = generate_dynamic(full_name(name), definition(name))[
         full_name(name)]
     return decode
+
+
+def new_message(name: str) -> Any:
+    """
+    Return a message of a type such as ``std_msgs/Bool``, to be filled and :func:`encoded`.
+
+    :raises RecordError: if it has no :func:`definition`
+    """
+    return decoder(name)(encoder(name)({}))
+
+
+def encoded(name: str, message: Any) -> bytes:
+    """
+    Return a message of :func:`new_message` as CDR.
+
+    :raises AttributeError: if a field was set that the type does not have
+    :raises Exception: anything, if a value does not fit its field
+    """
+    return encoder(name)(_fields(message))
+
+
+def _fields(value: Any) -> Any:
+    """Return the fields of a message by name; NumPy arrays become lists, as the encoder needs."""
+    if isinstance(value, SimpleNamespace):
+        for name in vars(value):  # Fields are in slots.
+            raise AttributeError(f'{type(value).__name__} has no field {name!r}')
+        return {name: _fields(getattr(value, name)) for name in value.__slots__}
+    if isinstance(value, list):
+        return [_fields(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def joined(kind: str, text_of: Callable[[str], str]) -> str:

@@ -10,7 +10,6 @@ from functools import partial
 import importlib
 import os
 from pathlib import Path
-import sys
 import time
 from typing import Any
 
@@ -30,7 +29,7 @@ import yaml
 from manip_sim.errors import describe_choices, RecordError
 from manip_sim.quoting import counted, quoted
 from manip_sim.rclpy_internals import RCLError, start_rclpy, without_source
-from manip_sim.records.definitions import joined
+from manip_sim.records.definitions import installed, joined
 from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import MODEL, NODE
 from manip_sim.resources import package_version
@@ -181,7 +180,7 @@ class _NodeRecorder:
         assert self._file is not None
         try:
             cls = _message_class(kind)
-            text = joined(kind, _installed) + '\n'
+            text = joined(kind, installed) + '\n'
         except (ImportError, AttributeError, RecordError) as error:
             self._notes.append(f'{topic} was left out: {kind} is not installed ({error})')
             return None
@@ -252,16 +251,6 @@ class _NodeRecorder:
         what = f'{counted(self.messages, "message")} of {counted(topics, "topic")}'
         return '\n'.join([*self._notes, f'{self._file.path} ({what}, '
                           f'{time.monotonic() - self._begin_s:.1f} s, {self._size()})'])
-
-
-def _installed(kind: str) -> str:
-    """Return the definition of a type such as ``std_msgs/msg/Bool``."""
-    prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
-    for prefix in filter(None, prefixes):
-        file = Path(prefix, 'share', f'{kind}.msg')
-        if file.is_file():
-            return file.read_text()
-    raise RecordError(f'the definition of {kind} is not installed')
 
 
 def _message_class(kind: str) -> Any:

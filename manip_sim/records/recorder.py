@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 import json
+import logging
 from pathlib import Path
 import platform
 from types import TracebackType
@@ -19,22 +20,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.cdr_patching import PatchedBytes
-from manip_sim.channels import contents
 from manip_sim.channels.channel import Channel, Fields, stamp_fields
 from manip_sim.channels.contents import multi_array
-from manip_sim.channels.kinds import clock_channel, robot_channels
-from manip_sim.errors import RecordError
-from manip_sim.frame_names import FrameNames, OPTICAL, ROOT
+from manip_sim.channels.images import compressed_image
+from manip_sim.channels.kinds import (
+    clock_channel, object_channel, offered_channel, robot_channels)
+from manip_sim.errors import ManipSimError, RecordError
+from manip_sim.frame_names import FrameNames, OPTICAL
+from manip_sim.interface.offered_sensors import offered_topics
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.records.definitions import definition, encoder, full_name
+from manip_sim.interface.world_topics import topics_of_world
+from manip_sim.records.definitions import (
+    definition, encoded, encoder, full_name, new_message)
 from manip_sim.records.record_file import RecordFile
-from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import Episode
 from manip_sim.tasks.observation import IMAGE, Observation
 
+_LOGGER = logging.getLogger('manip_sim.records')
 #: Of the metadata below; a reader rejects others.
 FORMAT = '1'
 #: Names of metadata: of an episode at its begin, and at its end.
@@ -62,6 +67,8 @@ class EpisodeRecorder:
 
     Joints, poses, external wrenches and the goal are recorded as a policy observes them. Where
     noise or latency make that differ, the exact values of the instant are below ``truth/``.
+    Sensors of other packages are recorded as the node publishes them, with the noise of the seed;
+    one that fails is logged and left out from then on.
 
     :param path: of the file
     :param episode: what is recorded
@@ -115,6 +122,7 @@ class EpisodeRecorder:
             **self._about, 'number': str(self._number), 'seed': str(seed),
             'steps': str(self._episode.simulation.step_count),
             'drawn': json.dumps(self._episode.simulation.randomized.drawn)})
+        self._topics.begin(seed)
         self._topics.write(observation, images)
         self._digest()
 
@@ -211,11 +219,31 @@ class _Topics:
         names = [str(model.camera(number).name) for number in range(model.ncam)]
         self._frames = dict(zip(names, FrameNames(model).opticals))
         robots = self._simulation.robots
+        scopes = {Scope(name if len(robots) > 1 else ''): robot for name, robot in robots.items()}
         self._robots = [
-            channel for name, robot in robots.items()
-            for channel in robot_channels(robot, Scope(name if len(robots) > 1 else ''))
+            channel for scope, robot in scopes.items() for channel in robot_channels(robot, scope)
             if channel.topic.by in _RECORDED and not (
                 channel.topic.by == 'joints' and channel.topic.of)]
+        self._objects: dict[str, Channel] = {}
+        #: Topics of sensors of other packages, and their channels in this episode.
+        self._offered = {offered.topic.name: offered for offered in offered_topics(
+            scopes, topics_of_world(self._simulation, scopes), _LOGGER.warning)}
+        self._sensors: list[Channel] = []
+
+    def begin(self, seed: int) -> None:
+        """Create the sensors of other packages for an episode, with its seed."""
+        self._sensors = []
+        for name, offered in [*self._offered.items()]:
+            try:
+                definition(offered.topic.type)
+                self._sensors.append(offered_channel(offered, self._simulation, seed))
+            except ManipSimError as error:
+                self._leave_out(name, error)
+
+    def _leave_out(self, name: str, error: Exception) -> None:
+        """Record no more of a sensor of another package."""
+        _LOGGER.warning('%s is not recorded any more, sensor %s: %s: %s', name,
+                        self._offered.pop(name).offer, type(error).__name__, error)
 
     def _channel(self, topic: str, kind: str) -> int:
         if topic not in self._channels:
@@ -226,7 +254,7 @@ class _Topics:
               images: Mapping[str, NDArray[np.uint8]] | None) -> None:
         """Write what is observed at the present instant, and where it differs what is true."""
         seen = observation or self._episode.observation
-        self._write('/clock', 'rosgraph_msgs/Clock', clock_channel().fields, np.empty(0))
+        self._write_channel(clock_channel(), np.empty(0))
         self.write_numbers(STATE, 'qpos, qvel, mocap', physics_state(self._simulation))
         if 'goal' in seen:
             self.write_numbers(GOAL, 'goal', np.asarray(seen['goal'], dtype=np.float64))
@@ -237,6 +265,7 @@ class _Topics:
                 truth = channel.exact
                 assert truth is not None
                 self._write_channel(truth, truth.read(self._simulation))
+        self._write_sensors()
         self._write_images({key.removeprefix(IMAGE): value for key, value in seen.items()
                             if key.startswith(IMAGE)} if images is None else images)
 
@@ -258,11 +287,35 @@ class _Topics:
                 numbers = seen['eef_pose' if kind == 'pose' else kind][arm]
             yield channel, numbers
         for index, name in enumerate(self._simulation.entities.free_names):
-            yield _object_pose(name), seen['object_pose'][index]
+            yield self._object(name), seen['object_pose'][index]
+
+    def _object(self, name: str) -> Channel:
+        """Return the pose of a free body, whose name need not be that of a topic of a node."""
+        if name not in self._objects:
+            row = BY_NAME['objects/<name>/pose'].filled_in(name)
+            pose = object_channel(self._simulation, row)
+            self._objects[name] = replace(pose, exact=replace(
+                pose, topic=replace(row, name=f'truth/{row.name}')))
+        return self._objects[name]
 
     def _write_channel(self, channel: Channel, numbers: FloatArray | None) -> None:
         assert numbers is not None
-        self._write(f'/{channel.topic.name}', channel.topic.type, channel.fields, numbers)
+        self._write(_recorded_as(channel), channel.topic.type, channel.fields, numbers)
+
+    def _write_sensors(self) -> None:
+        """Write what sensors of other packages have to say at the present instant."""
+        for channel in [*self._sensors]:
+            kind = channel.topic.type
+            try:
+                message = channel.written(new_message(kind), self._simulation)
+                content = None if message is None else encoded(kind, message)
+            except Exception as error:  # Code of another package may raise anything.
+                self._sensors.remove(channel)
+                self._leave_out(channel.topic.name, error)
+                continue
+            if content is not None:
+                self._file.write(self._channel(_recorded_as(channel), kind),
+                                 self._simulation.time_ns, content)
 
     def write_numbers(self, topic: str, label: str, numbers: FloatArray) -> None:
         """Write an array, shape (n,)."""
@@ -288,14 +341,19 @@ class _Topics:
 
     def _write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         """Write images by camera as JPEG; the topics are those of cameras of the node."""
-        kind, time_ns = 'sensor_msgs/CompressedImage', self._simulation.time_ns
+        time_ns = self._simulation.time_ns
         for camera, rgb in images.items():
-            self._file.write(
-                self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
-                encoder(kind)({
-                    'header': {'stamp': stamp_fields(time_ns),
-                               'frame_id': self._frames.get(camera, camera + OPTICAL)},
-                    'format': JPEG_FORMAT, 'data': jpeg_of(rgb)}))
+            row = BY_NAME['<camera>/color/image_raw/compressed'].filled_in(camera)
+            head = {'stamp': stamp_fields(time_ns),
+                    'frame_id': self._frames.get(camera, camera + OPTICAL)}
+            self._file.write(self._channel(f'/{row.name}', row.type), time_ns,
+                             encoder(row.type)(compressed_image(head, rgb)))
+
+
+def _recorded_as(channel: Channel) -> str:
+    """Return the name of a topic as that of a node without a namespace."""
+    name = channel.topic.name
+    return f'/manip_sim{name[1:]}' if name[0] == '~' else f'/{name.lstrip("/")}'
 
 
 def _joints(simulation: Simulation) -> dict[str, dict[str, list[str]]]:
@@ -315,13 +373,3 @@ def physics_state(simulation: Simulation) -> FloatArray:
     state = np.empty(mujoco.mj_stateSize(model, STATE_PARTS))
     mujoco.mj_getState(model, simulation.data, state, STATE_PARTS)
     return state
-
-
-def _object_pose(name: str) -> Channel:
-    """Return the pose of a free body, whose name need not fit into that of a topic of a node."""
-    row = BY_NAME['objects/<name>/pose'].filled_in(name)
-
-    def read(simulation: Simulation) -> FloatArray:
-        return simulation.entities.pose(simulation.data, name)
-    pose = Channel(row, read, contents.pose, 7, ROOT)
-    return replace(pose, exact=replace(pose, topic=replace(row, name=f'truth/{row.name}')))

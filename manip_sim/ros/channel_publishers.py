@@ -27,7 +27,7 @@ from manip_sim.quoting import one_line
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.lazy_publishers import create_output
 from manip_sim.ros.messages import (
-    checked, CONTROLLER_TYPE, message_class, message_of, nanoseconds_of, stamp_of)
+    checked, CONTROLLER_TYPE, message_class, message_of, nanoseconds_of)
 from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -77,7 +77,7 @@ class OfferedPublication(Publication):
         if not self._works:
             return
         try:
-            message = written(self._channel, simulation)
+            message = _written(self._channel, simulation)
             if message is not None:
                 self.output.publish(message)
         except Exception as error:  # Code of another package may raise anything.
@@ -92,14 +92,9 @@ def _serialized(channel: Channel) -> SerializedMessage:
     return SerializedMessage(make, channel.count, channel.patches)
 
 
-def written(channel: Channel, simulation: Simulation) -> Any:
+def _written(channel: Channel, simulation: Simulation) -> Any:
     """Return the message of the present instant that another package writes, or None."""
-    assert channel.write is not None
-    message = checked(message_class(channel.topic.type))
-    if hasattr(message, 'header'):
-        message.header.stamp = stamp_of(simulation.time_ns)
-        message.header.frame_id = channel.frame
-    return None if channel.write(message, simulation) is False else message
+    return channel.written(checked(message_class(channel.topic.type)), simulation)
 
 
 class ChannelPublishers(Feature):
@@ -254,7 +249,7 @@ class OfferedSensors(ChannelPublishers):
             # A trial, by an instance of its own, which may remember what it has published.
             trial, channel = (offered_channel(
                 offered, simulation, seed, self._context.frame_prefix) for _ in range(2))
-            serialize_message(written(trial, simulation) or message_class(trial.topic.type)())
+            serialize_message(_written(trial, simulation) or message_class(trial.topic.type)())
         except ManipSimError:
             raise
         except Exception as error:  # Code of another package may raise anything.

@@ -4,10 +4,13 @@
 """Records of episodes, as rosbags and mcap read them."""
 
 import json
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from manip_sim import entry_points
 from manip_sim.errors import RecordError
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import create_task, Episode
@@ -20,6 +23,7 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 
 from manip_sim.models.archive import load_archive  # noqa: E402
 from manip_sim.records import EpisodeRecorder  # noqa: E402
+from manip_sim.records.episode_arrays import Frames  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 
 _IMAGE = np.zeros((48, 64, 3), np.uint8)
@@ -218,3 +222,134 @@ def test_each_of_two_arms_has_its_own_pose_and_wrench(tmp_path):
             (message,) = messages(tmp_path / 'a.mcap', f'/{arm}/{topic}')
             found = message.pose.position if channel == 'pose' else message.wrench.force
             assert [found.x, found.y, found.z] == sensing.measured(f'{arm}/{channel}')[:3].tolist()
+
+
+class Run(NamedTuple):
+    """What was recorded of an episode, and how it ended."""
+
+    path: Path
+    digest: str
+    positions: list
+    lines: list
+
+
+@pytest.fixture
+def record(tmp_path, caplog):
+    """Return a function that records five periods of reach for each seed."""
+    task = create_task('reach', 'Panda')
+    simulation = Simulation(task.world)
+    episode = Episode(task, simulation)
+
+    def run(name, *seeds):
+        heights = []
+        with EpisodeRecorder(tmp_path / name, episode) as recorder:
+            for seed in seeds:
+                episode.reset(seed)
+                recorder.begin(seed)
+                for _ in range(5):
+                    episode.step(np.full(episode.actions.size, 0.3))
+                    recorder.period(np.full(episode.actions.size, 0.3))
+                    heights.append(
+                        simulation.data.site('gripper0_right_grip_site').xpos[2].item())
+                recorder.end()
+        return Run(tmp_path / name, episode.digest, heights,
+                   [line.getMessage() for line in caplog.records])
+    return run
+
+
+@pytest.mark.full
+def test_an_installed_sensor_is_recorded_with_the_noise_of_the_seed(
+        install_example, monkeypatch, record):
+    without = record('without.mcap', 3)
+    monkeypatch.syspath_prepend(install_example('end_effector_imu'))
+    once, again, other = (record(f'{name}.mcap', seed) for name, seed in (
+        ('once', 3), ('again', 3), ('other', 4)))
+    assert once.digest == again.digest == without.digest
+    readings = [[[v.x, v.y, v.z] for m in messages(run.path, '/right/imu')
+                 for v in (m.angular_velocity, m.linear_acceleration)]
+                for run in (once, again, other)]
+    assert len(readings[0]) == 2 * 6
+    # At rest at the start: gravity, and the noise of two seeds.
+    assert np.linalg.norm(readings[0][1]) == pytest.approx(9.81, abs=0.3)
+    assert readings[0] != readings[2] and np.allclose(readings[0][0], readings[2][0], atol=0.02)
+    first = messages(once.path, '/right/imu')[0]
+    assert first.header.frame_id == 'gripper0_right_grip_site'
+    assert first.angular_velocity_covariance[4] == pytest.approx(0.002**2)
+    (clock, *_) = messages(once.path, '/clock')
+    assert first.header.stamp == clock.clock
+    (recorded,) = Record(once.path).episodes()
+    assert Frames(recorded).observed.positions.keys() == {'robot0'}, 'cannot be converted'
+
+
+@pytest.mark.full
+def test_a_sensor_with_messages_of_its_own_begins_anew_in_each_episode(
+        install_example, monkeypatch, record):
+    monkeypatch.syspath_prepend(install_example('touched_bodies'))
+    path = record('a.mcap', 3, 4).path
+    texts = messages(path, '/manip_sim/touched')
+    assert [text.data for text in texts] == ['', '']
+
+
+SENSORS = """
+from dataclasses import replace
+from manip_sim.interface.offered_sensors import Sensor, TopicSource
+from manip_sim.interface.topics import PUBLISHED, Topic
+TOPIC = Topic('<arm>/height', 'std_msgs/Float64', PUBLISHED, 'of grip_site [m]')
+
+class Height(Sensor):
+    topic = TOPIC
+    def read(self, simulation):
+        return [simulation.data.site(self.robot.end_effectors[self.of].grip_site).xpos[2]]
+    def fill(self, message, values):
+        message.data = values[0]
+
+class Late(Sensor):
+    topic = replace(TOPIC, name='~/late')
+    def read(self, simulation):
+        return [1.0 if simulation.data.qvel[0] == 0.0 else float('nan')]
+    def fill(self, message, values):
+        message.data = values[0]
+
+class Field(TopicSource):
+    topic = replace(TOPIC, name='~/field')
+    def write(self, message, simulation):
+        message.datum = 1.0
+
+class Typeless(TopicSource):
+    topic = replace(TOPIC, name='~/typeless', type='no_msgs/None')
+    def write(self, message, simulation):
+        pass
+
+class Broken(TopicSource):
+    topic = replace(TOPIC, name='~/broken')
+    def __init__(self):
+        pass
+    def write(self, message, simulation):
+        pass
+
+class Taken(TopicSource):
+    topic = replace(TOPIC, name='<arm>/eef_pose')
+    def write(self, message, simulation):
+        pass
+"""
+
+
+def test_sensors_that_fail_are_named_once_and_the_others_and_the_episode_go_on(
+        package_on_path, monkeypatch, record):
+    monkeypatch.setattr(entry_points, '_all_offers', entry_points._all_offers.__wrapped__)
+    digest = record('without.mcap', 3, 4).digest
+    points = ['Height', 'Late', 'Field', 'Typeless', 'Broken', 'Taken']
+    package_on_path('manip_sim.sensors', 'their_sensors', SENSORS, dict(zip(points, points)))
+    run = record('with.mcap', 3, 4)
+    assert run.digest == digest
+    heights = [message.data for message in messages(run.path, '/right/height')]
+    assert heights[1:6] + heights[7:] == run.positions
+    assert [message.data for message in messages(run.path, '/manip_sim/late')] == [1.0]
+    for name, text in (('Late', 'finite'), ('Field', "Float64 has no field 'datum'"),
+                       ('Typeless', 'no_msgs/msg/None is not installed'),
+                       ('Broken', 'TypeError'), ('Taken', 'is that of manip_sim')):
+        (line,) = [line for line in run.lines if f"'{name}' of the package their_sensors" in line]
+        assert text in line and '1.2' in line
+    with AnyReader([run.path]) as reader:
+        assert not {'/manip_sim/field', '/manip_sim/typeless', '/manip_sim/broken'
+                    } & reader.topics.keys()
