@@ -55,9 +55,10 @@ MAY_IMPORT = {
     'cli/ros_commands.py': (set(), None),
     'gallery.py': ({'cli', 'models', 'rendering', 'simulation', 'tasks'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
-    # What a client shares with the node: how messages and archives are read, what is logged.
-    'viewer/ros': ({'viewer', 'models', 'ros'}, None),
-    'viewer': ({'models', 'records', 'viewer'}, PURE | {'PIL', 'viser'}),
+    # What a client shares with the node: names of topics, how messages and archives are read,
+    # what is logged.
+    'viewer/ros': ({'interface', 'models', 'ros', 'viewer'}, None),
+    'viewer': ({'interface', 'models', 'records', 'viewer'}, PURE | {'PIL', 'viser'}),
     'interface': ({'control', 'interface', 'models', 'physics', 'sensing', 'simulation', 'tasks'},
                   PURE),
 }

@@ -10,7 +10,7 @@ import re
 from manip_sim.interface.composition import declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, SERVICES, SUBSCRIBED, TOPICS
 from manip_sim.interface.world_topics import topics_of
 
 REFERENCE = Path(__file__).resolve().parents[1] / 'docs' / 'reference'
@@ -58,3 +58,15 @@ def test_parameters_of_parts_that_are_commanded_are_filled_in():
     modes = {name: value for name, value in found.items() if name.startswith('control_mode')}
     assert modes == {'control_mode.arm': 'position', 'control_mode.base': 'velocity'}
     assert found['command_timeout.base'] == 0.5 and found['command_timeout.arm'] == 0.0
+
+
+def test_the_name_of_a_topic_says_of_what_it_is():
+    for name, of in (('<part>/joint_command', 'left'), ('<arm>/gripper/command', 'left/gripper'),
+                     ('objects/<name>/pose', 'cube'), ('<camera>/color/image_raw', 'front'),
+                     ('<lidar>/scan', 'flat'), ('sensors/<sensor>/imu', 'hand')):
+        row = BY_NAME[name]
+        assert row.of_name(row.filled_in(of).name) == of
+    for name in ('joint_command', '/joint_command', 'left/joint_commands', 'x/left/joint_comman'):
+        assert BY_NAME['<part>/joint_command'].of_name(name) == ''
+    # What stands before and after does not overlap.
+    assert BY_NAME['objects/<name>/pose'].of_name('objects/pose') == ''

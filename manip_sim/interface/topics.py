@@ -74,8 +74,21 @@ class Topic:
 
     def filled_in(self, of: str) -> Topic:
         """Return the topic of a part, an arm, an object or a camera."""
-        placeholder = GRIPPER if GRIPPER in self.name else self.per
-        return replace(self, name=self.name.replace(placeholder, of), of=of)
+        return replace(self, name=self.name.replace(self._placeholder, of), of=of)
+
+    @property
+    def _placeholder(self) -> str:
+        return GRIPPER if GRIPPER in self.name else self.per
+
+    def of_name(self, name: str) -> str:
+        """
+        Return the part, arm, object or camera whose topic has a name; empty if there is none.
+
+        :raises ValueError: if the topic has no placeholder
+        """
+        begin, _, end = self.name.partition(self._placeholder)
+        of = name.removeprefix(begin).removesuffix(end)
+        return of if name == f'{begin}{of}{end}' else ''
 
 
 @dataclass(frozen=True)

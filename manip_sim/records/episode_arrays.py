@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 import json
-import re
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import quoted
 from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import ACTION, GOAL, REWARD, SUCCESS
@@ -23,7 +23,7 @@ from manip_sim.records.untrusted_records import finite, image
 
 #: Of the topics of exact values, after the name of the robot if there are several, and of objects.
 _TRUTH, _OBJECTS = 'truth', 'objects'
-_IMAGE = re.compile(r'/(?P<camera>.+)/color/image_raw/compressed')
+_IMAGE = BY_NAME['<camera>/color/image_raw/compressed']
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,8 @@ class Frames:
     @property
     def cameras(self) -> dict[str, str]:
         """The topics of images by camera."""
-        return {match['camera']: topic for topic in self.recorded.types
-                if (match := _IMAGE.fullmatch(topic))}
+        return {camera: topic for topic in self.recorded.types
+                if (camera := _IMAGE.of_name(topic.removeprefix('/')))}
 
     def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
         """

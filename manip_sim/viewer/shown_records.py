@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import counted
 from manip_sim.records.converting import records_in
 from manip_sim.records.definitions import full_name
@@ -27,7 +28,7 @@ from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.plain_text import Line, plain
 
 _DONE, _FAILED, _CUT_OFF = '#2f9e44', '#e03131', '#868e96'
-_IMAGE = '/color/image_raw/compressed'
+_IMAGE = BY_NAME['<camera>/color/image_raw/compressed']
 #: Of a node, at most so many instants are shown; of more, every second one, or third ...
 _MOST_INSTANTS = 6000
 #: Times of messages and instants are the same up to rounding [s].
@@ -391,9 +392,8 @@ def _add(found: dict[str, Plotted], name: str, title: str, names: list[str], row
 
 def _images(recorded: Recorded) -> dict[str, list[Any]]:
     """Return the messages with compressed images by camera."""
-    return {topic.removesuffix(_IMAGE).strip('/'):
-            recorded.decoded(topic, 'sensor_msgs/CompressedImage')
-            for topic in recorded.types if topic.endswith(_IMAGE)}
+    return {camera: recorded.decoded(topic, _IMAGE.type) for topic in recorded.types
+            if (camera := _IMAGE.of_name(topic.removeprefix('/')))}
 
 
 def decoded(content: bytes) -> NDArray[np.uint8] | None:

@@ -20,12 +20,13 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
 from manip_sim.arrays import FloatArray
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.viewer.page.diagnosis import ShownStatus
+from manip_sim.viewer.ros.layout import name_of
 
 _ACTION_SIZE, _MAX_ACTION_SIZE = 'action_size', 100
 _SERVICES = {'pause': SetBool, 'step': Trigger, 'reset': Trigger, 'tare_wrench': Trigger,
              'describe_parameters': DescribeParameters, 'set_parameters': SetParameters}
-_JOINT_COMMAND = '/joint_command'
 #: The constraint in the description of a parameter that has choices.
 _CHOICES = re.compile(r'One of: (?P<names>[\w:, -]+)\.')
 
@@ -70,8 +71,7 @@ class CommandSender:
             if topic not in self._publishers:
                 self._publishers[topic] = self._node.create_publisher(kind, topic, 10)
         self._modes = None
-        self._parts = {topic.removesuffix(_JOINT_COMMAND) for topic in topics
-                       if topic.endswith(_JOINT_COMMAND)}
+        self._parts = set(filter(None, map(BY_NAME['<part>/joint_command'].of_name, topics)))
         for name, kind in _SERVICES.items():
             if name not in self._clients:
                 self._clients[name] = self._node.create_client(kind, f'/{self._name}/{name}')
@@ -126,19 +126,20 @@ class CommandSender:
     def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
         """Publish goals of joints; see :class:`PageCommands`, as for all that follows."""
         message = JointState(name=list(goals), **{field: list(goals.values())})
-        self._publish(f'{space}{part}/joint_command', message)
+        self._publish(name_of(space, '<part>/joint_command', part), message)
 
     def act(self, space: str, part: str, action: float) -> None:
         size = self._action_sizes.get(f'{space}{part}')
         if size is None:
             self._notify(f'{part}: the length of an action is not known yet')
             return
-        self._publish(f'{space}{part}/command', Float64MultiArray(data=[action] * size))
+        self._publish(name_of(space, '<part>/command', part),
+                      Float64MultiArray(data=[action] * size))
 
     def drive(self, space: str, twist: tuple[float, float, float]) -> None:
         message = Twist()
         message.linear.x, message.linear.y, message.angular.z = twist
-        self._publish(f'{space}base/cmd_vel', message)
+        self._publish(name_of(space, 'base/cmd_vel'), message)
 
     def reach(self, space: str, arm: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
         message = PoseStamped()
@@ -146,7 +147,7 @@ class CommandSender:
         at, turn = message.pose.position, message.pose.orientation
         at.x, at.y, at.z = (float(value) for value in position)
         turn.w, turn.x, turn.y, turn.z = (float(value) for value in quat_wxyz)
-        self._publish(f'{space}{arm}/target_pose', message)
+        self._publish(name_of(space, '<arm>/target_pose', arm), message)
 
     def pull(self, body: str, number: int, point: FloatArray, target: FloatArray) -> None:
         self._pull(Marker(ns=body, id=number, points=[

@@ -22,7 +22,7 @@ from manip_sim.ros.messages import LATCHED
 from manip_sim.viewer.page.robots import (
     commanded_joints, declared_limits, limit_of, Robot, ShownPart)
 from manip_sim.viewer.ros import contents
-from manip_sim.viewer.ros.layout import Layout, layout_of, RobotTopics
+from manip_sim.viewer.ros.layout import Layout, layout_of, name_of, RobotTopics
 from manip_sim.viewer.ros.readers import Readers
 
 #: Velocity limits of the base where none are declared [m/s, m/s, rad/s].
@@ -112,11 +112,11 @@ class Discovery:
         spaces = [robot.space for robot in layout.robots]
         parts = [robot.space + name for robot in layout.robots for name in robot.parts]
         # Another description may come at any time, the names of joints come many times a second.
-        wanted: dict[str, tuple[Any, ...]] = {f'{space}robot_description': (
+        wanted: dict[str, tuple[Any, ...]] = {name_of(space, 'robot_description'): (
             String, partial(self._take_urdf, space), LATCHED, _MAX_URDF_BYTES)
             for space in spaces}
-        wanted.update({f'{part}/joint_states': (JointState, partial(self._take_names, part), 1)
-                       for part in parts
+        wanted.update({name_of('', '<part>/joint_states', part): (
+            JointState, partial(self._take_names, part), 1) for part in parts
                        if part not in self._joints or part not in self._current})
         for topic in self._subscriptions.keys() - wanted.keys():
             self._node.destroy_subscription(self._subscriptions.pop(topic))

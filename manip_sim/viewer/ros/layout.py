@@ -9,9 +9,10 @@ from collections.abc import Collection
 from dataclasses import dataclass
 import re
 
+from manip_sim.interface.topics import BY_NAME
+
 _GRIPPER = '/gripper'
-_DESCRIPTION, _COMMAND = 'robot_description', '/joint_command'
-_TARGET, _IMAGE = '/target_pose', '/color/image_raw'
+_DESCRIPTION = BY_NAME['robot_description'].name
 #: An absolute name, and how many topics of a node are looked at.
 _NAME = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 _MAX_TOPICS = 5000
@@ -49,6 +50,17 @@ class Layout:
     cameras: tuple[str, ...] = ()
 
 
+def name_of(space: str, row: str, of: str = '') -> str:
+    """
+    Return the name of a topic.
+
+    :param space: that it begins with, such as ``/left/``
+    :param row: its name in the table, such as ``<part>/joint_command``
+    :param of: the part, arm, object or camera
+    """
+    return space + BY_NAME[row].filled_in(of).name
+
+
 def layout_of(base: str, published: Collection[str], subscribed: Collection[str]) -> Layout:
     """
     Return what a node offers.
@@ -62,10 +74,8 @@ def layout_of(base: str, published: Collection[str], subscribed: Collection[str]
                              for names in (published, subscribed))
     spaces = sorted(name.removesuffix(_DESCRIPTION) for name in published
                     if name.startswith(base) and name.endswith(f'/{_DESCRIPTION}'))
-    objects = [parts[1] for name in published if name.startswith(f'{base}objects/')
-               and len(parts := name.removeprefix(base).split('/')) == 3 and parts[2] == 'pose']
-    cameras = [name.removeprefix(base).removesuffix(_IMAGE) for name in published
-               if name.startswith(base) and name.endswith(_IMAGE)]
+    objects = [name for name in _named(base, published, 'objects/<name>/pose') if '/' not in name]
+    cameras = _named(base, published, '<camera>/color/image_raw')
     # The namespace of a spawned robot is below that of the only one from the start.
     owned = {space: [topic for topic in subscribed if topic.startswith(space) and not any(
         len(other) > len(space) and topic.startswith(other) for other in spaces)]
@@ -75,21 +85,22 @@ def layout_of(base: str, published: Collection[str], subscribed: Collection[str]
 
 
 def _robot(space: str, subscribed: Collection[str]) -> RobotTopics:
-    parts = _named(space, subscribed, _COMMAND)
-    end_effectors = _named(space, subscribed, _TARGET)
+    parts = _named(space, subscribed, '<part>/joint_command')
+    end_effectors = _named(space, subscribed, '<arm>/target_pose')
     # A single arm is also the part right, and of two arms, arm is both.
     double = 'arm' if {'right', 'left'} <= set(parts) else 'right'
     kept = [part for part in parts if part.count('/') <= part.endswith(_GRIPPER)
             and not (part == double and 'arm' in parts)]
     return RobotTopics(space, tuple(sorted(kept, key=_order)),
                        tuple(sorted(end_effectors, reverse=True)),
-                       f'{space}base/cmd_vel' in subscribed)
+                       name_of(space, 'base/cmd_vel') in subscribed)
 
 
-def _named(space: str, topics: Collection[str], end: str) -> list[str]:
-    """Return what stands between a beginning and an end in the names of topics."""
-    names = [topic[len(space):] for topic in topics if topic.startswith(space)]
-    return [name.removesuffix(end) for name in names if name.endswith(end)]
+def _named(space: str, topics: Collection[str], row: str) -> list[str]:
+    """Return the parts, arms, objects or cameras that have a topic of the table."""
+    names = [BY_NAME[row].of_name(topic.removeprefix(space)) for topic in topics
+             if topic.startswith(space)]
+    return list(filter(None, names))
 
 
 def _order(part: str) -> tuple[int, str]:

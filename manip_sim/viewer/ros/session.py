@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from functools import partial
 import os
 from pathlib import Path
 import time
@@ -34,6 +35,7 @@ from manip_sim.viewer.page.saved_poses import Poses
 from manip_sim.viewer.page.server import close_server, open_server, page_address
 from manip_sim.viewer.ros.command_sender import CommandSender
 from manip_sim.viewer.ros.discovery import Discovery
+from manip_sim.viewer.ros.layout import name_of
 from manip_sim.viewer.ros.node_recording import NodeRecording
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
 from manip_sim.viewer.ros.states import States
@@ -161,14 +163,15 @@ class Session:
     def _command_topics(self) -> dict[str, Any]:
         topics: dict[str, Any] = {f'/{self._name}/pull': Marker}
         for robot in self._layout.robots:
+            name = partial(name_of, robot.space)
             for part in robot.parts:
-                topics[f'{robot.space}{part}/joint_command'] = JointState
+                topics[name('<part>/joint_command', part)] = JointState
                 if part.endswith('/gripper'):
-                    topics[f'{robot.space}{part}/command'] = Float64MultiArray
+                    topics[name('<part>/command', part)] = Float64MultiArray
             for arm in robot.end_effectors:
-                topics[f'{robot.space}{arm}/target_pose'] = PoseStamped
+                topics[name('<arm>/target_pose', arm)] = PoseStamped
             if robot.drives:
-                topics[f'{robot.space}base/cmd_vel'] = Twist
+                topics[name('base/cmd_vel')] = Twist
         return topics
 
     def _state(self, now_s: float) -> tuple[str, str, bool | None]:

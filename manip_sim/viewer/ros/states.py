@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray
 from manip_sim.viewer.page.diagnosis import ShownStatus
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.ros import contents
-from manip_sim.viewer.ros.layout import Layout
+from manip_sim.viewer.ros.layout import Layout, name_of
 from manip_sim.viewer.ros.readers import Readers
 
 #: The newest message is enough, and a lost one is followed by another.
@@ -61,16 +61,16 @@ class States:
         """Listen to the robots and objects of a layout, and no longer to others."""
         wanted: dict[str, tuple[Any, Any]] = {}
         for robot in layout.robots:
-            wanted[f'{robot.space}joint_states'] = JointState, partial(
+            wanted[name_of(robot.space, 'joint_states')] = JointState, partial(
                 self._take_joints, robot.space)
             for arm in robot.end_effectors:
                 key = robot.space, arm
-                wanted[f'{robot.space}{arm}/eef_pose'] = PoseStamped, partial(
+                wanted[name_of(robot.space, '<arm>/eef_pose', arm)] = PoseStamped, partial(
                     self._take_end_effector, key)
-                wanted[f'{robot.space}{arm}/external_wrench'] = WrenchStamped, partial(
-                    self._take_wrench, key)
+                wanted[name_of(robot.space, '<arm>/external_wrench', arm)] = (
+                    WrenchStamped, partial(self._take_wrench, key))
         for name in layout.objects:
-            wanted[f'{self._base}objects/{name}/pose'] = PoseStamped, partial(
+            wanted[name_of(self._base, 'objects/<name>/pose', name)] = PoseStamped, partial(
                 self._take_object, name)
         self._keep(wanted)
         arms = {(robot.space, arm) for robot in layout.robots for arm in robot.end_effectors}
@@ -110,7 +110,7 @@ class States:
 
     def want_images(self, cameras: Iterable[str]) -> None:
         """Listen to the images of these cameras, and of no others."""
-        topics = {f'{self._base}{name}/color/image_raw': name for name in cameras}
+        topics = {name_of(self._base, '<camera>/color/image_raw', name): name for name in cameras}
         for topic in [t for t in self._subscriptions if t.endswith('/color/image_raw')]:
             if topic not in topics:
                 self._unsubscribe(topic)
