@@ -172,7 +172,7 @@ $(TEST_READY): $(READY)
 	@touch $@
 
 # All extras, but not those of hundreds of megabytes that tests do without.
-LOCKED_EXTRAS = docs env jazzy jazzy-test meshes mutate onnx records run test viewer xacro
+LOCKED_EXTRAS = docs env filters jazzy jazzy-test meshes mutate onnx records run test viewer xacro
 # For all Pythons at once, users and tests with the same versions. Without the extras that packages
 # ask for, pip before 23.3, which Python 3.10 brings, takes a version for missing.
 COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --generate-hashes \

@@ -20,8 +20,8 @@ import setuptools
 ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = ('3.10', '3.11', '3.12', '3.13')
 FILES = {'run': ['jazzy', 'viewer', 'records'],
-         'test': ['jazzy', 'viewer', 'records', 'jazzy-test', 'test', 'docs', 'env', 'run',
-                  'meshes', 'mutate', 'onnx', 'xacro']}
+         'test': ['jazzy', 'viewer', 'records', 'jazzy-test', 'test', 'docs', 'env', 'filters',
+                  'run', 'meshes', 'mutate', 'onnx', 'xacro']}
 #: Extras that tests do without; that of the benchmarks is for an environment of its own.
 TOO_LARGE = ('bench', 'ray', 'torch')
 #: Extras in place of those of Jazzy, of which one environment has only one.

@@ -18,14 +18,17 @@ from manip_sim.errors import CommandError
 from manip_sim.physics.bounds import Box, Sphere
 from manip_sim.physics.entities import EntityState
 from manip_sim.physics.poses_and_twists import Pose, Twist
-from manip_sim.quoting import quoted
+from manip_sim.quoting import one_line, quoted
 from manip_sim.ros.messages import filled, numbers_of, stamp_of, WORLD
 from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.posix_ere import PosixExpression
+from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.standard_answers import (
     answering, BoundsType, Category, change_unless_diverged, Rejection, ResultCode, SetEntityCode,
     StandardTypes, TagsMode)
 
+re2 = import_optional('re2')
+#: Of a regular expression, as a program and as a text; RE2 takes long for thousands of brackets.
+_MAX_FILTER_BYTES, _MAX_FILTER_LENGTH = 2**20, 1000
 #: Longest description of an entity, most tags and longest tag, so that requests cannot fill the
 #: memory.
 _MAX_DESCRIPTION, _MAX_TAGS, _MAX_TAG = 10_000, 100, 200
@@ -91,7 +94,7 @@ class EntityServices:
     def _candidates(self, filters: Any) -> list[str]:
         """Return the entities that filters but for bounds let pass."""
         categories = {category.category for category in filters.categories}
-        return _matching(filters.filter, [
+        return matching(filters.filter, [
             name for name in self._simulation.entities.names
             if (not categories or self._info(name).category in categories)
             and has_tags(self._info(name).tags, filters.tags)])
@@ -226,13 +229,28 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
     return pose, twist
 
 
-def _matching(pattern: str, names: list[str]) -> list[str]:
-    """Return the names in which a POSIX Extended regular expression matches."""
+def matching(pattern: str, names: list[str]) -> list[str]:
+    """
+    Return the names in which a POSIX Extended regular expression matches.
+
+    RE2 searches in a time that grows with the length of the names, unlike Python's ``re``.
+
+    :raises Rejection: if it is none or too large, or RE2 is not installed
+    """
     if not pattern:
         return names
+    if re2 is None:
+        raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
+                        f'filter {quoted(pattern)}: regular expressions need the package '
+                        "google-re2: pip install 'manip_sim[filters]'")
+    options = re2.Options()
+    options.posix_syntax, options.log_errors, options.max_mem = True, False, _MAX_FILTER_BYTES
     try:
-        expression = PosixExpression(pattern)
-    except ValueError as error:
+        if len(pattern) > _MAX_FILTER_LENGTH:
+            raise ValueError(f'longer than {_MAX_FILTER_LENGTH} characters')
+        expression = re2.compile(pattern, options)
+    except (re2.error, ValueError) as error:  # A text that is no UTF-8 is a ValueError.
+        reason = error.args[0].decode() if type(error) is re2.error else error
         raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                        f'filter {quoted(pattern)}: {error}') from error
-    return [name for name in names if expression.found_in(name)]
+                        f'filter {quoted(pattern)}: {one_line(str(reason))}') from error
+    return [name for name in names if expression.search(name) is not None]
