@@ -47,7 +47,7 @@ MAY_IMPORT = {
     'records/node_recorder.py': ({'records'}, None),
     'moveit': ({'models', 'moveit', 'physics', 'simulation'}, PURE),
     # It shares with the node how messages are filled.
-    'experiments/ros_policy.py': ({'ros', 'tasks'}, None),
+    'experiments/ros_policy.py': ({'channels', 'ros', 'tasks'}, None),
     'experiments': ({'experiments', 'records', 'tasks'},
                     PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
     'cli': ({'cli', 'control', 'experiments', 'interface', 'models', 'moveit', 'physics',

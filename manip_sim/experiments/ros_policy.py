@@ -20,10 +20,13 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import String
 
 from manip_sim.arrays import FloatArray
+from manip_sim.channels import contents
+from manip_sim.channels.channel import Fields, Make, stamp_fields
+from manip_sim.channels.images import image
 from manip_sim.errors import CommandError, ManipSimError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
 from manip_sim.rclpy_internals import start_rclpy
-from manip_sim.ros.messages import filled, LATCHED, nanoseconds_of, stamp_of, WORLD
+from manip_sim.ros.messages import fill, LATCHED, nanoseconds_of, WORLD
 from manip_sim.tasks import Episode
 from manip_sim.tasks.observation import IMAGE, Observation
 
@@ -65,29 +68,32 @@ class RosPolicy:
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(node)
         self._about = node.create_publisher(String, 'episode', LATCHED)
-        #: By topic, the publisher and what makes its message.
-        self._topics: list[tuple[Any, Callable[[Observation], Any]]] = []
+        #: By topic, the publisher, and what makes the fields of its message for a header.
+        self._topics: list[tuple[Any, Callable[[Fields, Observation], Fields]]] = []
         robots, names = self._episode.simulation.robots, self._episode.observer.names
-        self._add('joint_states', JointState, lambda seen: JointState(
-            name=names['joint_position'], position=seen['joint_position'].tolist(),
-            velocity=seen['joint_velocity'].tolist(), effort=seen['joint_effort'].tolist()))
+        joints = contents.joint_state(names['joint_position'])
+        self._add('joint_states', JointState, lambda head, seen: joints(head, np.concatenate([
+            seen[f'joint_{field}'] for field in ('position', 'velocity', 'effort')])))
         for row, arm in enumerate(names['eef_pose']):
             scope = arm if len(robots) > 1 else arm.rpartition('/')[2]
-            for key, kind in (('eef_pose', PoseStamped), ('eef_twist', TwistStamped),
-                              ('external_wrench', WrenchStamped)):
-                self._add_row(f'{scope}/{key}', kind, key, row)
+            for key, kind, make in (
+                    ('eef_pose', PoseStamped, contents.pose),
+                    ('eef_twist', TwistStamped, contents.twist),
+                    ('external_wrench', WrenchStamped, contents.wrench)):
+                self._add_row(f'{scope}/{key}', kind, make, key, row)
         for row, name in enumerate(names.get('object_pose', [])):
-            self._add_row(f'objects/{name}/pose', PoseStamped, 'object_pose', row)
+            self._add_row(f'objects/{name}/pose', PoseStamped, contents.pose, 'object_pose', row)
         for key in self._episode.observation:
             if key.startswith(IMAGE):
-                self._add(f'{key.removeprefix(IMAGE)}/image', Image, _imager(key))
+                self._add(f'{key.removeprefix(IMAGE)}/image', Image,
+                          lambda head, seen, key=key: image(head, seen[key]))
         node.create_subscription(JointState, 'action', self._receive, 10)
 
-    def _add(self, topic: str, kind: Any, make: Callable[[Observation], Any]) -> None:
+    def _add(self, topic: str, kind: Any, make: Callable[..., Fields]) -> None:
         self._topics.append((self._node.create_publisher(kind, topic, 10), make))
 
-    def _add_row(self, topic: str, kind: Any, key: str, row: int) -> None:
-        self._add(topic, kind, lambda seen: filled(kind(), seen[key][row]))
+    def _add_row(self, topic: str, kind: Any, make: Make, key: str, row: int) -> None:
+        self._add(topic, kind, lambda head, seen: make(head, seen[key][row]))
 
     def _receive(self, message: JointState) -> None:
         stamp_ns = nanoseconds_of(message.header.stamp)
@@ -129,10 +135,9 @@ class RosPolicy:
         assert self._executor is not None
         self._stamp_ns += self._period_ns
         self._answer = None
-        messages = [(publisher, make(observation)) for publisher, make in self._topics]
-        for _, message in messages:
-            message.header.frame_id = WORLD
-            message.header.stamp = stamp_of(self._stamp_ns)
+        head = {'stamp': stamp_fields(self._stamp_ns), 'frame_id': WORLD}
+        messages = [(publisher, fill(publisher.msg_type(), make(head, observation)))
+                    for publisher, make in self._topics]
         end, again = time.monotonic() + self._limit_s, 0.0
         while self._answer is None:
             now = time.monotonic()
@@ -163,13 +168,3 @@ class RosPolicy:
             raise CommandError(f'an action needs {len(names)} names and positions, or positions '
                                f'alone, got {len(answer.name)} and {len(numbers)}')
         return numbers[[list(answer.name).index(name) for name in names]]
-
-
-def _imager(key: str) -> Callable[[Observation], Image]:
-    return lambda seen: _image(seen[key])
-
-
-def _image(pixels: Any) -> Image:
-    height, width, _ = pixels.shape
-    return Image(height=height, width=width, encoding='rgb8', step=3 * width,
-                 data=pixels.tobytes())

@@ -47,8 +47,17 @@ def message_class(kind: str) -> Any:
 
 
 def message_of(kind: str, fields: Mapping[str, Any]) -> Any:
-    """Return a message of a type with the values of fields, in which messages are mappings."""
-    message = message_class(kind)()
+    """Return a message of a type with the values of fields, as :func:`fill` takes them."""
+    return fill(message_class(kind)(), fields)
+
+
+def fill(message: Any, fields: Mapping[str, Any]) -> Any:
+    """
+    Set fields of a message.
+
+    :param fields: values by name; messages in them are mappings too
+    :returns: the message
+    """
     types = message.get_fields_and_field_types()
     for name, value in fields.items():
         inner = types[name].removeprefix('sequence<').removesuffix('>')

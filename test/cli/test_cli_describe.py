@@ -218,6 +218,20 @@ def test_topics_and_parameters_are_those_of_the_parts(described):
     assert {service['name'] for service in found['services']} >= {'~/reset', '~/step'}
 
 
+def test_a_sensor_of_another_package_has_its_topics_with_the_others(package_on_path, described):
+    package_on_path('manip_sim.sensors', 'their_sensors', """
+from manip_sim.interface.offered_sensors import TopicSource
+from manip_sim.interface.topics import PUBLISHED, Topic
+
+class Height(TopicSource):
+    topic = Topic('<arm>/height', 'std_msgs/Float64', PUBLISHED, 'of grip_site [m]')
+    def write(self, message, simulation):
+        message.data = 1.0
+""", {'height': 'Height'})
+    rows = {row['name']: row['meaning'] for row in described('--robot', 'Baxter')['topics']}
+    assert rows['left/height'] == rows['right/height'] == 'of grip_site [m]'
+
+
 def test_cameras_that_are_chosen_have_topics_and_parameters(described):
     found = described('--cameras', 'birdview',
                       '--cameras', '{name: front, position: [2, 0, 1], width: 320, depth: false}')
