@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 import json
 import logging
@@ -259,35 +259,13 @@ class _Topics:
         if 'goal' in seen:
             self.write_numbers(GOAL, 'goal', np.asarray(seen['goal'], dtype=np.float64))
         exactly = self._episode.observes_exactly
-        for channel, numbers in self._observed(seen):
-            self._write_channel(channel, numbers)
-            if not exactly:
-                truth = channel.exact
-                assert truth is not None
-                self._write_channel(truth, truth.read(self._simulation))
+        for channel in self._robots:
+            self._write_channel(channel, channel.read(self._simulation), exactly)
+        for index, name in enumerate(self._simulation.entities.free_names):
+            self._write_channel(self._object(name), seen['object_pose'][index], exactly)
         self._write_sensors()
         self._write_images({key.removeprefix(IMAGE): value for key, value in seen.items()
                             if key.startswith(IMAGE)} if images is None else images)
-
-    def _observed(self, seen: Observation) -> Iterator[tuple[Channel, FloatArray]]:
-        """Yield the recorded channels with the numbers of an observation."""
-        joint, arm, numbers = 0, -1, np.empty(0)
-        for channel in self._robots:
-            kind = channel.topic.by
-            if kind == 'joints':
-                joints = slice(joint, joint + channel.count // 3)
-                joint = joints.stop
-                numbers = np.concatenate([seen[f'joint_{name}'][joints] for name in (
-                    'position', 'velocity', 'effort')])
-            elif kind == 'wrench':  # No part of observations, and the first of an arm.
-                measured = channel.read(self._simulation)
-                assert measured is not None
-                arm, numbers = arm + 1, measured
-            else:
-                numbers = seen['eef_pose' if kind == 'pose' else kind][arm]
-            yield channel, numbers
-        for index, name in enumerate(self._simulation.entities.free_names):
-            yield self._object(name), seen['object_pose'][index]
 
     def _object(self, name: str) -> Channel:
         """Return the pose of a free body, whose name need not be that of a topic of a node."""
@@ -298,9 +276,17 @@ class _Topics:
                 pose, topic=replace(row, name=f'truth/{row.name}')))
         return self._objects[name]
 
-    def _write_channel(self, channel: Channel, numbers: FloatArray | None) -> None:
+    def _write_channel(self, channel: Channel, numbers: FloatArray | None, exactly: bool = True
+                       ) -> None:
+        """
+        Write numbers of a channel.
+
+        :param exactly: whether they are exact; if not, the exact ones are written too
+        """
         assert numbers is not None
         self._write(_recorded_as(channel), channel.topic.type, channel.fields, numbers)
+        if not exactly and channel.exact is not None:
+            self._write_channel(channel.exact, channel.exact.read(self._simulation))
 
     def _write_sensors(self) -> None:
         """Write what sensors of other packages have to say at the present instant."""
