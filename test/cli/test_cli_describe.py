@@ -219,7 +219,7 @@ def test_topics_and_parameters_are_those_of_the_parts(described):
 
 
 def test_a_sensor_of_another_package_has_its_topics_with_the_others(package_on_path, described):
-    package_on_path('manip_sim.sensors', 'their_sensors', """
+    package_on_path('manip_sim.sensors', 'height_sensors', """
 from manip_sim.interface.offered_sensors import TopicSource
 from manip_sim.interface.topics import PUBLISHED, Topic
 

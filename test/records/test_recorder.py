@@ -339,7 +339,7 @@ def test_sensors_that_fail_are_named_once_and_the_others_and_the_episode_go_on(
     monkeypatch.setattr(entry_points, '_all_offers', entry_points._all_offers.__wrapped__)
     digest = record('without.mcap', 3, 4).digest
     points = ['Height', 'Late', 'Field', 'Typeless', 'Broken', 'Taken']
-    package_on_path('manip_sim.sensors', 'their_sensors', SENSORS, dict(zip(points, points)))
+    package_on_path('manip_sim.sensors', 'recorded_sensors', SENSORS, dict(zip(points, points)))
     run = record('with.mcap', 3, 4)
     assert run.digest == digest
     heights = [message.data for message in messages(run.path, '/right/height')]
@@ -348,7 +348,8 @@ def test_sensors_that_fail_are_named_once_and_the_others_and_the_episode_go_on(
     for name, text in (('Late', 'finite'), ('Field', "Float64 has no field 'datum'"),
                        ('Typeless', 'no_msgs/msg/None is not installed'),
                        ('Broken', 'TypeError'), ('Taken', 'is that of manip_sim')):
-        (line,) = [line for line in run.lines if f"'{name}' of the package their_sensors" in line]
+        (line,) = [line for line in run.lines
+                   if f"'{name}' of the package recorded_sensors" in line]
         assert text in line and '1.2' in line
     with AnyReader([run.path]) as reader:
         assert not {'/manip_sim/field', '/manip_sim/typeless', '/manip_sim/broken'
