@@ -61,6 +61,13 @@ def test_arms_that_press_on_something_come_to_rest(
     assert [outcome for outcome in outcomes if not outcome.rests] == []
 
 
+def test_an_arm_that_a_controller_presses_with_its_hand_on_the_pedestal_comes_to_rest(
+        benchmark_module):
+    # MuJoCo finds one or two points between two boxes that tilt on each other, by turns.
+    outcomes = benchmark_module('resting').measure('FR3', 'effort', 0.001, [0, 1], seed=1)
+    assert outcomes and all(outcome.rests for outcome in outcomes)
+
+
 def test_a_motion_that_slides_on_is_given_time_to_arrive(benchmark_module):
     resting = benchmark_module('resting')
     outcomes = resting.measure('UR5e', 'position', 0.005, [3, 4, 5], seed=21)
