@@ -24,13 +24,15 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _C_API
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from manip_sim.errors import ManipSimError
-from manip_sim.quoting import one_line
+from manip_sim.quoting import one_line, quoted_names
+from manip_sim.ros_environment import SHARE_MEMORY
 
-__all__ = ['endpoint_counts', 'forget_parameters', 'InUse', 'missing_for_publishing',
-           'missing_for_waits', 'parameter_overrides', 'publish_bytes', 'RCLError', 'start_rclpy',
-           'UnknownROSArgsError', 'WaitSet', 'without_source']
+__all__ = ['describe_unheard', 'endpoint_counts', 'forget_parameters', 'InUse', 'is_unheard',
+           'missing_for_publishing', 'missing_for_waits', 'parameter_overrides', 'publish_bytes',
+           'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet', 'without_source']
 
 RCLError = _C_API.RCLError
 UnknownROSArgsError = _C_API.UnknownROSArgsError
@@ -43,6 +45,9 @@ _WAITS = {'Context': ('__enter__', '__exit__'),
           'Subscription': ('__enter__', '__exit__', 'pointer', 'take_message'),
           'WaitSet': ('add_guard_condition', 'add_subscription', 'clear_entities',
                       'get_ready_entities', 'wait')}
+#: Name that rmw gives to a node until the message comes in which that tells its name.
+_UNNAMED = '_NODE_NAME_UNKNOWN_'
+_OF_EVERY_NODE = ('/parameter_events', '/rosout')
 #: Text of rclpy's error if it cannot write its log.
 _LOG = re.compile(r'log directory|log file|Failed opening file .*\.log')
 
@@ -111,6 +116,27 @@ def endpoint_counts(node: Node, topics: Sequence[str]) -> list[tuple[int, int]]:
     with handle:
         return [(handle.get_count_publishers(topic), handle.get_count_subscribers(topic))
                 for topic in topics]
+
+
+def is_unheard(info: TopicEndpointInfo) -> bool:
+    """Return whether an endpoint is of a node none of whose messages have come yet."""
+    return bool(info.node_name == _UNNAMED)
+
+
+def describe_unheard(node: Node) -> str:
+    """
+    Return which topics have endpoints of nodes none of whose messages come, and what to do.
+
+    :param node: that has been there for some seconds: messages come after the endpoints
+    :returns: a clause for the end of a line, or nothing if there are no such nodes
+    """
+    topics = [topic for topic, _ in node.get_topic_names_and_types() if any(map(is_unheard, (
+        *node.get_publishers_info_by_topic(topic), *node.get_subscriptions_info_by_topic(topic))))]
+    if not topics:
+        return ''
+    names = quoted_names(sorted(topics, key=lambda topic: (topic in _OF_EVERY_NODE, topic)), 3)
+    return (f'a node is found with an end of {names}, but none of its messages arrive: '
+            f'{SHARE_MEMORY}')
 
 
 def parameter_overrides(node: Node) -> dict[str, Parameter]:

@@ -19,6 +19,13 @@ from manip_sim.quoting import one_line, quoted
 _LAST_DOMAIN = 232
 _SHARED_DOMAINS = (102, 214)
 _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT', 'NOT_SET')
+#: Ranges with which rmw_fastrtps takes its own transports, whatever the environment says.
+_OWN_TRANSPORTS = ('LOCALHOST', 'NOT_SET')
+#: Environment in which Fast DDS does without shared memory.
+_WITHOUT = 'FASTDDS_BUILTIN_TRANSPORTS=UDPv4 and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET'
+#: What to do about nodes that are found, but whose messages do not arrive.
+SHARE_MEMORY = ('nodes of one machine need one /dev/shm: start containers with --ipc host, and as '
+                f'one user, or set {_WITHOUT} for all nodes')
 #: Names by which pip installs the modules that are no part of ROS.
 _FROM_PIP = {'mujoco': 'mujoco', 'numpy': 'numpy', 'PIL': 'pillow', 'pydantic': 'pydantic',
              'yaml': 'pyyaml'}
@@ -58,8 +65,7 @@ def check_ros_environment() -> None:
 
 
 def _check_shared_memory() -> None:
-    transports = os.environ.get('FASTDDS_BUILTIN_TRANSPORTS', 'DEFAULT')
-    if not _SHARED_MEMORY.is_dir() or 'UDP' in transports or 'TCP' in transports:
+    if not _SHARED_MEMORY.is_dir() or not _uses_shared_memory():
         return
     found = os.statvfs(_SHARED_MEMORY)
     free = found.f_bavail * found.f_frsize
@@ -76,8 +82,13 @@ def _check_shared_memory() -> None:
         'MB there: ' + (
             f'nodes that were killed have left {size / 1e6:.1f} MB, remove it with: cd '
             f'{_SHARED_MEMORY} && rm {names}{more}' if left else
-            'remove files, make it larger (docker run --shm-size 256m), or set '
-            'FASTDDS_BUILTIN_TRANSPORTS=UDPv4'))
+            f'remove files, make it larger (docker run --shm-size 256m), or set {_WITHOUT}'))
+
+
+def _uses_shared_memory() -> bool:
+    transports = os.environ.get('FASTDDS_BUILTIN_TRANSPORTS', 'DEFAULT')
+    return os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _OWN_TRANSPORTS or not (
+        'UDP' in transports or 'TCP' in transports)
 
 
 def _is_locked(file: Path) -> bool:

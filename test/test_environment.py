@@ -161,13 +161,17 @@ dd if=/dev/zero of=/dev/shm/full bs=4k 2> /dev/null
 
 
 @pytest.mark.full
+@pytest.mark.parametrize('transports', ['DEFAULT', 'UDPv4'])
 @pytest.mark.parametrize('program', [['manip_sim'], ['manip_sim.cli', 'topic', 'list']])
-def test_a_full_shared_memory_is_one_line_that_names_what_killed_nodes_have_left(program):
+def test_a_full_shared_memory_is_one_line_that_names_what_killed_nodes_have_left(
+        program, transports):
     pytest.importorskip('rclpy', reason='needs ROS 2')
     done = subprocess.run(
         ['unshare', '--user', '--map-root-user', '--mount', 'sh', '-c', FULL, sys.executable,
          *program], capture_output=True, text=True, timeout=300.0,
-        env={**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'})
+        # With this range, rmw_fastrtps uses shared memory whatever the transports are.
+        env={**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+             'FASTDDS_BUILTIN_TRANSPORTS': transports})
     if done.returncode == 77 or 'unshare' in done.stderr:
         pytest.skip('no mounts of its own here')
     left = done.stdout.split()[0].rpartition('/')[2]

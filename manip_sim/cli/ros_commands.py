@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 import importlib
 import itertools
@@ -39,7 +39,7 @@ import yaml
 
 from manip_sim.errors import ManipSimError, MessageError, UnknownNameError
 from manip_sim.quoting import one_line, quoted
-from manip_sim.rclpy_internals import RCLError, start_rclpy, without_source
+from manip_sim.rclpy_internals import describe_unheard, RCLError, start_rclpy, without_source
 from manip_sim.startup import EndSignals
 
 #: Time after which a name without any owner counts as unknown, time without changes of the graph
@@ -173,14 +173,34 @@ class _Graph:
         """
         full: str = self.node.resolve_topic_name(name)
         if not self.spin_until(lambda: full in present(), _UNKNOWN_S):
-            raise UnknownNameError(kind, name, present())
+            raise self._explained(UnknownNameError(kind, name, present()))
         return full
+
+    def wait_for(self, messages: Collection[Any], topic: str, limit_s: float = math.inf) -> None:
+        """
+        Wait for messages, and say on standard error if those of nodes that are found do not come.
+
+        :raises ManipSimError: if there are none within a limit [s]
+        """
+        if self.spin_until(lambda: messages, min(limit_s, _ANSWER_S)):
+            return
+        unheard = describe_unheard(self.node)
+        if unheard:
+            print(f'manip_sim: {unheard}', file=sys.stderr)
+        if not self.spin_until(lambda: messages, limit_s - _ANSWER_S):
+            raise ManipSimError(f'no message on {topic} for {limit_s:g} s')
 
     def answer(self, future: Any, name: str) -> Any:
         """Return the answer of a service; ManipSimError if there is none."""
         if not self.spin_until(future.done, _ANSWER_S):
-            raise ManipSimError(f'no answer of {quoted(name)} within {_ANSWER_S:g} s')
+            raise self._explained(
+                ManipSimError(f'no answer of {quoted(name)} within {_ANSWER_S:g} s'))
         return future.result()
+
+    def _explained(self, error: ManipSimError) -> ManipSimError:
+        """Return an error with the reason, if messages of nodes that are found do not arrive."""
+        unheard = describe_unheard(self.node)
+        return ManipSimError(f'{error}; {unheard}') if unheard else error
 
 
 # ---------------------------------------------------------------------- topics and services
@@ -188,7 +208,7 @@ class _Graph:
 def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
     graph.settle()
     if not graph.nodes():
-        print('manip_sim: no node in ROS domain '
+        print('manip_sim:', describe_unheard(graph.node) or 'no node in ROS domain '
               f'{os.environ.get("ROS_DOMAIN_ID", "0")} (ROS_DOMAIN_ID, '
               'ROS_AUTOMATIC_DISCOVERY_RANGE)', file=sys.stderr)
     present = graph.topics() if options.command == 'topic' else graph.services()
@@ -216,8 +236,7 @@ def _echo(graph: _Graph, options: argparse.Namespace) -> None:
     messages = _subscribed(graph, options)
     limit = sys.maxsize if options.full_length else _PRINTED
     while True:
-        if not graph.spin_until(lambda: messages, options.timeout or math.inf):
-            raise ManipSimError(f'no message on {options.name} for {options.timeout:g} s')
+        graph.wait_for(messages, options.name, options.timeout or math.inf)
         message = messages.popleft()
         if options.field is not None:
             try:
@@ -256,7 +275,7 @@ def _hz(graph: _Graph, options: argparse.Namespace) -> None:
     arrivals: deque[float] = deque(maxlen=options.window + 1)
     said_s = time.monotonic()
     while True:
-        graph.spin_until(lambda: messages)
+        graph.wait_for(messages, options.name)
         arrivals.append(time.monotonic())
         messages.clear()
         if arrivals[-1] - said_s < 1.0 or len(arrivals) < 2:

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
+from manip_sim.rclpy_internals import describe_unheard
 from manip_sim.ros.arguments import start_ros
 
 _PATIENCE_S = 10.0
@@ -102,7 +103,7 @@ class Demonstration(Node):
                 raise TaskInterrupted
             rclpy.spin_once(self, timeout_sec=0.1)
             if time.monotonic() > end:
-                raise TaskFailed(problem)
+                raise TaskFailed('; '.join(filter(None, (problem, describe_unheard(self)))))
 
     def next_state(self) -> None:
         """

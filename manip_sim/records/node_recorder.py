@@ -28,7 +28,7 @@ import yaml
 
 from manip_sim.errors import describe_choices, RecordError
 from manip_sim.quoting import counted, quoted
-from manip_sim.rclpy_internals import RCLError, start_rclpy, without_source
+from manip_sim.rclpy_internals import describe_unheard, RCLError, start_rclpy, without_source
 from manip_sim.records.definitions import installed, joined
 from manip_sim.records.record_file import RecordFile
 from manip_sim.records.recorder import MODEL, NODE
@@ -136,8 +136,9 @@ class _NodeRecorder:
             nodes = [f'{space.rstrip("/")}/{name}'
                      for name, space in self._node.get_node_names_and_namespaces()
                      if name != self._node.get_name()]
+            unheard = describe_unheard(self._node)
             raise RecordError(f'there is no node {quoted(self._full)}: '
-                              + describe_choices(self._full, nodes))
+                              + (unheard or describe_choices(self._full, nodes)))
         missing = sorted(self._asked - before.keys())[0]
         raise RecordError(f'the node {self._full} has no topic {quoted(missing)}: '
                           + describe_choices(missing, before))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 import difflib
 from itertools import chain, islice
+import time
 from typing import Any
 
 from rclpy.node import Node, NodeNameNonExistentError
@@ -16,7 +17,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from manip_sim.interface.scope import Scope
 from manip_sim.quoting import one_line, quoted, quoted_names
-from manip_sim.rclpy_internals import endpoint_counts
+from manip_sim.rclpy_internals import describe_unheard, endpoint_counts, is_unheard
 
 #: Programs of this package; what they publish may outlive a node by a moment.
 _OWN_PROGRAMS = ('sim_view', 'pick_cube', 'hand_over')
@@ -24,6 +25,8 @@ _OWN_PROGRAMS = ('sim_view', 'pick_cube', 'hand_over')
 _SIMILAR = 0.8
 #: The packages of services that every node has, so that a call of one may be for any other node.
 _OF_EVERY_NODE = ('rcl_interfaces', 'type_description_interfaces')
+#: How long messages of a node may take after its endpoints [s].
+_UNHEARD_S = 5.0
 #: How many conflicts are reported at most.
 _MOST = 20
 
@@ -43,6 +46,7 @@ class Neighbours:
         self._node = node
         self._graph: tuple[Any, ...] = ()
         self._looks = 0
+        self._unheard_since_s: float | None = None
         self._found: dict[str, str] = {}
         self._reported: dict[str, str] = {}
         self._own = (node.get_name(), node.get_namespace())
@@ -70,13 +74,13 @@ class Neighbours:
         return list(self._reported.values())
 
     def _look(self, topics: Mapping[str, Sequence[str]]) -> None:
-        found = {**self._same_name(), **self._same_topics(),
+        found = {**self._same_name(), **self._same_topics(), **self._unheard(),
                  **{text: text for text in islice(chain(
                      self._mismatches(topics), self._missed_services()), _MOST)}}
         confirmed = {what: text for what, text in found.items() if what in self._found}
         for what in confirmed.keys() - self._reported.keys():
             self._node.get_logger().warning(confirmed[what])
-        if found != self._found:
+        if found != self._found or self._unheard_since_s is not None and 'unheard' not in found:
             self._looks = max(1, self._looks)
         self._found, self._reported = found, confirmed
 
@@ -88,6 +92,16 @@ class Neighbours:
                 'services and parameters reach any of them; rename all but one with '
                 '-r __node:=NAME (one that was killed counts for 20 s more)'}
 
+    def _unheard(self) -> dict[str, str]:
+        text = describe_unheard(self._node)
+        if not text:
+            self._unheard_since_s = None
+        elif self._unheard_since_s is None:
+            self._unheard_since_s = time.monotonic()
+        elif time.monotonic() - self._unheard_since_s > _UNHEARD_S:
+            return {'unheard': text}
+        return {}
+
     def _same_topics(self) -> dict[str, str]:
         own = [publisher.topic_name for publisher in self._node.publishers]
         others = {topic: self._others(topic) for topic in self._topics if topic in own}
@@ -96,7 +110,8 @@ class Neighbours:
 
     def _others(self, topic: str) -> str:
         names = [(info.node_name, info.node_namespace)
-                 for info in self._node.get_publishers_info_by_topic(topic)]
+                 for info in self._node.get_publishers_info_by_topic(topic)
+                 if not is_unheard(info)]
         if self._own in names:
             # One of the nodes that have this name is this node.
             names.remove(self._own)
@@ -160,7 +175,8 @@ class Neighbours:
 
     def _others_of(self, infos: Sequence[TopicEndpointInfo]) -> Iterator[TopicEndpointInfo]:
         for info in infos:
-            if not self._is_own(info) and info.node_name not in _OWN_PROGRAMS:
+            if not (self._is_own(info) or is_unheard(info)
+                    or info.node_name in _OWN_PROGRAMS):
                 yield info
 
     def _own_qos(self, infos: Sequence[TopicEndpointInfo]) -> list[QoSProfile]:

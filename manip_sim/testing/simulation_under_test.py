@@ -23,7 +23,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError, UnknownNameError
-from manip_sim.rclpy_internals import start_rclpy
+from manip_sim.rclpy_internals import describe_unheard, is_unheard, start_rclpy
 from manip_sim.ros_environment import check_ros_environment
 from manip_sim.testing.controllers import Controllers
 from manip_sim.testing.evidence import save_evidence
@@ -211,8 +211,9 @@ class SimulationUnderTest:
             f"'{info.node_name}' publishes {topic[1:]}" for topic, types in
             self._subscribed() if '/ParameterEvent' not in types[0]
             for info in self._others(self.node.get_publishers_info_by_topic(topic))
-            if info.node_name != 'manip_sim']
-        return ', '.join(senders) or 'no node publishes what it takes'
+            if info.node_name != 'manip_sim' and not is_unheard(info)]
+        return ', '.join(senders) or describe_unheard(self.node) or (
+            'no node publishes what it takes')
 
     def set_parameter(self, name: str, value: Any) -> None:
         """

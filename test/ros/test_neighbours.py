@@ -3,6 +3,7 @@
 
 """Other nodes in the same domain: many clients, idle ones, and a second robot."""
 
+from contextlib import ExitStack
 import signal
 import subprocess
 import sys
@@ -317,6 +318,35 @@ def test_what_is_gone_at_the_second_look_is_not_reported(client):
         "/target takes TwistStamped; '/client' publishes Twist"])
     own.destroy_node()
     other.close()
+
+
+ELSEWHERE = """
+mount -t tmpfs tmpfs /dev/shm || exit 77
+exec "$0" -m manip_sim
+"""
+
+
+@pytest.mark.full
+def test_nodes_with_another_shared_memory_are_told_of_with_the_remedy(client):
+    with ExitStack() as stack:
+        node = stack.enter_context(subprocess.Popen(
+            ['unshare', '--user', '--map-root-user', '--mount', 'sh', '-c', ELSEWHERE,
+             sys.executable], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True))
+        stack.callback(node.kill)
+        client.node.create_publisher(JointState, 'joint_comand', 1)
+        client.node.create_publisher(Twist, 'right/target_twist', 1)
+        client.spin_until(lambda: node.poll() is not None
+                          or client.node.count_subscribers('/joint_command'))
+        if node.poll() is not None and (node.returncode == 77 or 'unshare' in node.stdout.read()):
+            pytest.skip('no mounts of its own here')
+        warning = next(line for line in node.stdout if '[WARN]' in line and 'too slow' not in line)
+        assert "a node is found with an end of '/joint_comand', '/right/target_twist'" in warning
+        assert '--ipc host' in warning and 'UNKNOWN' not in warning
+        done = subprocess.run(
+            [sys.executable, '-m', 'manip_sim.cli', 'param', 'get', '/manip_sim', 'robot'],
+            capture_output=True, text=True, timeout=100.0, check=False)
+        assert done.returncode == 1
+        assert '; a node is found with an end of ' in done.stderr and '--ipc host' in done.stderr
 
 
 @pytest.mark.parametrize('topic, kind, meant', [
