@@ -122,6 +122,41 @@ def test_the_fingers_point_away_from_the_arm_however_the_file_lays_the_hand(tmp_
     assert turned == bool(pose)
 
 
+FREE = '<freejoint/><geom name="palm"'
+FLOATING = """<robot name="r"><link name="world"/>{links}
+<joint name="free" type="{kind}"><parent link="{parent}"/><child link="palm"/>
+  <origin xyz="0 0 0.4"/></joint>
+{fingers}</robot>"""
+
+
+@pytest.mark.parametrize('how', ['mjcf', 'urdf'])
+def test_a_hand_whose_file_lets_it_float_is_carried_by_the_arm(tmp_path, how):
+    if how == 'mjcf':
+        assert HAND.count('<geom name="palm"') == 1
+        files = [write(tmp_path / 'hand.xml', HAND), write(tmp_path / 'free.xml', HAND.replace(
+            '<geom name="palm"', FREE))]
+    else:
+        links = ''.join(
+            f'<link name="{name}"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" '
+            'izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            for name in ('palm', 'left', 'right'))
+        fingers = ''.join(
+            f'<joint name="{name}_joint" type="prismatic"><parent link="palm"/><child '
+            f'link="{name}"/><origin xyz="{x} 0 0.1"/><axis xyz="1 0 0"/><limit lower="0" '
+            'upper="0.03" effort="20" velocity="1"/></joint>'
+            for name, x in (('left', 0.03), ('right', -0.06)))
+        files = [write(tmp_path / f'{kind}.urdf', FLOATING.format(
+            links=links, fingers=fingers, kind=kind, parent='world'))
+            for kind in ('fixed', 'floating')]
+    hands = [load_gripper(file) for file in files]
+    assert ('left out, as the arm carries the hand: the free joint of its root'
+            in hands[1].inferred)
+    worlds = [compose('UR5e', gripper=str(file)).compile() for file in files]
+    assert worlds[0].nv == worlds[1].nv == 6 + hands[0].compile().nv
+    (grip,) = site_positions(hands[1].compile(), ['gripper0_grip_site'])
+    assert 0.04 < np.linalg.norm(grip) < 0.11
+
+
 def test_fingers_that_reach_nowhere_tell_no_direction(tmp_path):
     text = HAND.replace('pos="0 0 0.05"', 'pos="0 0 0.01"')
     hand = load_gripper(write(tmp_path / 'hand.xml', text))

@@ -13,8 +13,8 @@ import pytest
 
 from files_rig import write
 
-from manip_sim.errors import ModelError
-from manip_sim.models import compose, load_gripper, load_robot
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models import compose, load_base, load_gripper, load_robot
 from manip_sim.models.missing_meshes import LostShape
 from manip_sim.simulation import Simulation
 
@@ -464,6 +464,35 @@ def test_negative_limits_and_losses_are_rejected_with_joint_file_and_remedy(
     with pytest.raises(ModelError) as error:
         load_robot(file)
     assert str(error.value) == f"{file}: joint 'elbow': {message}"
+
+
+@pytest.mark.parametrize('load', [load_robot, load_gripper, load_base])
+@pytest.mark.parametrize(('joints', 'named'), [
+    (joint('trunk', 'base', 'link', 'floating') + joint('elbow', 'link', 'end'), 'trunk'),
+    (joint('elbow', 'base', 'link') + joint('lost', 'link', 'end', 'floating'), 'lost'),
+    (joint('root', 'world', 'base', 'floating') + joint('elbow', 'base', 'link')
+     + joint('cup', 'base', 'end', 'floating'), 'cup')])
+def test_a_joint_that_floats_off_the_world_is_rejected_with_joint_file_and_remedy(
+        tmp_path, load, joints, named):
+    links = ''.join(f'<link name="{name}"><collision><geometry><sphere radius="0.1"/></geometry>'
+                    '</collision></link>' for name in ('base', 'link', 'end'))
+    world = '<link name="world"/>' if 'world' in joints else ''
+    file = write(tmp_path / 'arm.urdf', f'<robot name="r">{world}{links}{joints}</robot>')
+    with pytest.raises(ModelError) as error:
+        load(file)
+    assert str(error.value) == (
+        f"{file}: joint '{named}' is floating, which only a joint of the link 'world' can be; "
+        'write type="fixed", or a joint for each direction, or <parent link="world"/> if the '
+        'whole robot floats')
+
+
+@pytest.mark.parametrize('kind', ['Revolute', 'hinge', ''])
+def test_an_unknown_type_of_a_joint_is_told_with_joint_file_and_choices(tmp_path, kind):
+    file = write(tmp_path / 'arm.urdf', arm_with(kind, '<limit lower="-1" upper="1"/>'))
+    with pytest.raises(UnknownNameError) as error:
+        load_robot(file)
+    assert str(error.value).startswith(f"unknown type of joint 'elbow' of {file} '{kind}': ")
+    assert 'available: fixed, revolute, prismatic, continuous' in str(error.value)
 
 
 @pytest.mark.parametrize('limit', ['lower="0.5" upper="0.5"', 'lower="0" upper="0.5"'])

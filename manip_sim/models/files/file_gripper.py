@@ -25,6 +25,7 @@ from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import GripperDescription
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.loading import compile_copy
+from manip_sim.models.spec_edits import delete_elements
 
 #: Fingers that reach less far give no direction [m].
 _SHORT_M = 0.02
@@ -38,6 +39,17 @@ def place_root(spec: mujoco.MjSpec, position: ArrayLike, quat_wxyz: FloatArray) 
     root = spec.worldbody.bodies[0]
     root.pos, root.quat = np.asarray(position, dtype=float), quat_wxyz
     root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+def _let_arm_carry(spec: mujoco.MjSpec) -> list[str]:
+    """Remove the free joint of a hand, and its pose in the air; return that in a sentence."""
+    free = [joint for joint in spec.worldbody.bodies[0].joints
+            if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE)]
+    if not free:
+        return []
+    delete_elements(spec, free)
+    place_root(spec, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    return ['left out, as the arm carries the hand: the free joint of its root']
 
 
 def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: Mapping[str, float]
@@ -144,6 +156,7 @@ class FileGripper(HandFromFile, registered=False):
         self._keyframes = model_file.keyframes
         self._start = model_file.start
         spec = model_file.spec
+        self.inferred += _let_arm_carry(spec)
         if declared.mount is not None:
             place_root(spec, declared.mount.position, quat_wxyz_of(declared.mount.orientation))
         elif spec.body('eef') is None:

@@ -22,6 +22,10 @@ from manip_sim.quoting import quoted, quoted_names
 
 _WITH_RANGE = ('revolute', 'prismatic')
 _MOVES = (*_WITH_RANGE, 'continuous')
+#: Types of joints; spherical is MuJoCo's own.
+_TYPES = ('fixed', *_MOVES, 'planar', 'floating', 'spherical')
+#: The link that is the world itself for MuJoCo.
+_WORLD = 'world'
 #: Time constant [s] and damping ratio of couplings and of the ranges of coupled joints. MuJoCo
 #: takes two timesteps where that is longer (refsafe), which is as stiff as is stable.
 _SOLREF = (1e-3, 1.0)
@@ -37,7 +41,7 @@ _LEAST_SHARE = 0.05
 
 def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, float], list[str]]:
     """
-    Reject impossible limits and mimics, and complete what MuJoCo's reader reads differently.
+    Reject impossible types, limits and mimics, and complete what MuJoCo reads differently.
 
     As URDF defines, a missing ``lower`` or ``upper`` is 0. If both are there, the smaller number
     is the lower one. A joint that has neither is not limited; nor is an effort or velocity of -1,
@@ -47,7 +51,7 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     :param robot: changed in place
     :returns: positions of the joints that are fixed, as their limits are equal, by name [rad or
         m], and what was done, in sentences
-    :raises ModelError: naming file and joint
+    :raises ModelError: naming file and joint, and for types what to write instead
     """
     notes = _declare_links(robot, file)
     joints = {joint.get('name', ''): joint for joint in robot.findall('joint')}
@@ -78,6 +82,8 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     equal = [*fixed]
     followers = _fix_mimics(joints, fixed, file)
     _check_mimics(joints, file)
+    for name, joint in joints.items():
+        _check_type(joint, name, file)
     return fixed, [
         *notes, *followers,
         *([f'fixed, as lower and upper of their <limit> are equal: {quoted_names(equal)}']
@@ -88,6 +94,18 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
            f'{quoted_names(of_sdf)}; write 0 in the file'] if of_sdf else []),
         *([f'not limited, as they have neither lower nor upper: {quoted_names(unlimited)}']
           if unlimited else [])]
+
+
+def _check_type(joint: ElementTree.Element, name: str, file: Path) -> None:
+    kind = joint.get('type', '')
+    if kind not in _TYPES:
+        raise UnknownNameError(f'type of joint {quoted(name)} of {file}', kind, _TYPES)
+    parent = joint.find('parent')
+    if kind == 'floating' and (parent is None or parent.get('link') != _WORLD):
+        raise ModelError(
+            f'{file}: joint {quoted(name)} is floating, which only a joint of the link '
+            f'{quoted(_WORLD)} can be; write type="fixed", or a joint for each direction, or '
+            f'<parent link="{_WORLD}"/> if the whole robot floats')
 
 
 def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joint: str,
