@@ -178,5 +178,5 @@ def _changed(comparison: Comparison) -> list[str]:
     missing = policy_content('no/such/policy.py:act')
     return [f'{run.path}: {run.description["policy"]} has changed since'
             for run in comparison.runs
-            if policy_content(run.description['policy']) not in (
-                run.description['policy_content'], missing)]
+            if policy_content(run.description['policy'], run.description.get('policy_files', ()))
+            not in (run.description['policy_content'], missing)]

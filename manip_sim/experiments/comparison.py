@@ -19,7 +19,7 @@ from manip_sim.quoting import counted, shown
 from manip_sim.records.recorded import Record, RecordedEpisode
 
 #: Keys that may differ between runs that are compared; versions are noted.
-_FREE = frozenset({'policy', 'policy_content', 'versions'})
+_FREE = frozenset({'policy', 'policy_content', 'policy_files', 'versions'})
 #: Halvings of an interval of length 1 until it is as short as a float can tell.
 _HALVINGS = 60
 

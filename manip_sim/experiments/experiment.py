@@ -21,7 +21,8 @@ import numpy as np
 
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.experiments.policies import (
-    failing_as, LIMIT_S, load_policy, LOCAL_LIMIT_S, policy_content, PolicyFailure, ROS)
+    failing_as, files_read, LIMIT_S, load_policy, LOCAL_LIMIT_S, policy_content, PolicyFailure,
+    ROS)
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
@@ -91,6 +92,7 @@ class Experiment:
         setting, late = self.setting, self.setting.latency
         answer_time = AnswerTime.of(setting.answer_time)
         assert isinstance(late, Latency)
+        read = files_read(self.policy)
         described = read_description(setting.task) if isinstance(setting.task, str) else None
         return {
             **({} if described is None else {'description': _plain(described)}),
@@ -101,7 +103,8 @@ class Experiment:
             'composition': _plain(setting.plain_composition),
             **({'noise': dict(setting.noise)} if setting.noise else {}),
             **({} if answer_time.is_none else {'answer_time': answer_time.as_dict()}),
-            'policy': self.policy, 'policy_content': policy_content(self.policy),
+            'policy': self.policy, 'policy_content': policy_content(self.policy, read),
+            **({'policy_files': read} if read else {}),
             'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                          'numpy': np.__version__, 'python': platform.python_version()}}
 

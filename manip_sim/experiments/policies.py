@@ -6,14 +6,16 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 import contextlib
+import functools
 import hashlib
 import importlib
 import importlib.util
 import inspect
 import os
 from pathlib import Path
+import re
 import signal
 import sys
 import sysconfig
@@ -40,28 +42,53 @@ _FORMS = ("'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt, FILE
           'ros:/NAMESPACE')
 #: Folders of installed packages, also of those of Debian, and of files that the kernel makes.
 _INSTALLED, _KERNEL = ('site-packages', 'dist-packages'), ('/proc', '/sys')
+#: Files that loading has read in this process, by policy, and those of policies that load now.
+_READ: dict[str, set[Path]] = {}
+_WATCHERS: list[set[Path]] = []
 
 
 class PolicyFailure(ManipSimError):
     """A policy raised an error."""
 
 
-def policy_content(name: str) -> str | None:
+def policy_content(name: str, read: Iterable[str] = ()) -> str | None:
     """
     Return a hash of the files that a policy is made of.
 
     These are its file, and of a Python policy also the modules that it imports from its own folder
-    or package, and the files that a text constant in them names, such as weights.
+    or package, the files that a text constant in them names, such as weights, and the files that
+    loading it has read.
 
     :param name: as for :func:`load_policy`
+    :param read: the latter, from :func:`files_read`
     :returns: SHA-256; None for an expert, which is a part of the package, and a ROS node
     """
     if name == EXPERT or name.startswith(ROS):
         return None
     file = _policy_file(name)
+    found: set[Path] = set()
+    if file is not None:
+        more = (Path(os.path.abspath(file.parent / path)) for path in read)
+        found = _files([file, *filter(os.path.isfile, more)])
     # Sorted by content: other machines have them in other folders.
-    digests = sorted(map(_digest, set() if file is None else _files(file.resolve())))
-    return hashlib.sha256(b''.join(digests)).hexdigest()
+    return hashlib.sha256(b''.join(sorted(map(_digest, found)))).hexdigest()
+
+
+def files_read(name: str) -> list[str]:
+    """
+    Return the files that loading a policy has read in this process, and its text does not name.
+
+    Those count that are below the folder of the policy or the working directory, also if a
+    variable of a module has the path of one that other code than Python's opens.
+
+    :param name: as for :func:`load_policy`
+    :returns: paths from the folder of the policy, sorted
+    """
+    file = _policy_file(name)
+    if file is None or name not in _READ:
+        return []
+    return sorted(os.path.relpath(path, file.resolve().parent)
+                  for path in _READ[name] - _files([file]))
 
 
 def _policy_file(name: str) -> Path | None:
@@ -89,9 +116,10 @@ def _digest(path: Path) -> bytes:
     return digest.digest()
 
 
-def _files(first: Path) -> set[Path]:
-    """Return a file and what it imports or names, but no other installed packages."""
-    own, found, waiting = _installed(first), set[Path](), [first]
+def _files(beginning: Sequence[Path]) -> set[Path]:
+    """Return files and what they import or name, but no packages that the first is none of."""
+    found, waiting = set[Path](), [path.resolve() for path in beginning]
+    own = _installed(waiting[0])
     while waiting:
         path = waiting.pop()
         if path in found or _installed(path) not in (None, own):
@@ -114,7 +142,10 @@ def _installed(file: Path) -> Path | None:
 
 def _referred(path: Path, tree: ast.Module) -> Iterator[Path]:
     """Yield the files that a module imports, or names in a text constant."""
+    written = {id(part) for node in ast.walk(tree) if _writes(node) for part in ast.walk(node)}
     for node in ast.walk(tree):
+        if id(node) in written:
+            continue
         names: list[str] = []
         folders: list[Path | str] = [path.parent, Path(), *sys.path]
         if isinstance(node, ast.Import):
@@ -131,6 +162,16 @@ def _referred(path: Path, tree: ast.Module) -> Iterator[Path]:
                         and not any(map(file.is_relative_to, _KERNEL)))
         sources = (_source(name, folders) for name in names)
         yield from (source.resolve() for source in sources if source is not None)
+
+
+def _writes(node: ast.AST) -> bool:
+    """Return whether a node opens a file to write it, such as a log."""
+    if not isinstance(node, ast.Call) or 'open' not in (
+            getattr(node.func, 'id', ''), getattr(node.func, 'attr', '')):
+        return False
+    given = [*node.args, *(keyword.value for keyword in node.keywords if keyword.arg == 'mode')]
+    return any(isinstance(value, ast.Constant) and isinstance(value.value, str)
+               and re.fullmatch('[rwaxbt+]*[wax+][rwaxbt+]*', value.value) for value in given)
 
 
 def _texts(node: ast.AST) -> Iterator[str]:
@@ -200,6 +241,11 @@ def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy
             raise ModelError(f'policy {quoted(name)} needs ROS 2: {error}') from error
         return RosPolicy(name.removeprefix(ROS), episode, limit_s)
     keys = _checked_interface(name, episode).get('observation')
+    with _watched(name):
+        return _loaded(name, keys)
+
+
+def _loaded(name: str, keys: Collection[str] | None) -> Policy:
     suffix = Path(name).suffix.lower()
     if suffix in ('.pt', '.pth', '.onnx'):
         if not Path(name).is_file():
@@ -216,6 +262,57 @@ def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy
                              + describe_choices(part, [n for n in vars(found) if n[0] != '_']))
         found = getattr(found, part)
     return _made(name, found)
+
+
+@contextlib.contextmanager
+def _watched(name: str) -> Iterator[None]:
+    """Note which files below the policy's folder or the working directory are read within."""
+    file, here = _policy_file(name), Path.cwd()
+    if file is None:
+        yield
+        return
+    folder, opened, own = file.resolve().parent, set[Path](), _installed(file.resolve())
+    _watch_opening()
+    _WATCHERS.append(opened)
+    modules = {*sys.modules}
+    try:
+        yield
+        for module in {*sys.modules} - modules:
+            if _is_below(Path(getattr(sys.modules[module], '__file__', None) or '/'), folder):
+                opened.update(Path(value) for value in vars(sys.modules[module]).values()
+                              if isinstance(value, (str, Path)) and os.path.isfile(value))
+    finally:
+        _WATCHERS.remove(opened)
+        paths = {Path(os.path.abspath(here / path)) for path in opened}
+        _READ.setdefault(name, set()).update(
+            path.resolve() for path in map(_source_of, paths) if path.is_file()
+            and (_is_below(path, folder) or _is_below(path, here))
+            and _installed(path) in (None, own))
+
+
+def _is_below(path: Path, folder: Path) -> bool:
+    return path.is_relative_to(folder) and not any(map(path.is_relative_to, _KERNEL))
+
+
+def _source_of(path: Path) -> Path:
+    """Return the source of what Python has compiled, or the path itself."""
+    if path.suffix != '.pyc':
+        return path
+    with contextlib.suppress(ValueError):
+        return Path(importlib.util.source_from_cache(str(path)))
+    return path
+
+
+@functools.cache
+def _watch_opening() -> None:
+    """Let Python report the files that it opens, from now on: that cannot be ended."""
+    def note(event: str, arguments: tuple[Any, ...]) -> None:
+        if event == 'open' and _WATCHERS and isinstance(arguments[0], (str, bytes, os.PathLike)):
+            path, mode, flags = arguments
+            if not flags & (os.O_WRONLY | os.O_RDWR):
+                for opened in _WATCHERS:
+                    opened.add(Path(os.path.abspath(os.fsdecode(path))))
+    sys.addaudithook(note)
 
 
 def _module(where: str) -> Any:

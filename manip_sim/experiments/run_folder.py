@@ -81,7 +81,8 @@ class RunFolder:
             raise ModelError(f'{self.path} has rows of {self._run.get("policy")} as it was before '
                              'its files changed: choose another folder, or replace the rows '
                              'with --again')
-        for key in sorted({*there, *self._run} - {'seeds'}):
+        # Files may lie elsewhere, with the same content.
+        for key in sorted({*there, *self._run} - {'seeds', 'policy_files'}):
             if there.get(key) != self._run.get(key):
                 raise ModelError(
                     f'{self.path} is the folder of another run: its {key} is '

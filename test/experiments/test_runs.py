@@ -385,6 +385,47 @@ def test_a_file_that_a_policy_names_by_its_folders_is_a_part_of_it(tmp_path, lin
     assert len(contents) == 2
 
 
+@pytest.mark.full
+@pytest.mark.parametrize('line', [
+    "W = (HERE / 'nets' / f'{KIND}.pt').read_text()", "W = HERE / 'nets' / f'{KIND}.pt'",
+    "W = [file.read_text() for file in (HERE / 'nets').iterdir()]",
+    "W = np.fromfile('nets/{}.pt'.format(KIND), np.uint8)",
+    "W = open(HERE / json.loads((HERE / 'names.json').read_text())['file']).read()",
+    "W = importlib.import_module(KIND + '_gain')"])
+def test_a_file_that_a_policy_computes_the_name_of_is_a_part_of_it(
+        tmp_path, monkeypatch, line):
+    policy = tmp_path / 'policy.py'
+    policy.write_text(
+        'import importlib\nimport json\nfrom pathlib import Path\nimport numpy as np\n\n'
+        f"HERE, KIND = Path(__file__).parent, 'best'\n{line}\n\n\n"
+        'def act(observation):\n    open("log.txt", "a").write("more")\n    return np.zeros(7)\n')
+    (tmp_path / 'names.json').write_text('{"file": "nets/best.pt"}')
+    read = tmp_path / ('best_gain.py' if 'import_module' in line else 'nets/best.pt')
+    read.parent.mkdir(exist_ok=True)
+    command = [sys.executable, '-m', 'manip_sim.cli', 'run', 'reach', '--policy',
+               f'{policy}:act', '--seeds', '0:1', '--worlds', '1', '--out', 'out']
+
+    def again():
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300.0,
+                              env={**os.environ, 'PYTHONPATH': str(tmp_path)}, check=False)
+    read.write_text('A = 1')
+    assert again().returncode == 0
+    assert (tmp_path / 'log.txt').is_file()
+    assert again().returncode == 0  # What it writes is no part of it.
+    read.write_text('A = 20')
+    done = again()
+    assert done.returncode == 1
+    assert 'as it was before its files changed' in done.stderr
+    described = json.loads((tmp_path / 'out' / 'run.json').read_text())
+    monkeypatch.chdir(tmp_path)
+
+    def content():  # As `manip_sim compare` has it, which does not load the policy.
+        return policy_content(described['policy'], described['policy_files'])
+    assert content() != described['policy_content']
+    read.write_text('A = 1')
+    assert content() == described['policy_content']
+
+
 def test_the_file_of_a_policy_imports_those_beside_it(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, 'path', sys.path.copy())
     (tmp_path / 'gains_beside.py').write_text('GAIN = 2.0\n')
