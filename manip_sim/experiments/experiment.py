@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 import contextlib
 from dataclasses import asdict, dataclass
 import functools
 from pathlib import Path
 import platform
-import signal
 import statistics
 import time
 from typing import Any
@@ -114,21 +113,20 @@ class Worker:
     Runs the episodes of an experiment, one after the other, in one process.
 
     :param experiment: what is run
-    :param ends_with_policy: let SIGALRM end this process if an answer of the policy, other than a
-        ROS node, takes too long
+    :param report: gets when an answer of the policy is asked for, as ``time.monotonic()`` [s], and
+        0 when it has come
     :raises ManipSimError: if the task or the policy cannot be used, with what fits
     """
 
-    def __init__(self, experiment: Experiment, ends_with_policy: bool = False) -> None:
-        self._experiment = experiment
+    def __init__(self, experiment: Experiment,
+                 report: Callable[[float], None] = lambda asked_s: None) -> None:
+        self._experiment, self._report = experiment, report
         self._episode: Episode = experiment.setting.create_episode()
         self._answers = experiment.setting.create_answers(self._episode)
         self._are_late = not AnswerTime.of(experiment.setting.answer_time).is_none
-        limit_s = experiment.policy_limit_s
-        self._alarm_s = (
-            limit_s if ends_with_policy and not experiment.policy.startswith(ROS) else 0.0)
-        with self._limited():
-            self._policy: Policy = load_policy(experiment.policy, self._episode, limit_s)
+        with self._reported():
+            self._policy: Policy = load_policy(
+                experiment.policy, self._episode, experiment.policy_limit_s)
 
     @property
     def period_s(self) -> float:
@@ -191,23 +189,19 @@ class Worker:
         return row
 
     @contextlib.contextmanager
-    def _limited(self) -> Iterator[None]:
-        """Let an alarm end this process unless the code within ends in time."""
-        if not self._alarm_s:
-            yield
-            return
-        signal.setitimer(signal.ITIMER_REAL, self._alarm_s)
+    def _reported(self) -> Iterator[None]:
+        self._report(time.monotonic())
         try:
             yield
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            self._report(0.0)
 
     def _reset_policy(self, seed: int) -> None:
-        with self._limited(), failing_as('reset() of the policy', PolicyFailure):
+        with self._reported(), failing_as('reset() of the policy', PolicyFailure):
             self._policy.reset(seed)
 
     def _act(self, observation: Any) -> Any:
-        with self._limited(), failing_as('act() of the policy', PolicyFailure):
+        with self._reported(), failing_as('act() of the policy', PolicyFailure):
             return np.asarray(self._policy.act(observation))
 
     def _recorder(self, seed: int) -> Any:

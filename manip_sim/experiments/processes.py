@@ -8,23 +8,28 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 import contextlib
+import functools
+import math
 import multiprocessing
 from multiprocessing.connection import Connection, wait
 import os
 from pathlib import Path
 import signal
 import threading
+import time
 from typing import Any
 
 from manip_sim.errors import ManipSimError
 from manip_sim.experiments.experiment import Experiment, Worker
+from manip_sim.experiments.policies import ROS
 from manip_sim.experiments.summary import Row
 from manip_sim.startup import processors, use_one_blas_thread
 
 #: Number of tries of a seed whose process dies each time.
 TRIES = 3
-#: Time between two checks of processes that neither answer nor close their pipe, wall time [s].
-_LOOK_S = 1.0
+#: Longest time between two checks of processes that neither answer nor close their pipe, wall time
+#: [s], and how many there are at least within the limit of an answer of a policy.
+_LOOK_S, _LOOKS = 1.0, 4
 #: Exit code of a process without memory, and of the memory of this machine, what all may use.
 _WITHOUT_MEMORY, _MEMORY_SHARE = 12, 0.8
 
@@ -42,6 +47,9 @@ class WorkerPool:
 
     def __init__(self, experiment: Experiment, count: int) -> None:
         self._experiment = experiment
+        # A ROS node has its own limit.
+        self._limit_s = (math.inf if experiment.policy.startswith(ROS)
+                         else experiment.policy_limit_s)
         self._workers = [_WorkerProcess(experiment) for _ in range(count)]
         memory_bytes = os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE')
         self._share_bytes = _MEMORY_SHARE * memory_bytes / max(count, processors())
@@ -60,14 +68,14 @@ class WorkerPool:
             for worker in workers:
                 if worker.seed is None and waiting:
                     worker.begin(waiting.popleft())
-            for worker in _ready([worker for worker in workers if worker.seed is not None]):
+            for worker in self._ready():
                 seed, answer = worker.seed, worker.answer()
                 assert seed is not None
                 if isinstance(answer, ManipSimError):
                     raise answer
                 if answer is None:
                     died[seed] += 1
-                    answer = self._failed(seed, died[seed], worker.exit_code)
+                    answer = self._failed(seed, died[seed], worker)
                     worker.restart()
                 elif worker.has_grown_beyond(self._share_bytes):
                     worker.restart()
@@ -76,10 +84,26 @@ class WorkerPool:
                 else:
                     yield answer
 
-    def _failed(self, seed: int, count: int, exit_code: int | None) -> Row | None:
+    def _ready(self) -> list[_WorkerProcess]:
+        """
+        Return workers that have answered or died, after ending those whose policy takes too long.
+
+        A copy of one that has died, by a fork, may keep its pipe.
+        """
+        asked = [worker for worker in self._workers if worker.seed is not None]
+        while True:
+            ready = wait([worker.pipe for worker in asked], min(_LOOK_S, self._limit_s / _LOOKS))
+            for worker in asked:
+                worker.end_if_late(self._limit_s)
+            found = [worker for worker in asked if worker.pipe in ready or not worker.alive]
+            if found:
+                return found
+
+    def _failed(self, seed: int, count: int, worker: _WorkerProcess) -> Row | None:
         """Return the row of a seed whose process died, or None if it is to be tried again."""
-        if exit_code == -signal.SIGALRM:
-            why = f'the policy took longer than {self._experiment.policy_limit_s:g} s'
+        exit_code = worker.exit_code
+        if worker.was_late:
+            why = f'the policy took longer than {self._limit_s:g} s'
         elif count < TRIES:
             return None
         elif exit_code == _WITHOUT_MEMORY:
@@ -110,21 +134,13 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
         pool.close()
 
 
-def _ready(workers: Sequence[_WorkerProcess]) -> list[_WorkerProcess]:
-    """Return workers that have answered or died; a copy of one, by a fork, may keep its pipe."""
-    while True:
-        ready = wait([worker.pipe for worker in workers], _LOOK_S)
-        found = [worker for worker in workers if worker.pipe in ready or not worker.alive]
-        if found:
-            return found
-
-
 class _WorkerProcess:
     """
     A process that runs one episode after the other.
 
     :ivar seed: what it runs, or None
     :ivar pipe: of the answers
+    :ivar was_late: whether it was ended because its policy took too long
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -137,8 +153,11 @@ class _WorkerProcess:
         # Forked processes would share OpenGL and threads of libraries.
         context = multiprocessing.get_context('spawn')
         self.pipe, theirs = context.Pipe()
+        self.was_late = False
+        # A policy may stop its process, or take signals and timers for itself: no alarm is sure.
+        self._asked_s = context.RawValue('d', 0.0)
         self._process: Any = context.Process(
-            target=_serve, args=(theirs, self._experiment), daemon=True)
+            target=_serve, args=(theirs, self._asked_s, self._experiment), daemon=True)
         self._process.start()
         theirs.close()
         self._first_bytes = 0
@@ -165,6 +184,14 @@ class _WorkerProcess:
         """True if its process runs."""
         return bool(self._process.is_alive())
 
+    def end_if_late(self, limit_s: float) -> None:
+        """End it if its policy has taken longer than a limit [s] to answer."""
+        asked_s = self._asked_s.value
+        if asked_s and time.monotonic() - asked_s > limit_s and not self.was_late:
+            self.was_late = True
+            self._process.kill()
+            self._process.join()
+
     def has_grown_beyond(self, share_bytes: float) -> bool:
         """Return whether it uses more memory than that, and twice that of the first call."""
         try:
@@ -190,14 +217,14 @@ class _WorkerProcess:
             self._process.join()
 
 
-def _serve(pipe: Connection, experiment: Experiment) -> None:
+def _serve(pipe: Connection, asked_s: Any, experiment: Experiment) -> None:
     """Run the seeds that come, until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # The process that asks ends this one.
     use_one_blas_thread()
     process = os.getpid()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        worker = Worker(experiment, ends_with_policy=True)
+        worker = Worker(experiment, functools.partial(setattr, asked_s, 'value'))
         while True:
             row = worker.run(pipe.recv())
             if os.getpid() != process:  # A policy has forked; one of the two may answer.

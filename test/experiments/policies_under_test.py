@@ -143,6 +143,23 @@ class HangsWhateverIsRaised(OnceInSeedTwo):
                 threading.Event().wait()
 
 
+class HangsAfterStoppingItself(OnceInSeedTwo):
+    def otherwise(self):
+        os.kill(os.getpid(), signal.SIGSTOP)
+
+
+class HangsWithoutAlarms(OnceInSeedTwo):
+    def otherwise(self):
+        signal.signal(signal.SIGALRM, signal.SIG_IGN)
+        threading.Event().wait()
+
+
+class HangsWithATimerOfItsOwn(OnceInSeedTwo):
+    def otherwise(self):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        threading.Event().wait()
+
+
 class HangsInTheSecondProcess(Towards):
     def __init__(self):
         if multiprocessing.parent_process() is not None:

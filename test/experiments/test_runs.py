@@ -218,20 +218,13 @@ def test_whatever_a_policy_raises_costs_one_episode_only(whole, tmp_path, capfd,
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('policy', ['Hangs', 'HangsWhateverIsRaised', 'HangsInTheSecondProcess'])
+@pytest.mark.parametrize('policy', [
+    'Hangs', 'HangsWhateverIsRaised', 'HangsInTheSecondProcess', 'HangsAfterStoppingItself',
+    'HangsWithoutAlarms', 'HangsWithATimerOfItsOwn'])
 def test_a_policy_that_hangs_is_ended(tmp_path, policy):
     assert run(tmp_path / 'hangs', '--policy-limit', '2', policy=policy, seeds='2:3') == 1
     assert [row['error'] for row in rows(tmp_path / 'hangs')] == [
         'the policy took longer than 2 s']
-
-
-def test_the_timer_of_a_process_that_runs_a_policy_itself_is_left_alone():
-    before = signal.setitimer(signal.ITIMER_REAL, 3600.0)
-    try:
-        Worker(Experiment(Setting('reach'), f'{POLICIES}:Towards')).run(0)
-        assert signal.getitimer(signal.ITIMER_REAL)[0] > 0.0
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, *before)
 
 
 @pytest.mark.full
