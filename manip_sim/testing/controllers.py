@@ -16,6 +16,7 @@ import threading
 import time
 import traceback
 from typing import Any
+import weakref
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -28,6 +29,8 @@ _END_S = 3.0
 _LINES = 5
 #: Kills its argument, a process or with a minus a group, when its standard input ends.
 _GUARD = ['sh', '-c', 'read _; kill -s KILL -- "$0"']
+#: The guards that have been started; other processes must not keep their pipes open.
+_GUARDS: weakref.WeakSet[subprocess.Popen[Any]] = weakref.WeakSet()
 
 
 class ControllerProcess(subprocess.Popen[Any]):
@@ -235,5 +238,18 @@ def guard(process: str) -> subprocess.Popen[Any]:
     :param process: its number, or with a minus that of a group
     :returns: to be killed when the other one has ended
     """
-    return subprocess.Popen([*_GUARD, process], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                            stderr=subprocess.DEVNULL, start_new_session=True)
+    started = subprocess.Popen(
+        [*_GUARD, process], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL, start_new_session=True)
+    _GUARDS.add(started)
+    return started
+
+
+def _let_go() -> None:
+    """Close the pipes of guards in a fork, which would keep them open after its parent's end."""
+    for started in _GUARDS:
+        if started.stdin is not None:
+            started.stdin.close()
+
+
+os.register_at_fork(after_in_child=_let_go)
