@@ -233,7 +233,7 @@ def _serve(pipe: Connection, asked_s: Any, experiment: Experiment) -> None:
     except MemoryError:  # Not that of the seed: others before it may have kept the memory.
         os._exit(_WITHOUT_MEMORY)
     except ManipSimError as error:
-        pipe.send(type(error)(*error.args) if len(error.args) == 1 else ManipSimError(str(error)))
+        pipe.send(ManipSimError(str(error)))  # Some types cannot be unpickled.
     except (EOFError, OSError):
         pass
     finally:

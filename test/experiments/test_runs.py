@@ -228,6 +228,14 @@ def test_a_policy_that_hangs_is_ended(tmp_path, policy):
 
 
 @pytest.mark.full
+def test_a_process_that_cannot_begin_says_why():
+    for setting, message in ((Setting('pick_cub'), 'unknown task'),
+                             (Setting('reach', robot='Pandaa'), 'unknown robot')):
+        with pytest.raises(ManipSimError, match=message):
+            list(processes.run_in_processes(Experiment(setting, 'expert'), [0], 1))
+
+
+@pytest.mark.full
 def test_a_process_that_dies_is_noticed_though_a_copy_of_it_lives(tmp_path):
     assert run(tmp_path / 'copies', policy='DiesBesideACopy', seeds='1:4', worlds='1') == 1
     assert [row['error'] for row in rows(tmp_path / 'copies')] == [
