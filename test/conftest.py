@@ -28,6 +28,7 @@ import pytest
 from robot_kinds import KINDS
 from sampling import whole_robot
 
+from manip_sim.control.user_laws import LAWS
 from manip_sim.models.arenas.arena import ARENAS
 from manip_sim.models.bases import RethinkMount
 from manip_sim.models.bases.robot_base_model import BASES
@@ -186,9 +187,10 @@ def package_on_path(tmp_path, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def _own_registries_and_folder(monkeypatch, tmp_path):
-    """Forget the classes that a test defines, and keep MuJoCo's log out of the tree."""
+    """Forget classes and laws that a test defines, and keep MuJoCo's log out of the tree."""
     for registry in (ARENAS, BASES, GRIPPERS, ROBOTS):
         monkeypatch.setattr(registry, '_classes', dict(registry._classes))
+    monkeypatch.setattr(LAWS, '_laws', dict(LAWS._laws))  # They are control modes, too.
     monkeypatch.chdir(tmp_path)
 
 

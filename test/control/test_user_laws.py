@@ -26,12 +26,6 @@ from manip_sim.simulation import Simulation
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 
 
-@pytest.fixture(autouse=True)
-def laws(monkeypatch):
-    """Put back the laws of this process after the test."""
-    monkeypatch.setattr(LAWS, '_laws', dict(LAWS._laws))
-
-
 @law(parameters={'stiffness': 200.0, 'damping': 30.0}, memory=2)
 def spring(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
     memory[0] += 1.0

@@ -12,7 +12,6 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import ParameterError
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
@@ -24,7 +23,7 @@ MODE = 'law:compensated'
 
 @pytest.fixture(autouse=True)
 def installed(install_example, package_on_path, monkeypatch):
-    """Install the example and a second package; the laws are put back afterwards."""
+    """Install the example and a second package."""
     monkeypatch.syspath_prepend(install_example('friction_compensation'))
     package_on_path('manip_sim.laws', 'other_laws', """
 from manip_sim.laws import law
@@ -37,7 +36,6 @@ def soft(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, ef
 def broken(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
     effort[0] = len(open('log'))
 """, {'soft': 'soft', 'broken': 'broken'})
-    monkeypatch.setattr(LAWS, '_laws', dict(LAWS._laws))
 
 
 def set_one(client, name, value):

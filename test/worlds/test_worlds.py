@@ -49,7 +49,7 @@ def pulled(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, 
 
 
 @pytest.fixture(scope='module', autouse=True)
-def laws():
+def mode_of_the_law():
     """Let the law be a mode, while these tests run."""
     before = dict(LAWS._laws)
     LAWS.add(pulled)
