@@ -28,7 +28,7 @@ from manip_sim.models.urdf_writer.writer import urdf_of
 
 DATA = Path(__file__).resolve().parents[1] / 'data/files'
 ROBOTS = sorted(file.name for file in DATA.iterdir() if file.suffix in ('.xml', '.urdf')
-                and file.stem not in ('room', 'no_meshes', 'lost_mesh'))
+                and file.stem not in ('room', 'no_meshes', 'lost_mesh', 'soft_pads'))
 #: Arrays of a model that its file decides.
 NUMBERS = [name for name in dir(mujoco.MjModel)
            if name.startswith(('body_', 'jnt_', 'dof_', 'geom_', 'actuator_', 'eq_', 'mesh_vert',
@@ -89,6 +89,12 @@ def test_a_robot_is_the_same_as_for_somebody_who_may_read_everything(name, tmp_p
     mine, trusted = requested(tmp_path / name, tmp_path), load_robot(tmp_path / name)
     assert mine.inferred == trusted.inferred
     same(mine, trusted)
+
+
+def test_soft_bodies_of_files_are_refused(tmp_path, here):
+    shutil.copy(DATA / 'soft_pads.xml', tmp_path)
+    with pytest.raises(ModelError, match='<flexcomp> names the file .pad.obj., which what'):
+        requested(tmp_path / 'soft_pads.xml', tmp_path)
 
 
 @pytest.mark.full
