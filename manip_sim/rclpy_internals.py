@@ -38,7 +38,7 @@ RCLError = _C_API.RCLError
 UnknownROSArgsError = _C_API.UnknownROSArgsError
 #: None in a release of rclpy without it.
 WaitSet: Any = getattr(_C_API, 'WaitSet', None)
-#: What waits for some of a node's subscriptions use, by class of the C API.
+#: Methods that waits for some of a node's subscriptions use, by class of the C API.
 _WAITS = {'Context': ('__enter__', '__exit__'),
           'EventHandle': ('__enter__', '__exit__'),
           'GuardCondition': ('__enter__', '__exit__'),

@@ -23,7 +23,7 @@ _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT', 'NOT_SET')
 _OWN_TRANSPORTS = ('LOCALHOST', 'NOT_SET')
 #: Environment in which Fast DDS does without shared memory.
 _WITHOUT = 'FASTDDS_BUILTIN_TRANSPORTS=UDPv4 and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET'
-#: What to do about nodes that are found, but whose messages do not arrive.
+#: Remedy for nodes that are found, but whose messages do not arrive.
 SHARE_MEMORY = ('nodes of one machine need one /dev/shm: start containers with --ipc host, and as '
                 f'one user, or set {_WITHOUT} for all nodes')
 #: Names by which pip installs the modules that are no part of ROS.

@@ -59,7 +59,7 @@ class Channel:
 
     @property
     def differs(self) -> bool:
-        """Whether the numbers may differ from the exact ones."""
+        """True if the numbers may differ from the exact ones."""
         return self.is_noisy or self.sensing is not None and self.sensing.settings.measures
 
     def fields(self, time_ns: int, numbers: FloatArray) -> Fields:

@@ -28,7 +28,8 @@ from manip_sim.control.modes import Arrival, ControlMode, MODES
 from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.derived import Derived
-from manip_sim.control.seats import Seats
+from manip_sim.errors import ModelError
+from manip_sim.control.seats import Seats, SeatState
 from manip_sim.control.trajectory_following import TrajectoryFollowing
 from manip_sim.control.user_laws import Law, LAWS, PREFIX
 from manip_sim.physics.clock import Clock
@@ -92,7 +93,7 @@ class JointController(ControlledJoints):
 
     @property
     def moving(self) -> bool:
-        """Whether setpoints change, or may change, in the next interval, or a law acts."""
+        """True if setpoints change, or may change, in the next interval, or a law acts."""
         return bool(self.seats.of) or self._moves
 
     @property
@@ -471,7 +472,8 @@ class JointController(ControlledJoints):
         twists = [c for c in self.commands.running if isinstance(c, BaseTwist) and part in c.parts]
         self._timeouts.count(part)
         self.commands.release(indices, Status.ABORTED, 'no fresh command came in time')
-        gives = self._servos.gives_effort(indices)
+        # Joints of a law follow no setpoints, but the law gets them.
+        gives = self._servos.gives_effort(indices) & (part not in self.seats.of)
         self._effort[indices[gives]] = 0.0
         self._setpoints.set_velocity(indices[~gives], np.zeros(np.count_nonzero(~gives)))
         for twist in twists:
@@ -558,6 +560,21 @@ class JointController(ControlledJoints):
         return self._derived.made_of(
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
             setpoints.counts, self.cartesian.posture, flags, indices, path, *base), targets, count
+
+    def seats_of(self, part: str) -> list[SeatState]:
+        """
+        Return the seats of the law that moves a part, one for each part that it consists of.
+
+        :raises ModelError: if no law moves all of it
+        :raises UnknownNameError: if there is no such part
+        """
+        indices = self.indices_of(part)
+        modes = dict.fromkeys(self.modes_of(indices))
+        seats = [seat for name in sorted(self.parts_of(indices))
+                 if (seat := self.seats.of.get(name)) is not None]
+        if not seats or len(modes) > 1:
+            raise ModelError(f'no law moves {part}: its control mode is {" and ".join(modes)}')
+        return seats
 
     def seat_rows(self) -> IntArray:
         """Return the addresses of the rows of the laws of users, for compiled code."""

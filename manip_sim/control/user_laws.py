@@ -20,7 +20,7 @@ from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import one_line, quoted, shown
 
-#: What a law is called with.
+#: Names of the arguments of a law.
 ARGUMENTS = ('t', 'q', 'v', 'bias', 'mass', 'jacobian', 'wrench', 'setpoint', 'parameters',
              'memory', 'effort')
 #: Start of the names of the control modes in which laws act.

@@ -14,7 +14,7 @@ import weakref
 
 from manip_sim.arrays import IntArray
 
-#: How long a call of a law may take [s], and how often that is looked at [1/s].
+#: Longest time of a call of a law [s], and rate of the checks [1/s].
 _PATIENCE_S, _RATE_HZ = 10, 1
 #: Code with which the process ends, EX_SOFTWARE of sysexits.h.
 _EXIT_CODE = 70

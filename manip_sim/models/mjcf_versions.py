@@ -73,7 +73,7 @@ _NO_FILE = re.compile(r"Error opening file '(.*)'")
 _UNKNOWN_ELEMENT = 'Schema violation: unrecognized element'
 _RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
 _TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
-#: What to do, by the beginning of a message.
+#: Remedies by the beginning of a message.
 _REMEDIES = {'repeated name': ': give one of them another name',
              'invalid keyword': ': write a word that MuJoCo knows, or delete the attribute'}
 #: File and line of each of some elements.

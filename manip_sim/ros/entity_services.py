@@ -36,7 +36,7 @@ _MAX_DESCRIPTION, _MAX_TAGS, _MAX_TAG = 10_000, 100, 200
 
 @dataclass(frozen=True)
 class _Info:
-    """What a client has said about an entity, or by default its kind."""
+    """Information about an entity that a client has set, or by default its kind."""
 
     category: int
     description: str = ''
@@ -53,7 +53,7 @@ class EntityServices:
     def __init__(self, context: NodeContext, types: StandardTypes) -> None:
         self._simulation, self._thread = context.simulation, context.thread
         self._messages = types.messages
-        #: What clients have set, by the name of the entity.
+        #: Information that clients have set, by the name of the entity.
         self._infos: dict[str, _Info] = {}
         # A group of their own: a request for many steps, in another group, does not hold them up.
         types.offer(context.node, {name: answering(fill) for name, fill in {

@@ -25,7 +25,7 @@ _OWN_PROGRAMS = ('sim_view', 'pick_cube', 'hand_over')
 _SIMILAR = 0.8
 #: The packages of services that every node has, so that a call of one may be for any other node.
 _OF_EVERY_NODE = ('rcl_interfaces', 'type_description_interfaces')
-#: How long messages of a node may take after its endpoints [s].
+#: Longest time of messages of a node after its endpoints [s].
 _UNHEARD_S = 5.0
 #: How many conflicts are reported at most.
 _MOST = 20

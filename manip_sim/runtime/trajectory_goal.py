@@ -114,7 +114,7 @@ class TrajectoryGoal(ActionGoal):
         self._length_ns = round(request.times_s[-1] * 1e9)
         self._stamped_ns = request.start_ns
         self._start_ns = now_ns
-        #: How late trajectories were when it started [s].
+        #: Delay of trajectories by ``speed_scaling`` when it started [s].
         self._late_s = robot.trajectories_late_s
         self._on_the_way = False
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from manip_sim.errors import CommandError, ModelError
@@ -38,9 +39,11 @@ class Operations:
         self._spawned: dict[str, list[Any]] = {}
         self._named: Mapping[str, Callable[..., Any]] = {
             'reset': self._reset, 'save': self._save, 'restore': self._restore,
-            'tare': self._tare, 'reset_reflexes': self._reset_reflexes,
+            'tare': partial(self._each, SimulatedRobot.tare_wrench),
+            'reset_reflexes': partial(self._each, SimulatedRobot.reset_reflexes),
             'speed_scaling': self._speed_scaling,
-            'emergency_stop': self._emergency_stop, 'recover': self._recover,
+            'emergency_stop': partial(self._each, SimulatedRobot.emergency_stop),
+            'recover': partial(self._each, SimulatedRobot.recover),
             'keyframe': self._keyframe, 'mode': self._mode, 'timeout': self._timeout,
             'stream_interval': self._stream_interval, 'stream_hold': self._stream_hold,
             'wrench_cutoff': self._wrench_cutoff, 'sensing': self._sensing,
@@ -95,24 +98,12 @@ class Operations:
         self._begin_instant()
         return digest
 
-    def _tare(self) -> None:
-        for robot in self._simulation.robots.values():
-            robot.tare_wrench()
-
-    def _reset_reflexes(self) -> None:
-        for robot in self._simulation.robots.values():
-            robot.reset_reflexes()
-
     def _speed_scaling(self, robot: str, scaling: float) -> None:
         self._robot(robot).set_speed_scaling(scaling)
 
-    def _emergency_stop(self) -> None:
+    def _each(self, do: Callable[[SimulatedRobot], object]) -> None:
         for robot in self._simulation.robots.values():
-            robot.emergency_stop()
-
-    def _recover(self) -> None:
-        for robot in self._simulation.robots.values():
-            robot.recover()
+            do(robot)
 
     def _keyframe(self, name: str) -> None:
         self._simulation.episode_start.keyframe = name

@@ -29,10 +29,10 @@ from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import Reflexes
-from manip_sim.control.seats import LawParameters, SeatState
+from manip_sim.control.seats import LawParameters
 from manip_sim.control.user_laws import Law, law_of
 from manip_sim.derived import Derived
-from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
@@ -325,23 +325,13 @@ class SimulatedRobot:
         :raises ModelError: if no law moves it
         :raises UnknownNameError: if there is no such part
         """
-        self._seats_of(part)
-        return LawParameters(lambda: self._seats_of(part))
+        self.joints.seats_of(part)
+        return LawParameters(lambda: self.joints.seats_of(part))
 
     @property
     def laws(self) -> dict[str, str]:
         """The names of the laws that move parts, by part; parts that consist of no others."""
         return {part: seat.name for part, seat in self.joints.seats.of.items()}
-
-    def _seats_of(self, part: str) -> list[SeatState]:
-        """Return the seats of the law that moves a part."""
-        joints, indices = self.joints, self.joints.indices_of(part)
-        modes = dict.fromkeys(joints.modes_of(indices))
-        seats = [joints.seats.of.get(name) for name in sorted(joints.parts_of(indices))]
-        found = [seat for seat in seats if seat is not None]
-        if not found or len(modes) > 1:
-            raise ModelError(f'no law moves {part}: its control mode is {" and ".join(modes)}')
-        return found
 
     def check_laws(self) -> None:
         """Stop the parts whose laws have failed in what was run last."""
@@ -549,7 +539,7 @@ class SimulatedRobot:
 
     @property
     def trajectories_late_s(self) -> float:
-        """How late trajectories are because of ``speed_scaling`` [s]."""
+        """Delay of trajectories by ``speed_scaling`` [s]."""
         return self.joints.late_s(self._clock.control_s)
 
     def emergency_stop(self) -> None:

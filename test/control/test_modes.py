@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from springs import assert_swings, deflection
 
 from manip_sim.control.commands import Status
 from manip_sim.control.modes import (
@@ -47,44 +48,18 @@ def springs(modes, monkeypatch):
 def test_an_effort_moves_joints_in_spring_mode_by_effort_over_stiffness(name, springs):
     springs(stiffness=200.0, damping=30.0)
     simulation = Simulation(compose(name))
-    joints, data = simulation.robot.joints, simulation.data
     simulation.robot.set_control_mode('arm', 'springs')
-    indices = joints.indices_of('arm')
-    simulation.advance(500)
-    before, _ = joints.measured(indices, data)
-    effort = np.where(indices % 2, -2.0, 2.0)
-    data.qfrc_applied[joints.dofs(indices)] = effort
-    simulation.advance(1500)
-    after, velocity = joints.measured(indices, data)
-    assert np.abs(velocity).max() < 1e-3
-    np.testing.assert_allclose(after - before, effort / 200.0, rtol=0.01)
+    moved, effort = deflection(simulation)
+    np.testing.assert_allclose(moved, effort / 200.0, rtol=0.01)
 
 
 def test_a_joint_in_spring_mode_swings_as_a_damped_spring(springs, one_joint_arm):
-    """Logarithmic decrement and period of an oscillator, with the inertia that MuJoCo computes."""
     stiffness, damping = 200.0, 4.0
     springs(stiffness, damping)
     simulation = Simulation(World([one_joint_arm('<motor name="a" joint="joint1"/>')],
                                   timestep_s=0.0005))
-    data, (joint,) = simulation.data, simulation.robot.joints.names
-    dof = simulation.model.joint(joint).dofadr[0]
     simulation.robot.set_control_mode('arm', 'springs')
-    inertia = 1.0 / simulation.model.dof_invweight0[dof]
-    rest = float(data.qpos[0])
-    data.qfrc_applied[dof] = 4.0
-    simulation.advance(8000)
-    data.qfrc_applied[dof] = 0.0
-    away = []
-    for _ in range(4000):
-        simulation.advance(1)
-        away.append(float(data.qpos[0]) - rest)
-    passive = float(np.reshape(simulation.model.dof_damping, (simulation.model.nv, -1))[dof, 0])
-    decay = (damping + passive) / (2.0 * inertia)
-    swing = np.sqrt(stiffness / inertia - decay**2)
-    t = 0.0005 * np.arange(1, 4001)
-    expected = 4.0 / stiffness * np.exp(-decay * t) * (
-        np.cos(swing * t) + decay / swing * np.sin(swing * t))
-    assert np.abs(np.array(away) - expected).max() < 0.05 * 4.0 / stiffness
+    assert_swings(simulation, stiffness, damping)
 
 
 def test_a_moving_arm_changes_to_impedance_within_its_acceleration_limits(springs, panda_sim):

@@ -20,8 +20,12 @@ from manip_sim.control.watchdog import _EXIT_CODE
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.laws import Law, law
 from manip_sim.models import compose_robot, World
+from manip_sim.models.arenas import create_arena
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.robots import robot_names
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.robot_spawning import plan_in_arena
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 
@@ -423,3 +427,55 @@ def test_a_compiled_law_that_never_returns_is_named_before_the_process_ends(tmp_
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120)
     assert ended.returncode == _EXIT_CODE
     assert "the law 'endless' of arm has not returned for 2 s: the process ends" in ended.stderr
+
+
+def changed_worlds(simulation):
+    """Change the world in three ways, one after the other; yield after each."""
+    ball = create_object({'name': 'ball', 'shape': 'sphere', 'size': [0.05], 'mass': 1.0,
+                          'position': [2.0, 0.0, 0.1]})
+    simulation.change_objects(plan_with(simulation.plan, ball))
+    yield
+    simulation.change_objects(plan_without(simulation.plan, 'ball'))
+    yield
+    simulation.change_robots(plan_in_arena(simulation, create_arena('bins')))
+    yield
+
+
+def test_a_law_outlasts_changes_of_the_world(panda_sim):
+    other = Simulation(panda_sim.world)
+    for simulation, compiled in ((panda_sim, True), (other, False)):
+        robot = simulation.robot
+        robot.set_law('arm', spring, compiled=compiled, stiffness=150.0)
+        stream(simulation, 5)
+        for number, _ in enumerate(changed_worlds(simulation)):
+            stream(simulation, 5, 5 * number + 5)
+        assert robot.joints.seats.of['arm'].memory[0] == 200.0
+        assert dict(robot.law_parameters('arm')) == {'stiffness': 150.0, 'damping': 30.0}
+    assert panda_sim.digest() == other.digest()
+
+
+def test_an_impedance_and_an_emergency_stop_outlast_changes_of_the_world(panda_sim):
+    robot = panda_sim.robot
+    robot.set_control_mode('arm', 'impedance')
+    robot.apply(*robot.parse.joint_impedance(ARM, effort=[5.0, *[0.0] * 6], stiffness=100.0,
+                                             damping=20.0))
+    for _ in changed_worlds(panda_sim):
+        panda_sim.advance(1000)
+        assert robot.state().position[0] == pytest.approx(0.05, rel=0.02)
+    robot.emergency_stop()
+    for _ in changed_worlds(panda_sim):
+        panda_sim.advance(10)
+        assert robot.safety_state == 'emergency_stop'
+
+
+def test_setpoints_of_a_law_come_to_rest_after_a_timeout(panda_sim):
+    robot = panda_sim.robot
+    robot.set_law('arm', spring)
+    robot.set_command_timeout('arm', 0.1)
+    (command,) = robot.parse.joint_command(ARM[:1], position=[2.0])
+    robot.apply(command)
+    for _ in range(300):
+        panda_sim.advance(5)
+    reference = robot.controller_state('arm').reference
+    assert 0.0 < reference.position[0] < 1.0 and reference.velocity[0] == 0.0
+    assert command.handle.status is Status.ABORTED

@@ -225,7 +225,7 @@ def test_each_of_two_arms_has_its_own_pose_and_wrench(tmp_path):
 
 
 class Run(NamedTuple):
-    """What was recorded of an episode, and how it ended."""
+    """The record of an episode, and its end."""
 
     path: Path
     digest: str

@@ -13,12 +13,12 @@ import mujoco
 from manip_sim.quoting import counted, quoted, quoted_names
 
 _OBJ, _EQ = mujoco.mjtObj, mujoco.mjtEq
-#: What an equality constraint ties, if it is not what its ``objtype`` says.
+#: Elements that an equality constraint ties, by its tag, unless ``objtype`` names others.
 _TIED = {int(_EQ.mjEQ_JOINT): _OBJ.mjOBJ_JOINT, int(_EQ.mjEQ_TENDON): _OBJ.mjOBJ_TENDON}
 _OF_OBJTYPE = (int(_EQ.mjEQ_CONNECT), int(_EQ.mjEQ_WELD))
-#: How many positions a joint has, if not one.
+#: Number of positions of a joint by its type, one for others.
 _POSITIONS = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
-#: What to do if a name is missing.
+#: Remedy for a missing name.
 _INCLUDED = 'if another file includes this one, load that'
 
 
