@@ -57,7 +57,7 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
         name = name.replace('cartesian.right.', 'cartesian.<arm>.')
         name = re.sub(r'^reflex\.\w+\.(velocity|effort)', r'reflex.<part>.\1', name)
         name = name.replace('reflex.right.', 'reflex.<arm>.')
-        name = name.replace('wrench_cutoff.right', 'wrench_cutoff.<arm>')
+        name = re.sub(r'^(wrench_cutoff|cartesian_\w+|null_\w+)\.right', r'\1.<arm>', name)
         expected.add(name)
         _, kind, default, unit, live, meaning = rows[name]
         if isinstance(spec.default, list):

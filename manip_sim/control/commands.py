@@ -83,6 +83,8 @@ class Command:
 
     #: Times by clocks that a reset does not restart.
     not_in_digest: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
+    #: Whether it changes how joints follow the command before: both take effect, one by one.
+    adds: ClassVar[bool] = False
 
     robot: RobotModel
     parts: frozenset[str]
@@ -102,6 +104,10 @@ class Command:
     def goal(self) -> FloatArray | None:
         """Numbers that equal those of the message before in a copy of it, or None."""
         return None
+
+    def over(self: C, older: Command) -> C:
+        """Return the command with what an older one of its kind, for its joints, adds to it."""
+        return replace(self, messages=older.messages + self.messages)
 
     def without(self: C, indices: IntArray) -> C | None:
         """Return the command without some of its joints, or None if no joint is left."""
@@ -148,6 +154,8 @@ class JointImpedance(JointSetpoint):
         [N m/rad or N/m] and damping [N m s/rad or N s/m], shape (4, n)
     """
 
+    adds: ClassVar[bool] = True
+
     pulls: FloatArray
 
     def setpoint(self) -> JointSetpoint | None:
@@ -160,8 +168,9 @@ class JointImpedance(JointSetpoint):
                             modes=self.modes, values=self.values)
         return own if kept.all() else own._only(kept)
 
-    def over(self, older: JointImpedance) -> JointImpedance:
+    def over(self, older: Command) -> JointImpedance:
         """Return the command with what an older one for the same joints says beside it."""
+        assert isinstance(older, JointImpedance)
         copied = np.array_equal(self.values, older.values, equal_nan=True) and np.array_equal(
             self.pulls, older.pulls, equal_nan=True)
         return replace(

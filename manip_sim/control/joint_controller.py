@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+import math
 from typing import Any, TypeVar
 
 import mujoco
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import clamp
 from manip_sim.control.base_twists import BaseTwists
-from manip_sim.control.cartesian.cartesian_commands import CartesianCommand
+from manip_sim.control.cartesian.cartesian_commands import CartesianCommand, CartesianWrench
 from manip_sim.control.cartesian.controller import CartesianController
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.command_timeouts import CommandTimeouts
@@ -317,9 +318,12 @@ class JointController(ControlledJoints):
             stopped = self.commands.stop(meant)
             self._setpoints.set_velocity(stopped, np.zeros(len(stopped)))
             meant.handle.end(Status.DONE)
+        elif isinstance(meant, CartesianWrench):
+            self._push(meant, data, now_s)
         else:
             drives = isinstance(meant, BaseTwist) and any(
                 [isinstance(c, BaseTwist) for c in self.commands.running])
+            goes_on = isinstance(meant, CartesianCommand) and self._has_target(meant.arm)
             self.commands.take(meant)
             self.commands.begin(meant)
             if isinstance(meant, BaseTwist):
@@ -329,7 +333,30 @@ class JointController(ControlledJoints):
             elif isinstance(meant, CartesianCommand):
                 if MODES[self.modes[meant.indices[0]]].exerts_at_end_effector:
                     self._servos.give_effort(meant.indices, True)
-                self.cartesian.begin(meant, data, now_s)
+                self.cartesian.begin(meant, data, now_s, goes_on)
+
+    def impedes(self, arm: str) -> bool:
+        """Return whether an arm with a gripper is an impedance in its present mode."""
+        mode = MODES[self.modes[self.indices_of(arm)[0]]]
+        return mode.exerts_at_end_effector and self.cartesian.settings[arm].impedes
+
+    def _has_target(self, arm: str) -> bool:
+        return any([command.arm == arm for command in self._cartesian_commands()])
+
+    def _push(self, command: CartesianWrench, data: mujoco.MjData, now_s: float) -> None:
+        """Let an impedance push, which keeps its end effector where it is if it has no target."""
+        if not self.impedes(command.arm):
+            command.handle.end(Status.ABORTED, 'the arm is no impedance any more')
+            return
+        if not self._has_target(command.arm):
+            stay = self.cartesian.stay(command, data)
+            self.commands.take(stay)
+            self.commands.begin(stay)
+            self._servos.give_effort(stay.indices, True)
+            self.cartesian.begin(stay, data, now_s, False)
+        lasts_s = max(self._timeouts[part] for part in command.parts)
+        self.cartesian.push(command, now_s + lasts_s if lasts_s else math.inf)
+        command.handle.end(Status.DONE)
 
     def _impede(self, command: JointImpedance, data: mujoco.MjData) -> JointSetpoint | None:
         """Let servos pull as a command says, and return its goals, or None if it has none."""

@@ -13,8 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.commands import (
-    Command, CommandHandle, GripperCommand, JointImpedance, JointTrajectory, Status, STOPPED,
-    TrajectoryStop)
+    Command, CommandHandle, GripperCommand, JointTrajectory, Status, STOPPED, TrajectoryStop)
 
 C = TypeVar('C', bound=Command)
 #: Largest number of trajectories that wait for their start; clients may send any number.
@@ -165,8 +164,8 @@ def takes_from(newer: Command, older: Command) -> bool:
     A trajectory that begins later takes them only from trajectories that do not begin before it,
     and a stop from all trajectories.
     """
-    if isinstance(newer, JointImpedance) or isinstance(older, JointImpedance):
-        return False  # One may leave what the other says: both take effect, one after the other.
+    if newer.adds or older.adds:
+        return False
     if isinstance(newer, GripperCommand) or isinstance(older, GripperCommand):
         return newer.parts == older.parts
     if isinstance(newer, JointTrajectory) and newer.start_ns:

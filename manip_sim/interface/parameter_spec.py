@@ -122,6 +122,12 @@ class ParameterSpec:
                 len(value) == self.length and all(map(math.isfinite, value))):
             return (f"parameter '{self.name}' must be {self.length} finite numbers, "
                     f'got {list(value)}')
+        if self.length is not None:
+            return next(filter(None, map(self._outside, value)), None)
+        return self._outside(value)
+
+    def _outside(self, value: Any) -> str | None:
+        """Return what is wrong with a number, or None."""
         if isinstance(value, float) and self.minimum is None and not math.isfinite(value):
             return f"parameter '{self.name}' must be a finite number, got {value}"
         if (self.minimum is not None and self.maximum is not None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
+from manip_sim.control.cartesian.cartesian_settings import CartesianSettings, FRAMES
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.modes import default_mode, MODES
 from manip_sim.control.user_laws import LAWS
@@ -322,7 +322,23 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
                       'rad/s', live=True, minimum=0.001, maximum=30.0),
         ParameterSpec(f'cartesian.{arm}.twist_timeout', settings.twist_timeout,
                       'Time without a new target twist (simulation time) until the end effector '
-                      'stops.', 's', live=True, minimum=0.001, maximum=10.0))]
+                      'stops.', 's', live=True, minimum=0.001, maximum=10.0),
+        ParameterSpec(f'cartesian_stiffness.{arm}', list(settings.cartesian_stiffness),
+                      'Stiffness of the end effector along and about the axes of '
+                      f'cartesian_frame.{arm} in effort mode, of an impedance that keeps the '
+                      'inertia of the arm; six zeros: the control of '
+                      f'cartesian.{arm}.stiffness.', 'N/m, N m/rad', live=True, minimum=0.0,
+                      maximum=1e5, length=6),
+        ParameterSpec(f'cartesian_damping_ratio.{arm}', settings.cartesian_damping_ratio,
+                      'Damping ratio of each mode of that impedance; 1 is critical damping.',
+                      live=True, minimum=0.01, maximum=3.0),
+        ParameterSpec(f'null_space_stiffness.{arm}', settings.null_space_stiffness,
+                      'Stiffness of that impedance towards the initial posture, in what leaves '
+                      'the end effector where it is; 0: such motions are free.', 'N m/rad',
+                      live=True, minimum=0.0, maximum=1e4),
+        ParameterSpec(f'cartesian_frame.{arm}', settings.cartesian_frame,
+                      'Axes of that impedance: those of the base of the arm, of the end effector '
+                      '(tool), or of the world.', live=True, choices=FRAMES))]
 
 
 def wrench_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:

@@ -283,6 +283,10 @@ TOPICS = (
     _subscribed('<arm>/target_twist', 'geometry_msgs/TwistStamped',
                 'velocity of grip_site in the axes of world or a link [m/s, rad/s]', 'actuators',
                 'target_twist'),
+    _subscribed('<arm>/target_wrench', 'geometry_msgs/WrenchStamped',
+                'force and torque of grip_site on its surroundings beside the springs of an '
+                'impedance, in the axes of world or a link [N, N m]', 'actuators',
+                'target_wrench'),
     _subscribed('<arm>/pose_command', 'std_msgs/Float64MultiArray',
                 "robosuite's action OSC_POSE: six numbers in [-1, 1]", 'actuators',
                 'pose_command'),

@@ -13,7 +13,7 @@ import time
 from typing import Any
 import weakref
 
-from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, WrenchStamped
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -148,6 +148,7 @@ class CommandSubscribers:
             'trajectory': self._trajectory, 'base_twist': self._twist,
             'stamped_base_twist': lambda part, message: self._twist(part, message.twist)})
         self._subscribe_to({'target_pose': self._target_pose, 'target_twist': self._target_twist,
+                            'target_wrench': self._target_wrench,
                             'pose_command': self._pose_action})
 
     def _subscribe_to(self, parsers: Mapping[str, Parser]) -> None:
@@ -272,7 +273,12 @@ class CommandSubscribers:
             arm, numbers_of(message.twist.linear), numbers_of(message.twist.angular),
             self._frame_of(message))]
 
-    def _frame_of(self, message: PoseStamped | TwistStamped) -> str:
+    def _target_wrench(self, arm: str, message: WrenchStamped) -> Sequence[Command]:
+        return [self._parse_cartesian.wrench(
+            arm, numbers_of(message.wrench.force), numbers_of(message.wrench.torque),
+            self._frame_of(message))]
+
+    def _frame_of(self, message: PoseStamped | TwistStamped | WrenchStamped) -> str:
         frame_id: str = message.header.frame_id
         return frame_id.removeprefix(self._context.frame_prefix)
 

@@ -258,7 +258,10 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
         read_only=not spec.live)
     if spec.choices:
         descriptor.additional_constraints = f'One of: {", ".join(spec.choices)}.'
-    if spec.minimum is not None and spec.maximum is not None:
+    if spec.length is not None:
+        descriptor.additional_constraints = f'{spec.length} finite numbers' + (
+            '.' if spec.minimum is None else f' from {spec.minimum:g} to {spec.maximum:g}.')
+    elif spec.minimum is not None and spec.maximum is not None:
         if isinstance(spec.default, float):
             descriptor.floating_point_range = [FloatingPointRange(
                 from_value=spec.minimum, to_value=spec.maximum, step=0.0)]

@@ -12,6 +12,7 @@ from typing import Any
 
 from rclpy.parameter import Parameter
 
+from manip_sim.control.cartesian.cartesian_settings import IMPEDANCE
 from manip_sim.errors import SimulationEnded
 from manip_sim.interface.parameters import law_parameters
 from manip_sim.interface.scope import Scope
@@ -136,4 +137,6 @@ def _operation(robot: str, setting: str) -> tuple[str, ...]:
     group, *which = setting.split('.')
     if setting in QUANTITIES:
         return 'sensing', robot, setting
+    if group in IMPEDANCE:
+        return 'cartesian', robot, *which, group
     return {'control_mode': 'mode', 'command_timeout': 'timeout'}.get(group, group), robot, *which

@@ -12,7 +12,7 @@ import threading
 import numpy as np
 
 from manip_sim.control.commands import (
-    Command, CommandHandle, JointImpedance, Status, STOPPED, TrajectoryStop)
+    Command, CommandHandle, Status, STOPPED, TrajectoryStop)
 from manip_sim.control.ledger import takes_from
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation import Simulation
@@ -43,7 +43,7 @@ class CommandBuffer:
         kept = []
         stop = isinstance(command, TrajectoryStop)
         for older in self._waiting:
-            if (isinstance(command, JointImpedance) and isinstance(older, JointImpedance)
+            if (command.adds and type(command) is type(older)
                     and np.array_equal(command.indices, older.indices)):
                 command = command.over(older)
                 older.handle.end(Status.REPLACED)

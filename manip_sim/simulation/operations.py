@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.object_creation import object_from_text
 from manip_sim.models.object_model import check_object_name
@@ -130,7 +132,7 @@ class Operations:
     def _reflex(self, robot: str, name: str, quantity: str, value: float) -> None:
         self._robot(robot).set_reflex(name, quantity, value)
 
-    def _cartesian(self, robot: str, arm: str, setting: str, value: float) -> None:
+    def _cartesian(self, robot: str, arm: str, setting: str, value: ArrayLike | str) -> None:
         self._robot(robot).joints.cartesian.set(arm, setting, value)
 
     def _law(self, robot: str, part: str, parameter: str, value: float) -> None:

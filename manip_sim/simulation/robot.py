@@ -15,6 +15,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
+from manip_sim.control.cartesian.cartesian_settings import IMPEDANCE
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.commands import (
@@ -415,7 +416,10 @@ class SimulatedRobot:
             found.update({f'law.{part}.{name}': value
                           for name, value in self.law_parameters(part).items()})
         for arm, settings in self.joints.cartesian.settings.items():
-            found.update({f'cartesian.{arm}.{name}': v for name, v in asdict(settings).items()})
+            found.update({
+                f'{name}.{arm}' if name in IMPEDANCE else f'cartesian.{arm}.{name}':
+                list(value) if isinstance(value, tuple) else value
+                for name, value in asdict(settings).items()})
         for arm, reader in self.end_effectors.items():
             found[f'wrench_cutoff.{arm}'] = reader.external.cutoff_hz
         return {**found, 'speed_scaling': self.joints.speed_scaling, **self.sensing.settings.all}

@@ -431,6 +431,24 @@ class CartesianCommands(RowByRow):
         self._apply(lambda robot, world: [robot.parse_cartesian.twist(
             arm, speeds[world], turns[world], frame)], where, period_s)
 
+    def wrench(self, arm: str, force: ArrayLike, torque: ArrayLike, frame: str = '', *,
+               where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a wrench that the impedance of an arm exerts in each world.
+
+        :param force: that ``grip_site`` pushes with [N], shape (count, 3)
+        :param torque: about ``grip_site`` [N m], shape (count, 3)
+        :param frame: whose axes the wrench is in; empty for ``world``
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if the frame is unknown, a number is not finite, or the arm is no
+            impedance
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        forces = self._rows(force, f'{arm}: forces')
+        torques = self._rows(torque, f'{arm}: torques')
+        self._apply(lambda robot, world: [robot.parse_cartesian.wrench(
+            arm, forces[world], torques[world], frame)], where, period_s)
+
     def action(self, arm: str, action: ArrayLike, *, where: ArrayLike | None = None,
                period_s: float | None = None) -> None:
         """

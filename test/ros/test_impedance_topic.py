@@ -5,8 +5,11 @@
 
 import math
 
+from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 
 NAN7 = [math.nan] * 7
@@ -46,3 +49,46 @@ def test_in_another_mode_a_message_is_rejected(serve, client):
     node = serve(start_paused=True)
     assert send(node, client, [100.0] * 35, 1).rejected == 1
     assert not np.isnan(node.simulation.robot.state().position).any()
+
+
+def set_one(client, name, value):
+    (result,) = client.call(SetParameters, 'manip_sim/set_parameters', SetParameters.Request(
+        parameters=[Parameter(name, value=value).to_parameter_msg()])).results
+    return result
+
+
+def wrench_of(z):
+    message = WrenchStamped()
+    message.wrench.force.z = z
+    return message
+
+
+def test_cartesian_stiffness_is_live_and_a_target_wrench_presses_until_its_timeout(serve, client):
+    node = serve(start_paused=True, control_mode__arm='effort',
+                 cartesian_stiffness__right=[500.0] * 3 + [30.0] * 3, command_timeout__arm=0.0)
+    reader = node.simulation.robot.state
+    start = reader().end_effectors['right'].pose.position[2]
+    statistics = node.commands.robots[0].statistics['arm']
+    for stiffness, number in ((500.0, 1), (1000.0, 2)):
+        assert set_one(client, 'cartesian_stiffness.right',
+                       [stiffness] * 3 + [30.0] * 3).successful
+        client.publish('right/target_wrench', wrench_of(10.0))
+        client.spin_until(lambda expected=number: statistics.accepted == expected)
+        for _ in range(300):
+            node.thread.step()
+        moved = reader().end_effectors['right'].pose.position[2] - start
+        assert moved == pytest.approx(10.0 / stiffness, rel=0.01)
+    assert set_one(client, 'cartesian_stiffness.right', [0.0] * 6).successful
+    client.publish('right/target_wrench', wrench_of(10.0))
+    client.spin_until(lambda: statistics.rejected == 1)
+
+
+@pytest.mark.parametrize(('value', 'message'), [
+    ([1.0] * 5, 'must be 6 finite numbers'), ([-1.0] * 6, 'must be from 0 to 100000'),
+    ([math.nan] * 6, 'finite'), (3.0, 'Wrong parameter type')])
+def test_a_stiffness_that_cannot_be_used_is_rejected_and_the_old_one_acts(
+        value, message, serve, client):
+    node = serve(start_paused=True)
+    result = set_one(client, 'cartesian_stiffness.right', value)
+    assert not result.successful and message in result.reason
+    assert node.simulation.robot.settings['cartesian_stiffness.right'] == [0.0] * 6

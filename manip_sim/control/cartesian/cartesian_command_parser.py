@@ -15,10 +15,10 @@ from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import action_example, clamp, finite_command_numbers
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianPose, CartesianTwist, PoseAction)
+    CartesianPose, CartesianTwist, CartesianWrench, PoseAction)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.joint_controller import JointController
-from manip_sim.errors import UnknownNameError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.physics.robot_frames import RobotFrames
@@ -90,6 +90,31 @@ class CartesianParser:
             frame=found,
             twist=np.concatenate([vector for vector, _ in halves]),
             clamped=sum(clamped for _, clamped in halves))
+
+    def wrench(self, arm: str, force: ArrayLike, torque: ArrayLike, frame: str = ''
+               ) -> CartesianWrench:
+        """
+        Return the command for a wrench that an impedance exerts beside that of its springs.
+
+        :param force: that ``grip_site`` pushes with [N], shape (3,)
+        :param torque: about ``grip_site`` [N m], shape (3,)
+        :param frame: whose axes the wrench is in; empty for ``world``
+        :raises CommandError: if the frame is unknown, a number is not finite, or the arm is no
+            impedance
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        indices = self._indices_of(arm)
+        found = self._frames.find(frame, f'{arm}: a target wrench')
+        wrench = np.concatenate([
+            finite_command_numbers(force, 3, f'{arm}: the force of a target wrench'),
+            finite_command_numbers(torque, 3, f'{arm}: the torque of a target wrench')])
+        if not self._joints.impedes(arm):
+            raise CommandError(
+                f'{arm}: a target wrench needs effort mode and a cartesian_stiffness.{arm} '
+                'that is not zero')
+        return CartesianWrench(
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+            frame=found, wrench=wrench)
 
     def action(self, arm: str, action: ArrayLike) -> PoseAction:
         """

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -78,3 +79,21 @@ class PoseAction(CartesianCommand):
     """
 
     action: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CartesianWrench(CartesianCommand):
+    """
+    A force and torque that an impedance exerts at ``grip_site``, beside those of its springs.
+
+    The target stays; without one the end effector is to stay where it is. It lasts until the
+    timeout of the arm passes without a fresh one.
+
+    :ivar frame: whose axes the wrench is in
+    :ivar wrench: force [N] and torque [N m], shape (6,)
+    """
+
+    adds: ClassVar[bool] = True
+
+    frame: Frame
+    wrench: FloatArray

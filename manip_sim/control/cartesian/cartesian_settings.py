@@ -7,24 +7,39 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
+from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.validation import positive_number
+
+#: Frames whose axes the springs of an impedance may have: that of the base of the arm,
+#: ``<arm>_center``, that of the end effector, ``grip_site``, and the world.
+FRAMES = BASE, TOOL, WORLD = 'base', 'tool', 'world'
+#: Settings of an impedance, which have a parameter each for each arm.
+IMPEDANCE = ('cartesian_stiffness', 'cartesian_damping_ratio', 'null_space_stiffness',
+             'cartesian_frame')
 
 
 @dataclass(frozen=True)
 class CartesianSettings:
     """
-    Settings of an arm; stiffness and damping are those of effort mode.
+    Settings of an arm; all but the limits and the timeout are those of effort mode.
 
     :ivar stiffness: acceleration of ``grip_site`` per error, robosuite's kp [1/s^2]
     :ivar damping_ratio: 1 is critical damping
     :ivar linear_velocity: limit for ``grip_site`` [m/s]
     :ivar angular_velocity: limit for ``grip_site`` [rad/s]
     :ivar twist_timeout: how long a twist lasts if no fresh one comes, simulation time [s]
+    :ivar cartesian_stiffness: along and about the axes [N/m x 3, N m/rad x 3]; six zeros for
+        ``stiffness`` and ``damping_ratio`` instead of an impedance
+    :ivar cartesian_damping_ratio: of an impedance, of each of its modes; 1 is critical damping
+    :ivar null_space_stiffness: of an impedance, towards the posture [N m/rad]
+    :ivar cartesian_frame: whose axes these are, one of :data:`FRAMES`
     """
 
     stiffness: float = 150.0
@@ -32,6 +47,15 @@ class CartesianSettings:
     linear_velocity: float = 1.0
     angular_velocity: float = 3.2
     twist_timeout: float = 0.1
+    cartesian_stiffness: tuple[float, ...] = (0.0,) * 6
+    cartesian_damping_ratio: float = 1.0
+    null_space_stiffness: float = 10.0
+    cartesian_frame: str = BASE
+
+    @property
+    def impedes(self) -> bool:
+        """Whether the arm is an impedance in effort mode."""
+        return any(self.cartesian_stiffness)
 
     @property
     def limits(self) -> FloatArray:
@@ -43,14 +67,26 @@ class CartesianSettings:
         """Acceleration of ``grip_site`` per velocity [1/s]."""
         return 2.0 * math.sqrt(self.stiffness) * self.damping_ratio
 
-    def changed(self, name: str, value: float) -> CartesianSettings:
+    def changed(self, name: str, value: ArrayLike | str) -> CartesianSettings:
         """
         Return the settings with another value for one of them.
 
-        :raises CommandError: if the value is not positive and finite
-        :raises UnknownNameError: if there is no such setting
+        :param value: a number, six numbers for ``cartesian_stiffness``, or the name of a frame
+        :raises CommandError: if a number is not finite, or not positive where it has to be
+        :raises UnknownNameError: if there is no such setting or frame
         """
         names = [field.name for field in fields(self)]
         if name not in names:
             raise UnknownNameError('Cartesian setting', name, names)
-        return replace(self, **{name: positive_number(value, name, CommandError)})
+        checked: Any
+        if name == 'cartesian_frame':
+            if value not in FRAMES:
+                raise UnknownNameError('frame of a Cartesian stiffness', str(value), FRAMES)
+            checked = value
+        elif name == 'cartesian_stiffness':
+            checked = tuple(finite_command_numbers(value, 6, name).tolist())
+            if min(checked) < 0.0:
+                raise CommandError(f'{name} must not be negative, got {list(checked)}')
+        else:
+            checked = positive_number(value, name, CommandError, name == 'null_space_stiffness')
+        return replace(self, **{name: checked})

@@ -9,13 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 import math
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.algebra import product, transposed_product
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.cartesian.arms import Arms
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianCommand, CartesianPose, CartesianTwist)
-from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
+    CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench)
+from manip_sim.control.cartesian.cartesian_settings import BASE, CartesianSettings, TOOL
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport
@@ -32,13 +33,14 @@ from manip_sim.derived import Derived
 from manip_sim.errors import UnknownNameError
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.physics.robot_frames import Frame
+from manip_sim.physics.robot_frames import Frame, WORLD
 from manip_sim.quaternion import wxyz_to_xyzw
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
+_IN_WORLD = Frame(WORLD, 0)
 #: None of the joints.
 _NOBODY = np.zeros(0, dtype=bool)
 
@@ -94,12 +96,12 @@ class CartesianController:
             chain.tip.look_at_model(self._physics.model)
             chain.origin.look_at_model(self._physics.model)
 
-    def set(self, arm: str, name: str, value: float) -> None:
+    def set(self, arm: str, name: str, value: ArrayLike | str) -> None:
         """
-        Change a setting of an arm.
+        Change a setting of an arm, one of :class:`CartesianSettings`.
 
-        :raises CommandError: if the value is not positive and finite
-        :raises UnknownNameError: if there is no such arm or setting
+        :raises CommandError: if a number is not finite, or not positive where it has to be
+        :raises UnknownNameError: if there is no such arm, setting or frame
         """
         if arm not in self.settings:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
@@ -149,12 +151,14 @@ class CartesianController:
 
     # ------------------------------------------------------------------ when a command begins
 
-    def begin(self, command: CartesianCommand, data: mujoco.MjData, now_s: float) -> None:
+    def begin(self, command: CartesianCommand, data: mujoco.MjData, now_s: float, goes_on: bool
+              ) -> None:
         """
         Start a command, at the beginning of a control period.
 
         :param data: after ``mj_forward``
         :param now_s: simulation time [s]
+        :param goes_on: whether the end effector had a target until now
         """
         before, streamed = (self._targets.get(command.arm),) * 2
         if before is not None and (before.twists is None or now_s > before.until_s + 1e-9):
@@ -162,10 +166,29 @@ class CartesianController:
         target = self._targets[command.arm] = target_of(
             command, self._chains[command.arm], self._physics.model, data, before,
             now_s + self.settings[command.arm].twist_timeout)
+        if goes_on and streamed is not None:
+            target.go_on(streamed, data)
         if isinstance(command, CartesianPose):
             self._continue_stream(command, target, streamed, data)
         elif isinstance(command, CartesianTwist):
             self._continue_twists(command, target, before, data, now_s)
+
+    def stay(self, command: CartesianCommand, data: mujoco.MjData) -> CartesianPose:
+        """Return the command for the end effector of a command to stay where it is."""
+        position, rotation = self._chains[command.arm].tip.pose(data)
+        return CartesianPose(
+            robot=command.robot, parts=command.parts, indices=command.indices, arm=command.arm,
+            frame=_IN_WORLD, position=position, rotation=rotation)
+
+    def push(self, command: CartesianWrench, until_s: float) -> None:
+        """
+        Let an impedance, which has a target, exert a wrench beside its springs.
+
+        :param until_s: simulation time when that ends [s]
+        """
+        target = self._targets[command.arm]
+        target.push, target.push_frame, target.push_until_s = (
+            command.wrench, command.frame, until_s)
 
     def _continue_stream(self, command: CartesianPose, target: Target, before: Target | None,
                          data: mujoco.MjData) -> None:
@@ -251,6 +274,7 @@ class CartesianController:
             interval_s = self._solution_s(float(durations_s[0]))
             follows = self._follows(target, exerts, now_s)
             self._fill(targets, number, command, exerts, follows, interval_s)
+            self._fill_impedance(targets, number, command, now_s)
             if follows in (STREAMS, TWISTS):
                 known = self._look_ahead(targets, number, target, begins_s(), durations_s)
                 count = min(count, known)
@@ -289,14 +313,36 @@ class CartesianController:
         tip, anchor, axes = self._chains[command.arm].tip, target.anchor, target.axes
         targets.tasks[number] = (
             EXERTS if exerts else LEADS, follows, *tip.number, *anchor.number, *axes.number,
+            *self._frame(command.arm).number, *target.push_frame.number,
             target.rests, target.settled_in is not None, target.start is not None,
-            target.solve_s == -math.inf, 0, settings.stiffness, settings.damping,
+            target.solve_s == -math.inf, 0, exerts and settings.impedes,
+            target.reference is not None, settings.stiffness, settings.damping,
             settings.linear_velocity, settings.angular_velocity,
+            settings.cartesian_damping_ratio, settings.null_space_stiffness,
             target.stream.smooth if follows == STREAMS and target.stream else 0.0,
             target.solve_s, interval_s)
         targets.positions[number], targets.rotations[number] = target.position, target.rotation
         if target.start is not None:
             targets.starts[number] = target.start
+
+    def _fill_impedance(self, targets: Targets, number: int, command: CartesianCommand,
+                        now_s: float) -> None:
+        """Write the springs of a command for the compiled law."""
+        if not targets.tasks[number]['impedes']:
+            return
+        target = self._targets[command.arm]
+        targets.springs[number] = self.settings[command.arm].cartesian_stiffness
+        if now_s >= target.push_until_s - 1e-9:
+            target.push, target.push_until_s = None, -math.inf
+        targets.pushes[number] = 0.0 if target.push is None else target.push
+        if target.reference is not None:
+            targets.places[number], targets.attitudes[number] = target.reference
+
+    def _frame(self, arm: str) -> Frame:
+        """Return the frame whose axes the springs of an impedance have."""
+        chain = self._chains[arm]
+        return {BASE: chain.origin, TOOL: chain.tip}.get(
+            self.settings[arm].cartesian_frame, _IN_WORLD)
 
     def _look_ahead(self, targets: Targets, number: int, target: Target, begins_s: FloatArray,
                     durations_s: FloatArray) -> int:
@@ -311,7 +357,8 @@ class CartesianController:
             until_s = target.stream.until_s + 1e-9
         if task['acts'] == EXERTS:
             known = int(np.count_nonzero(begins_s[:MOST_SOLUTIONS] <= until_s))
-            damping = float(task['damping'])
+            # An impedance gets the acceleration itself.
+            damping = 1.0 if task['impedes'] else float(task['damping'])
             for k in range(known):
                 self._refer_efforts(targets, (number, k), target, float(begins_s[k]),
                                     float(durations_s[k]), damping)
@@ -359,6 +406,9 @@ class CartesianController:
             if task['follows'] == TWISTS:
                 target.position = targets.positions[number].copy()
                 target.rotation = targets.rotations[number].copy()
+            target.reference = None
+            if task['impedes']:
+                target.reference = targets.places[number].copy(), targets.attitudes[number].copy()
             if task['begun'] and target.start is None:
                 target.start = targets.starts[number].copy()
             for k in range(int(task['solutions'])):

@@ -41,6 +41,11 @@ class Target:
     :ivar rests: whether the end effector is as near as it can come
     :ivar start: where the way of the end effector began, in the anchor [m], shape (3,), or None
     :ivar stream: of poses in the anchor, of which the goal is the last one, or None
+    :ivar reference: position [m] and rotation matrix, in the anchor, to which the springs of an
+        impedance pull on the way to the goal, or None
+    :ivar push: force and torque that an impedance exerts beside [N, N m], shape (6,), or None
+    :ivar push_frame: whose axes these are in
+    :ivar push_until_s: simulation time when that ends [s]
     """
 
     anchor: Frame
@@ -54,6 +59,10 @@ class Target:
     stream: PoseStream | None = None
     rests: bool = False
     start: FloatArray | None = None
+    reference: tuple[FloatArray, FloatArray] | None = None
+    push: FloatArray | None = None
+    push_frame: Frame = Frame(WORLD, 0)
+    push_until_s: float = -math.inf
 
     @classmethod
     def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: mujoco.MjData
@@ -74,24 +83,43 @@ class Target:
 
         :param pose: position [m] and rotation matrix in the world
         """
-        origin, turned = self.anchor.pose(data)
-        self.position, self.rotation = (
-            transposed_product(turned, pose[0] - origin), transposed_product(turned, pose[1]))
+        self.position, self.rotation = _in_frame(self.anchor, pose, data)
 
     def goal(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """Return position [m] and rotation matrix of the goal in the world."""
-        origin, turned = self.anchor.view(data)
-        position, rotation = np.empty(3), np.empty((3, 3))
-        mujoco.mju_mulMatVec(position, turned, self.position)
-        position += origin
-        mujoco.mju_mulMatMat(rotation, turned, self.rotation)
-        return position, rotation
+        return _in_world(self.anchor, (self.position, self.rotation), data)
+
+    def go_on(self, before: Target, data: mujoco.MjData) -> None:
+        """Let the springs of an impedance pull as before, and what it pushes with go on."""
+        if before.reference is not None:
+            self.reference = before.reference if before.anchor == self.anchor else _in_frame(
+                self.anchor, _in_world(before.anchor, before.reference, data), data)
+        self.push, self.push_frame, self.push_until_s = (
+            before.push, before.push_frame, before.push_until_s)
 
     def ends_stream(self, now_s: float) -> bool:
         """Return whether the goal rests now, if need be because the stream has ended."""
         if self.stream is not None:
             self.stream.update(now_s)
         return self.stream is None or not self.stream.moving
+
+
+def _in_frame(frame: Frame, pose: tuple[FloatArray, FloatArray], data: mujoco.MjData
+              ) -> tuple[FloatArray, FloatArray]:
+    """Return position [m] and rotation matrix in a frame, of a pose in the world."""
+    origin, turned = frame.pose(data)
+    return transposed_product(turned, pose[0] - origin), transposed_product(turned, pose[1])
+
+
+def _in_world(frame: Frame, pose: tuple[FloatArray, FloatArray], data: mujoco.MjData
+              ) -> tuple[FloatArray, FloatArray]:
+    """Return position [m] and rotation matrix in the world, of a pose in a frame."""
+    origin, turned = frame.view(data)
+    position, rotation = np.empty(3), np.empty((3, 3))
+    mujoco.mju_mulMatVec(position, turned, pose[0])
+    position += origin
+    mujoco.mju_mulMatMat(rotation, turned, pose[1])
+    return position, rotation
 
 
 def target_of(command: CartesianCommand, chain: KinematicChain, model: mujoco.MjModel,

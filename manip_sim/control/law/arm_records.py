@@ -145,18 +145,20 @@ IDLE, LEADS, EXERTS = range(3)
 #: Motions of a target: none, with a stream of poses, with a twist; the last lets the arm brake.
 RESTS, STREAMS, TWISTS, BRAKES = range(4)
 #: A target of an end effector: what the arm does, how it moves, ids of the end effector, of the
-#: frame that the goal stays fixed in and of the axes of a twist, and whether they are sites;
-#: whether the end effector is as near as it can come, whether its setpoints have come to rest,
-#: whether its way has begun, whether efforts are to be noted, and how many solutions are; settings
-#: of the spring; share of a stream's acceleration that is its own; when the kinematics are solved
-#: next, and for how long [s].
+#: frame that the goal stays fixed in, of the axes of a twist, of those of the springs of an
+#: impedance and of what it pushes with beside, and whether they are sites; whether the end
+#: effector is as near as it can come, whether its setpoints have come to rest, whether its way has
+#: begun, whether efforts are to be noted, how many solutions are, whether the arm is an impedance,
+#: and whether that has a reference; settings of the spring and of the impedance; share of a
+#: stream's acceleration that is its own; when the kinematics are solved next, for how long [s].
 TASK = np.dtype([
     *((name, np.int64) for name in (
         'acts', 'follows', 'tip', 'tip_is_site', 'anchor', 'anchor_is_site', 'axes',
-        'axes_is_site', 'rests', 'settled', 'begun', 'notes', 'solutions')),
+        'axes_is_site', 'frame', 'frame_is_site', 'push_frame', 'push_is_site', 'rests',
+        'settled', 'begun', 'notes', 'solutions', 'impedes', 'refers')),
     *((name, np.float64) for name in (
-        'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'smooth', 'solve_s',
-        'interval_s'))], align=True)
+        'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'damping_ratio',
+        'null_stiffness', 'smooth', 'solve_s', 'interval_s'))], align=True)
 #: Outcome of a solution: when it was found [s], which share of the wanted motion is made,
 #: how far the end effector is off its way [m]; whether it has reached the target, whether it comes
 #: near enough to it, whether a motion is wanted in a direction in which it can hardly move,
@@ -192,6 +194,10 @@ class Targets(NamedTuple):
     :ivar arms: the joints of each
     :ivar starts: where the ways of the end effectors began, in the frames of the goals [m], shape
         (2, 3)
+    :ivar springs: stiffness of impedances along and about axes [N/m, N m/rad], shape (2, 6)
+    :ivar pushes: what these push with beside, in axes of its own [N, N m], shape (2, 6)
+    :ivar places: where the references of impedances are, in the frames of the goals [m], (2, 3)
+    :ivar attitudes: their rotations, shape (2, 3, 3)
     :ivar facts: records of :data:`FACTS`, shape (2, k)
     :ivar errors: translation [m] and rotation vector [rad] from the end effector, as led, to its
         goal, shape (2, k, 6)
@@ -207,6 +213,10 @@ class Targets(NamedTuple):
     speeds: FloatArray
     arms: tuple[Arm, Arm]
     starts: FloatArray
+    springs: FloatArray
+    pushes: FloatArray
+    places: FloatArray
+    attitudes: FloatArray
     facts: NDArray[np.void]
     errors: FloatArray
     missed: FloatArray
@@ -224,7 +234,8 @@ def targets_of(joints: int, solutions: int = MOST_SOLUTIONS) -> Targets:
     rows = 2, solutions
     return Targets(readable(np.zeros(2, TASK)), np.zeros((2, 3)), np.zeros((2, 3, 3)),
                    np.zeros((*rows, 3)), np.zeros((*rows, 3, 3)), np.zeros((*rows, 2, 6)),
-                   (nobody, nobody), np.zeros((2, 3)), readable(np.zeros(rows, FACTS)),
+                   (nobody, nobody), np.zeros((2, 3)), np.zeros((2, 6)), np.zeros((2, 6)),
+                   np.zeros((2, 3)), np.zeros((2, 3, 3)), readable(np.zeros(rows, FACTS)),
                    np.zeros((*rows, 6)), np.zeros((*rows, 6)), np.zeros((*rows, joints), np.bool_))
 
 

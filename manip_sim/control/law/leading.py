@@ -15,6 +15,7 @@ from manip_sim.control.law.approach import approach, follow_twist
 from manip_sim.control.law.arm_records import (
     ArmMotion, BRAKES, Goal, MISSED, MISSED_TURN, Motion, RESTS, Spring, STREAMS, Targets, TWISTS,
     Velocities)
+from manip_sim.control.law.cartesian_impedance import impede, Springs
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.operational_space import exert, find_error, find_jacobian
 from manip_sim.control.law.setpoint_changes import ramp_to
@@ -67,17 +68,24 @@ def _in_world(axes: FloatArray, twist: FloatArray, result: FloatArray) -> None:
 
 
 @inner
+def _turn_back(origin: FloatArray, axes: FloatArray, place: FloatArray, turned: FloatArray,
+               position: FloatArray, rotation: FloatArray) -> None:
+    """Write a pose in the world in a frame."""
+    for i in range(3):
+        position[i] = 0.0
+        for j in range(3):
+            position[i] += axes[j, i] * (place[j] - origin[j])
+            rotation[i, j] = (
+                axes[0, i] * turned[0, j] + axes[1, i] * turned[1, j] + axes[2, i] * turned[2, j])
+
+
+@inner
 def _stay_at(kinematics: Kinematics, targets: Targets, number: int, place: FloatArray,
              turned: FloatArray) -> None:
     """Set a goal to a pose in the world."""
     task = targets.tasks[number]
     origin, axes = pose_of(kinematics, task.anchor, task.anchor_is_site)
-    for i in range(3):
-        targets.positions[number, i] = 0.0
-        for j in range(3):
-            targets.positions[number, i] += axes[j, i] * (place[j] - origin[j])
-            targets.rotations[number, i, j] = (
-                axes[0, i] * turned[0, j] + axes[1, i] * turned[1, j] + axes[2, i] * turned[2, j])
+    _turn_back(origin, axes, place, turned, targets.positions[number], targets.rotations[number])
 
 
 @inner
@@ -289,7 +297,6 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
     count, along, lost = len(arm.joints), np.zeros(6), np.zeros(6)
     motion = Motion(np.empty(count), np.empty(6), np.empty(6), np.zeros(count, np.bool_))
     place, turned = pose_of(world.kinematics, task.tip, task.tip_is_site)
-    spring = Spring(task.stiffness, task.damping, task.linear_velocity, task.angular_velocity)
     if task.follows == TWISTS:
         _, axes = pose_of(world.kinematics, task.axes, task.axes_is_site)
         _in_world(axes, targets.speeds[number, k, 1], along)
@@ -300,10 +307,16 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
         _in_world(axes, targets.speeds[number, k, 1], along)
         _in_world(axes, targets.speeds[number, k, 0], lost)
     goal = goal_of(world.kinematics, targets, number, k)
-    for i in range(6):
-        goal.along[i] = along[i] + lost[i]
-    rests, singular, slowed = exert(world, arm, place, turned, goal, postures, spring,
-                                    task.rests != 0, motion)
+    rests = singular = slowed = False
+    if task.impedes:
+        _impede(world, postures, targets, number, goal, along, lost, duration, motion)
+        find_error(place, turned, goal, motion.error)
+    else:
+        for i in range(6):
+            goal.along[i] = along[i] + lost[i]
+        spring = Spring(task.stiffness, task.damping, task.linear_velocity, task.angular_velocity)
+        rests, singular, slowed = exert(world, arm, place, turned, goal, postures, spring,
+                                        task.rests != 0, motion)
     for i in range(count):
         efforts[arm.joints[i].joint] = motion.efforts[i]
     task.rests = int(rests)
@@ -317,8 +330,65 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
     reached = task.follows == RESTS and _within(
         motion.error, _PRESSED, _PRESSED_TURN) and _within(
         motion.twist, _SLOW_TWIST, _SLOW_TWIST)
-    _note(targets, number, goal, now, dot(motion.twist, goes) / max(dot(goes, goes), 1e-12),
-          reached, singular and not reached, slowed, motion.held)
+    progress = dot(motion.twist, goes) / max(dot(goes, goes), 1e-12)
+    # An impedance yields: it is not late where something holds it off.
+    _note(targets, number, goal, now, 1.0 if task.impedes else progress, reached,
+          singular and not reached, slowed, motion.held)
     if reached:
         targets.facts[number, row].held = 0
     task.notes, task.solve_s = 0, now
+
+
+@inner
+def _impede(world: WorldArrays, postures: FloatArray, targets: Targets, number: int, goal: Goal,
+            along: FloatArray, acceleration: FloatArray, duration: float, motion: Motion) -> None:
+    """
+    Write the efforts of an impedance, whose reference goes to a goal no faster than its limits.
+
+    :param along: velocity of the goal in the world [m/s, rad/s], shape (6,)
+    :param acceleration: of the goal [m/s^2, rad/s^2], shape (6,)
+    """
+    task, kinematics = targets.tasks[number], world.kinematics
+    place, turned = pose_of(kinematics, task.tip, task.tip_is_site)
+    _, axes = pose_of(kinematics, task.frame, task.frame_is_site)
+    _, own_axes = pose_of(kinematics, task.push_frame, task.push_is_site)
+    push = np.empty(6)
+    _in_world(own_axes, targets.pushes[number], push)
+    _move_reference(kinematics, targets, number, goal, duration)
+    reference = Goal(targets.places[number], targets.attitudes[number], goal.origin, goal.axes,
+                     along)
+    springs = Springs(targets.springs[number], axes, task.damping_ratio, task.null_stiffness, push)
+    impede(world, targets.arms[number], place, turned, reference, acceleration, postures, springs,
+           duration, motion)
+
+
+@inner
+def _move_reference(kinematics: Kinematics, targets: Targets, number: int, goal: Goal,
+                    duration: float) -> None:
+    """Bring the reference of an impedance nearer to a goal, or to one that moves at once."""
+    task, place = targets.tasks[number], targets.places[number]
+    attitude = targets.attitudes[number]
+    if task.refers == 0:
+        here, turned = pose_of(kinematics, task.tip, task.tip_is_site)
+        _turn_back(goal.origin, goal.axes, here, turned, place, attitude)
+        task.refers = 1
+    way, turn, rest = np.empty(6), np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        way[i] = goal.position[i] - place[i]
+        for j in range(3):
+            turn[i, j] = (goal.rotation[i, 0] * attitude[j, 0]
+                          + goal.rotation[i, 1] * attitude[j, 1]
+                          + goal.rotation[i, 2] * attitude[j, 2])
+    rotation_vector(turn, way)
+    share = turned_share = 1.0
+    if task.follows == RESTS:
+        share = duration * task.linear_velocity / max(norm3(way, 0), 1e-12)
+        turned_share = duration * task.angular_velocity / max(norm3(way, 3), 1e-12)
+    for i in range(3):
+        place[i] = goal.position[i] if share >= 1.0 else place[i] + share * way[i]
+    if turned_share < 1.0:
+        rotation_matrix(way, 3, turned_share, turn)
+        multiply_matrices(turn, attitude, rest)
+    else:
+        rest[:] = goal.rotation
+    attitude[:] = rest

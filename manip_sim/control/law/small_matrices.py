@@ -16,6 +16,9 @@ from manip_sim.control.law.compiling import compiled, inner
 _LEAST_PIVOT = 1e-18
 #: Iterations of the minimum in a box at most, and gradients that count as zero there.
 _ITERATIONS, _LEAST_PULL = 100, 1e-14
+#: Sweeps of Jacobi rotations at most (six are enough for arms), and squares beside a diagonal that
+#: count as zero, as a share of those on it.
+_SWEEPS, _DIAGONAL = 20, 1e-24
 
 
 @inner
@@ -113,6 +116,51 @@ def solve(factor: FloatArray, vector: FloatArray, count: int, result: FloatArray
         for k in range(i + 1, count):
             total -= factor[k, i] * result[k]
         result[i] = total / factor[i, i]
+
+
+@compiled
+def diagonalize(matrix: FloatArray, vectors: FloatArray) -> None:
+    """
+    Find the eigenvalues of a symmetric matrix by Jacobi rotations, which it has on its diagonal.
+
+    :param matrix: shape (n, n), changed
+    :param vectors: the eigenvectors in its columns, written, shape (n, n)
+    """
+    count = len(matrix)
+    for i in range(count):
+        for j in range(count):
+            vectors[i, j] = 1.0 if i == j else 0.0
+    for _ in range(_SWEEPS):
+        aside = along = 0.0
+        for i in range(count):
+            along += matrix[i, i] * matrix[i, i]
+            for j in range(i):
+                aside += matrix[i, j] * matrix[i, j]
+        if aside <= _DIAGONAL * along:
+            return
+        for i in range(1, count):
+            for j in range(i):
+                if matrix[i, j] != 0.0:
+                    _rotate(matrix, vectors, i, j)
+
+
+@inner
+def _rotate(matrix: FloatArray, vectors: FloatArray, i: int, j: int) -> None:
+    """Turn two axes so that a place of a symmetric matrix becomes zero."""
+    half = (matrix[j, j] - matrix[i, i]) / (2.0 * matrix[i, j])
+    tangent = 1.0 / (abs(half) + math.sqrt(half * half + 1.0))
+    if half < 0.0:
+        tangent = -tangent
+    cos = 1.0 / math.sqrt(tangent * tangent + 1.0)
+    sin = tangent * cos
+    for k in range(len(matrix)):
+        one, other = matrix[k, i], matrix[k, j]
+        matrix[k, i], matrix[k, j] = cos * one - sin * other, sin * one + cos * other
+        one, other = vectors[k, i], vectors[k, j]
+        vectors[k, i], vectors[k, j] = cos * one - sin * other, sin * one + cos * other
+    for k in range(len(matrix)):
+        one, other = matrix[i, k], matrix[j, k]
+        matrix[i, k], matrix[j, k] = cos * one - sin * other, sin * one + cos * other
 
 
 @compiled
