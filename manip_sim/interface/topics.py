@@ -287,6 +287,9 @@ TOPICS = (
                 'force and torque of grip_site on its surroundings beside the springs of an '
                 'impedance, in the axes of world or a link [N, N m]', 'actuators',
                 'target_wrench'),
+    _subscribed('<arm>/force_mode', 'std_msgs/Float64MultiArray',
+                'selection, wrench and limits of the axes of an impedance [N, N m, m/s, rad/s]',
+                'actuators', 'force_mode'),
     _subscribed('<arm>/pose_command', 'std_msgs/Float64MultiArray',
                 "robosuite's action OSC_POSE: six numbers in [-1, 1]", 'actuators',
                 'pose_command'),

@@ -149,6 +149,7 @@ class CommandSubscribers:
             'stamped_base_twist': lambda part, message: self._twist(part, message.twist)})
         self._subscribe_to({'target_pose': self._target_pose, 'target_twist': self._target_twist,
                             'target_wrench': self._target_wrench,
+                            'force_mode': self._force_mode,
                             'pose_command': self._pose_action})
 
     def _subscribe_to(self, parsers: Mapping[str, Parser]) -> None:
@@ -277,6 +278,12 @@ class CommandSubscribers:
         return [self._parse_cartesian.wrench(
             arm, numbers_of(message.wrench.force), numbers_of(message.wrench.torque),
             self._frame_of(message))]
+
+    def _force_mode(self, arm: str, message: Float64MultiArray) -> Sequence[Command]:
+        if len(message.data) != 18:
+            raise CommandError(f'{arm}: force mode must have 18 numbers, got {len(message.data)}: '
+                               'selection, wrench and limits of the six axes, row after row')
+        return [self._parse_cartesian.force_mode(arm, *np.reshape(message.data, (3, 6)))]
 
     def _frame_of(self, message: PoseStamped | TwistStamped | WrenchStamped) -> str:
         frame_id: str = message.header.frame_id

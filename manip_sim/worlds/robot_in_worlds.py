@@ -449,6 +449,23 @@ class CartesianCommands(RowByRow):
         self._apply(lambda robot, world: [robot.parse_cartesian.wrench(
             arm, forces[world], torques[world], frame)], where, period_s)
 
+    def force_mode(self, arm: str, selection: ArrayLike, wrench: ArrayLike, limits: ArrayLike, *,
+                   where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command that the impedance of an arm exerts a wrench along chosen axes in each world.
+
+        :param selection: which axes are chosen, shape (count, 6)
+        :param wrench: force and torque there [N, N m], shape (count, 6)
+        :param limits: velocities there [m/s, rad/s], shape (count, 6)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: as ``robot.parse_cartesian.force_mode``
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        axes, wrenches, speeds = (self._rows(of, f'{arm}: {what}') for of, what in (
+            (selection, 'selections'), (wrench, 'wrenches'), (limits, 'limits')))
+        self._apply(lambda robot, world: [robot.parse_cartesian.force_mode(
+            arm, axes[world], wrenches[world], speeds[world])], where, period_s)
+
     def action(self, arm: str, action: ArrayLike, *, where: ArrayLike | None = None,
                period_s: float | None = None) -> None:
         """

@@ -242,6 +242,59 @@ def test_a_target_wrench_without_a_target_holds_the_end_effector_where_it_is():
     np.testing.assert_allclose(error_of(op, start)[:3], expected, atol=1e-4)
 
 
+def force_mode(op, axis, force, limit):
+    selection, wrench, limits = (np.zeros(6) for _ in range(3))
+    selection[axis], wrench[axis], limits[axis] = 1.0, force, limit
+    op.robot.apply(op.robot.parse_cartesian.force_mode(op.arm, selection, wrench, limits))
+
+
+def test_force_mode_approaches_at_its_limit_presses_with_its_force_and_stays_at_its_end():
+    op = impedance('Panda', arena='table', contacts=True)
+    op.robot.set_command_timeout('arm', 0.2, ends_targets=False)
+    start, forces = op.pose, []
+    for number in range(40):
+        force_mode(op, 2, -10.0, 0.1)
+        op.run(0.1)
+        if number == 7:
+            assert op.twist[2] == pytest.approx(-0.1, rel=0.05)
+        forces.append(op.robot.state().end_effectors['right'].external_wrench.force)
+    # In ft_frame, whose z is that of a hand that points down.
+    assert np.linalg.norm(forces[-1]) == pytest.approx(10.0, rel=0.02)
+    error = error_of(op, start)
+    assert error[2] < -0.1 and np.abs(error[[0, 1]]).max() < 5e-3
+    op.run(2.0)
+    np.testing.assert_allclose(op.pose[0][2], start[0][2] + error[2], atol=2e-3)
+    assert np.abs(op.twist).max() < 1e-3
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('axis', range(6))
+def test_a_chosen_axis_without_force_yields_and_is_braked_beyond_its_limit(axis):
+    op = impedance('Panda', [800.0] * 3 + [80.0] * 3)
+    op.robot.set_command_timeout('arm', 0.0)
+    force_mode(op, axis, 0.0, 0.05)
+    push_at, start = np.zeros(6), op.pose
+    push_at[axis] = 2.0 if axis < 3 else 0.2
+    speeds = []
+    for _ in range(60):
+        op.run(0.01, push(op, push_at[:3], push_at[3:]))
+        speeds.append(op.twist[axis])
+    assert 0.04 < max(speeds) < 0.1
+    assert error_of(op, start)[axis] > 0.01
+    others = np.delete(error_of(op, start), axis)
+    assert np.abs(others).max() < 5e-3
+
+
+@pytest.mark.parametrize(('rows', 'message'), [
+    (([0.5] * 6, [1.0] * 6, [0.1] * 6), 'must be 0 or 1'),
+    (([1.0] * 6, [1.0] * 6, [0.0] * 6), 'must be above 0'),
+    (([1.0] * 5, [1.0] * 6, [0.1] * 6), 'selection of force mode must have 6'),
+    (([1.0] * 6, [math.nan] * 6, [0.1] * 6), 'wrench of force mode must be finite')])
+def test_a_force_mode_that_cannot_be_used_is_rejected(rows, message):
+    with pytest.raises(CommandError, match=message):
+        impedance('Panda').robot.parse_cartesian.force_mode('right', *rows)
+
+
 def test_another_mode_ends_a_wrench_and_what_the_springs_hold():
     op = impedance('Panda')
     op.robot.set_command_timeout('arm', 0.0)
@@ -318,6 +371,8 @@ def script(robot, place, number):
         robot.apply(parse.pose('right', place + [0.0, 0.05, 0.02], [1.0, 0.0, 0.0, 0.0]))
     if number == 8:
         robot.apply(parse.wrench('right', [3.0, 0.0, -5.0], [0.1, 0.0, 0.0]))
+    if number == 10:
+        robot.apply(parse.force_mode('right', [1, 0, 0, 0, 0, 1], [4.0] * 6, [0.1] * 6))
     if number == 12:
         robot.joints.cartesian.set('right', 'cartesian_stiffness', STIFFNESS[::-1])
 
@@ -340,7 +395,7 @@ def test_restored_and_pickled_states_and_worlds_go_on_to_the_same_bits():
         digests.append(simulation.digest())
         assert set(worlds.digest()) == {digests[-1]}
     assert len(set(digests)) == 20
-    for begin in (5, 10):
+    for begin in (5, 11):
         simulation.restore(pickle.loads(saved[begin]))
         for number in range(begin, 20):
             script(simulation.robot, place, number)

@@ -62,6 +62,10 @@ REJECTED = {
         (action(), 'must have 5 numbers for each of 7 joints, got 0'),
         (action(*[0.1] * 7), 'position, velocity, effort, stiffness, damping of all'),
         (action(*[0.1] * 35), "'robot0_joint1' is in position mode, not in impedance mode")],
+    'right/force_mode': [
+        (action(), 'must have 18 numbers, got 0'),
+        (action(*[0.1] * 18), 'must be 0 or 1 for each axis'),
+        (action(*[1.0] * 18), 'needs effort mode and a cartesian_stiffness.right')],
     'right/gripper/joint_command': [
         (joints([FINGER], [-INF]), 'must be finite'),
         (joints([J1], [0.0]), 'has no joint'),
@@ -90,7 +94,8 @@ def test_bad_messages_change_nothing_and_are_explained(topic, serve, client):
     node = serve()
     start = client.state()
     part = topic.rsplit('/', 1)[0] if '/' in topic else topic
-    statistics = node.commands.robots[0].statistics[part]
+    # Those of an arm's end effector count for the arm.
+    statistics = node.commands.robots[0].statistics['arm' if part == 'right' else part]
     for message, reason in REJECTED[topic]:
         # What is like the one before is told a second later.
         while not any(reason in line for line in log):

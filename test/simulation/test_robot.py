@@ -65,14 +65,16 @@ def commands_of_every_kind(robot):
         parse.trajectory('arm', joints[:1], [1.0], [[0.3]]), parse.trajectory('arm', [], [], []),
         parse.twist(0.1, 0.0, 0.0), poses.pose('right', [0.4, 0.0, 1.2], [1.0, 0.0, 0.0, 0.0]),
         poses.twist('right', [0.1, 0.0, 0.0], [0.0] * 3), poses.action('right', [0.5] * 6),
-        wrench_of_impedance(robot),
+        *wrenches_of_impedance(robot),
         GripperGoal(robot, 'right/gripper', GripperRequest(0.02)).command]
 
 
-def wrench_of_impedance(robot):
+def wrenches_of_impedance(robot):
     robot.set_control_mode('arm', 'effort')
     robot.joints.cartesian.set('right', 'cartesian_stiffness', [300.0] * 6)
-    return robot.parse_cartesian.wrench('right', [0.0, 0.0, 1.0], [0.0] * 3)
+    parse = robot.parse_cartesian
+    return [parse.wrench('right', [0.0, 0.0, 1.0], [0.0] * 3),
+            parse.force_mode('right', [0, 0, 1, 0, 0, 0], [1.0] * 6, [0.1] * 6)]
 
 
 def concrete_kinds(kind=Command):

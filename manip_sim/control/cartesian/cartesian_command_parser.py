@@ -15,7 +15,7 @@ from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import action_example, clamp, finite_command_numbers
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianPose, CartesianTwist, CartesianWrench, PoseAction)
+    CartesianPose, CartesianTwist, CartesianWrench, ForceMode, PoseAction)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.joint_controller import JointController
 from manip_sim.errors import CommandError, UnknownNameError
@@ -108,13 +108,45 @@ class CartesianParser:
         wrench = np.concatenate([
             finite_command_numbers(force, 3, f'{arm}: the force of a target wrench'),
             finite_command_numbers(torque, 3, f'{arm}: the torque of a target wrench')])
-        if not self._joints.impedes(arm):
-            raise CommandError(
-                f'{arm}: a target wrench needs effort mode and a cartesian_stiffness.{arm} '
-                'that is not zero')
+        self._check_impedance(arm, 'a target wrench')
         return CartesianWrench(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
             frame=found, wrench=wrench)
+
+    def force_mode(self, arm: str, selection: ArrayLike, wrench: ArrayLike, limits: ArrayLike
+                   ) -> ForceMode:
+        """
+        Return the command for an impedance to exert a wrench along and about chosen axes.
+
+        Its springs do not act there; along and about the other axes they hold the target.
+
+        :param selection: which axes of the springs are chosen, 0 or 1 each, shape (6,)
+        :param wrench: force and torque there [N, N m], shape (6,); the others are not used
+        :param limits: velocities there [m/s, rad/s], above 0, shape (6,); the others are not used
+        :raises CommandError: if a number is not finite or out of range, or the arm is no impedance
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        indices = self._indices_of(arm)
+        numbers = [
+            finite_command_numbers(of, 6, f'{arm}: the {what} of force mode') for of, what in (
+                (selection, 'selection'), (wrench, 'wrench'), (limits, 'limits'))]
+        chosen = numbers[0] == 1.0
+        if not (chosen | (numbers[0] == 0.0)).all():
+            raise CommandError(f'{arm}: the selection of force mode must be 0 or 1 for each axis, '
+                               f'got {numbers[0].tolist()}')
+        if not (numbers[2][chosen] > 0.0).all():
+            raise CommandError(f'{arm}: the limits of force mode must be above 0 for the axes '
+                               f'that are chosen, got {numbers[2].tolist()}')
+        self._check_impedance(arm, 'force mode')
+        return ForceMode(
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+            frame=self._frames.find('', arm), wrench=np.where(chosen, numbers[1], 0.0),
+            selection=chosen, limits=np.where(chosen, numbers[2], 1.0))
+
+    def _check_impedance(self, arm: str, what: str) -> None:
+        if not self._joints.impedes(arm):
+            raise CommandError(f'{arm}: {what} needs effort mode and a cartesian_stiffness.{arm} '
+                               'that is not zero')
 
     def action(self, arm: str, action: ArrayLike) -> PoseAction:
         """

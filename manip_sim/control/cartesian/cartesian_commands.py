@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.commands import Command
 from manip_sim.physics.robot_frames import Frame
 
@@ -97,3 +97,16 @@ class CartesianWrench(CartesianCommand):
 
     frame: Frame
     wrench: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForceMode(CartesianWrench):
+    """
+    A wrench along and about chosen axes of an impedance, whose springs do not act there.
+
+    :ivar selection: which of the axes of the springs are chosen, shape (6,)
+    :ivar limits: velocities along and about these [m/s, rad/s], shape (6,)
+    """
+
+    selection: BoolArray
+    limits: FloatArray

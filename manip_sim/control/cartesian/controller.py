@@ -15,7 +15,7 @@ from manip_sim.algebra import product, transposed_product
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.cartesian.arms import Arms
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench)
+    CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench, ForceMode)
 from manip_sim.control.cartesian.cartesian_settings import BASE, CartesianSettings, TOOL
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
@@ -187,8 +187,16 @@ class CartesianController:
         :param until_s: simulation time when that ends [s]
         """
         target = self._targets[command.arm]
-        target.push, target.push_frame, target.push_until_s = (
-            command.wrench, command.frame, until_s)
+        if not isinstance(command, ForceMode):
+            self._end_push(command.arm, target, self._physics.data)
+        target.push, target.push_until_s = command, until_s
+
+    def _end_push(self, arm: str, target: Target, data: mujoco.MjData) -> None:
+        """End what an impedance exerts; after force mode the end effector stays where it is."""
+        if isinstance(target.push, ForceMode):
+            target.stay_at(self._chains[arm].tip.view(data), data)
+            target.reference = target.stream = target.twists = None
+        target.push, target.push_until_s = None, math.inf
 
     def _continue_stream(self, command: CartesianPose, target: Target, before: Target | None,
                          data: mujoco.MjData) -> None:
@@ -270,11 +278,13 @@ class CartesianController:
         for number, command in enumerate(commands):
             target = self._targets[command.arm]
             self._end_twist(command, target, now_s)
+            if now_s >= target.push_until_s - 1e-9:
+                self._end_push(command.arm, target, self._physics.data)
             exerts = self._servos.any_gives_effort_of(command.indices)
             interval_s = self._solution_s(float(durations_s[0]))
             follows = self._follows(target, exerts, now_s)
             self._fill(targets, number, command, exerts, follows, interval_s)
-            self._fill_impedance(targets, number, command, now_s)
+            self._fill_impedance(targets, number, command)
             if follows in (STREAMS, TWISTS):
                 known = self._look_ahead(targets, number, target, begins_s(), durations_s)
                 count = min(count, known)
@@ -311,9 +321,11 @@ class CartesianController:
         """Write the target of a command for the compiled law."""
         target, settings = self._targets[command.arm], self.settings[command.arm]
         tip, anchor, axes = self._chains[command.arm].tip, target.anchor, target.axes
+        frame, push = self._frame(command.arm), target.push
+        push_frame = frame if push is None or isinstance(push, ForceMode) else push.frame
         targets.tasks[number] = (
             EXERTS if exerts else LEADS, follows, *tip.number, *anchor.number, *axes.number,
-            *self._frame(command.arm).number, *target.push_frame.number,
+            *frame.number, *push_frame.number,
             target.rests, target.settled_in is not None, target.start is not None,
             target.solve_s == -math.inf, 0, exerts and settings.impedes,
             target.reference is not None, settings.stiffness, settings.damping,
@@ -325,16 +337,20 @@ class CartesianController:
         if target.start is not None:
             targets.starts[number] = target.start
 
-    def _fill_impedance(self, targets: Targets, number: int, command: CartesianCommand,
-                        now_s: float) -> None:
+    def _fill_impedance(self, targets: Targets, number: int, command: CartesianCommand) -> None:
         """Write the springs of a command for the compiled law."""
         if not targets.tasks[number]['impedes']:
             return
         target = self._targets[command.arm]
         targets.springs[number] = self.settings[command.arm].cartesian_stiffness
-        if now_s >= target.push_until_s - 1e-9:
-            target.push, target.push_until_s = None, -math.inf
-        targets.pushes[number] = 0.0 if target.push is None else target.push
+        push = target.push
+        targets.pushes[number] = 0.0 if push is None else push.wrench
+        targets.brakes[number] = [[0.0], [math.inf]]
+        if isinstance(push, ForceMode):
+            targets.springs[number, push.selection] = 0.0
+            chosen = push.selection
+            targets.brakes[number, 0, chosen] = np.abs(push.wrench / push.limits)[chosen]
+            targets.brakes[number, 1, chosen] = push.limits[chosen]
         if target.reference is not None:
             targets.places[number], targets.attitudes[number] = target.reference
 

@@ -14,7 +14,7 @@ import numpy as np
 from manip_sim.algebra import product, transposed_product
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianCommand, CartesianPose, CartesianTwist, PoseAction)
+    CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench, PoseAction)
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.velocity_stream import VelocityStream
@@ -43,8 +43,7 @@ class Target:
     :ivar stream: of poses in the anchor, of which the goal is the last one, or None
     :ivar reference: position [m] and rotation matrix, in the anchor, to which the springs of an
         impedance pull on the way to the goal, or None
-    :ivar push: force and torque that an impedance exerts beside [N, N m], shape (6,), or None
-    :ivar push_frame: whose axes these are in
+    :ivar push: what an impedance exerts beside its springs, or None
     :ivar push_until_s: simulation time when that ends [s]
     """
 
@@ -60,9 +59,8 @@ class Target:
     rests: bool = False
     start: FloatArray | None = None
     reference: tuple[FloatArray, FloatArray] | None = None
-    push: FloatArray | None = None
-    push_frame: Frame = Frame(WORLD, 0)
-    push_until_s: float = -math.inf
+    push: CartesianWrench | None = None
+    push_until_s: float = math.inf
 
     @classmethod
     def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: mujoco.MjData
@@ -94,8 +92,7 @@ class Target:
         if before.reference is not None:
             self.reference = before.reference if before.anchor == self.anchor else _in_frame(
                 self.anchor, _in_world(before.anchor, before.reference, data), data)
-        self.push, self.push_frame, self.push_until_s = (
-            before.push, before.push_frame, before.push_until_s)
+        self.push, self.push_until_s = before.push, before.push_until_s
 
     def ends_stream(self, now_s: float) -> bool:
         """Return whether the goal rests now, if need be because the stream has ended."""

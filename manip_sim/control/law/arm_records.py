@@ -33,6 +33,8 @@ class Arm(NamedTuple):
     The joints of an arm.
 
     :ivar joints: records of :data:`CHAIN`, shape (n,)
+    :ivar brakes: dampers along and about these axes [N s/m, N m s/rad] and velocities that motions
+        there do not exceed [m/s, rad/s], shape (2, 2, 6)
     :ivar places: of their inertia in ``M``, -1 where it is zero, shape (n, n)
     :ivar root: body at the root of the tree of bodies
     """
@@ -215,6 +217,7 @@ class Targets(NamedTuple):
     starts: FloatArray
     springs: FloatArray
     pushes: FloatArray
+    brakes: FloatArray
     places: FloatArray
     attitudes: FloatArray
     facts: NDArray[np.void]
@@ -235,8 +238,9 @@ def targets_of(joints: int, solutions: int = MOST_SOLUTIONS) -> Targets:
     return Targets(readable(np.zeros(2, TASK)), np.zeros((2, 3)), np.zeros((2, 3, 3)),
                    np.zeros((*rows, 3)), np.zeros((*rows, 3, 3)), np.zeros((*rows, 2, 6)),
                    (nobody, nobody), np.zeros((2, 3)), np.zeros((2, 6)), np.zeros((2, 6)),
-                   np.zeros((2, 3)), np.zeros((2, 3, 3)), readable(np.zeros(rows, FACTS)),
-                   np.zeros((*rows, 6)), np.zeros((*rows, 6)), np.zeros((*rows, joints), np.bool_))
+                   np.zeros((2, 2, 6)), np.zeros((2, 3)), np.zeros((2, 3, 3)),
+                   readable(np.zeros(rows, FACTS)), np.zeros((*rows, 6)), np.zeros((*rows, 6)),
+                   np.zeros((*rows, joints), np.bool_))
 
 
 @cache

@@ -25,12 +25,14 @@ from manip_sim.control.law.compiling import inner
 from manip_sim.control.law.displacement import way_to_posture
 from manip_sim.control.law.operational_space import find_error, find_jacobian
 from manip_sim.control.law.small_matrices import (
-    clip, diagonalize, factorize, multiply, multiply_transposed, solve)
+    clip, diagonalize, dot, factorize, multiply, multiply_transposed, solve)
 from manip_sim.physics.physics import WorldArrays
 
 #: Greatest natural frequency of a mode, times the length of an interval: springs and dampers that
 #: are sampled stay stable up to 0.8 at critical damping.
 _FASTEST = 0.5
+#: Damping of an axis at most, times the length of an interval and the mobility there.
+_BRAKE = 0.25
 #: Shares that are added to the diagonal of the mobility of the end effector: to tell motions of
 #: the posture from its own, and to find the motion of the joints with its reference, which near a
 #: singularity has to stay small.
@@ -42,6 +44,8 @@ class Springs(NamedTuple):
     Springs and dampers of an end effector.
 
     :ivar stiffness: along and about the axes [N/m, N m/rad], shape (6,)
+    :ivar brakes: dampers along and about the axes [N s/m, N m s/rad], and velocities beyond which
+        an end effector is braked there [m/s, rad/s], shape (2, 6)
     :ivar axes: of the springs in the world, shape (3, 3)
     :ivar damping_ratio: 1 is critical damping
     :ivar null_stiffness: towards the posture, where that leaves the end effector alone [N m/rad]
@@ -49,6 +53,7 @@ class Springs(NamedTuple):
     """
 
     stiffness: FloatArray
+    brakes: FloatArray
     axes: FloatArray
     damping_ratio: float
     null_stiffness: float
@@ -136,7 +141,7 @@ def _lower(root: FloatArray) -> FloatArray:
 def _pull(carried: FloatArray, springs: Springs, motion: Motion, along: FloatArray,
           duration: float, force: FloatArray, stiffness: FloatArray) -> None:
     """
-    Add the springs of the end effector, all in coordinates of unit inertia.
+    Add the springs and brakes of the end effector, all in coordinates of unit inertia.
 
     :param carried: transposed Jacobian of the end effector, shape (n, 6)
     :param along: velocity of the reference in the world [m/s, rad/s], shape (6,)
@@ -144,17 +149,22 @@ def _pull(carried: FloatArray, springs: Springs, motion: Motion, along: FloatArr
     count, row = len(force), np.empty(len(force))
     for half in range(2):
         for i in range(3):
-            k, error = springs.stiffness[3 * half + i], 0.0
+            k, error, speed = springs.stiffness[3 * half + i], 0.0, 0.0
             for j in range(3):
                 axis, n = springs.axes[j, i], 3 * half + j
-                error += axis * (
-                    motion.error[n] + (along[n] - motion.twist[n]) * duration / 2.0)
+                speed += axis * (motion.twist[n] - along[n])
+                error += axis * motion.error[n]
             for m in range(count):
                 row[m] = 0.0
                 for j in range(3):
                     row[m] += springs.axes[j, i] * carried[m, 3 * half + j]
+            limit, most = springs.brakes[1, 3 * half + i], _BRAKE / duration / dot(row, row)
+            pull = (k * (error - speed * duration / 2.0)
+                    - min(springs.brakes[0, 3 * half + i], most) * speed)
+            if abs(speed) > limit:
+                pull -= most * (speed - clip(speed, -limit, limit))
             for m in range(count):
-                force[m] += k * error * row[m]
+                force[m] += pull * row[m]
                 for n in range(count):
                     stiffness[m, n] += k * row[m] * row[n]
 

@@ -357,7 +357,8 @@ def _impede(world: WorldArrays, postures: FloatArray, targets: Targets, number: 
     _move_reference(kinematics, targets, number, goal, duration)
     reference = Goal(targets.places[number], targets.attitudes[number], goal.origin, goal.axes,
                      along)
-    springs = Springs(targets.springs[number], axes, task.damping_ratio, task.null_stiffness, push)
+    springs = Springs(targets.springs[number], targets.brakes[number], axes, task.damping_ratio,
+                      task.null_stiffness, push)
     impede(world, targets.arms[number], place, turned, reference, acceleration, postures, springs,
            duration, motion)
 
