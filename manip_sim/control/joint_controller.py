@@ -73,7 +73,8 @@ class JointController(ControlledJoints):
             part: reader for arm, reader in (end_effectors or {}).items() if arm in parts
             for part in parts[arm].atomic if len(parts[arm].atomic) == 1})
         self.cartesian = CartesianController(
-            physics, chains or {}, self.names, self._servos, self._setpoints)
+            physics, chains or {}, self.names, self._servos, self._setpoints,
+            end_effectors or {})
         self._everything = np.arange(len(self.names))
         self._derived = Derived()
         self._timeouts = CommandTimeouts(atomic)
@@ -479,7 +480,7 @@ class JointController(ControlledJoints):
         self._setpoints.now_s, self._setpoints.interval_s = now_s, interval_s
         for command in list(self.commands.running):
             if isinstance(command, CartesianCommand):
-                self.cartesian.begin_period(command, data)
+                self.cartesian.begin_period(command, data, now_s)
             if (isinstance(command, JointSetpoint) and self._setpoints.at_rest(command.indices)
                     and all([MODES[mode].ends for mode in dict.fromkeys(command.modes)])):
                 self._finish(command, data, command.values)

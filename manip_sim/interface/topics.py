@@ -234,6 +234,10 @@ TOPICS = (
     _published('~/episode', 'std_msgs/String',
                'seed, what was drawn, versions and digest of the start of the episode as JSON, '
                'latched', rate='at the start and at each reset', depth=1, latched=True),
+    _published('~/contact', 'std_msgs/String',
+               'the end of the last motion until contact: robot, arm, cause, position in world, '
+               'wrench in ft_frame, distance and duration as JSON, latched', rate='at each end',
+               depth=1, latched=True),
     _published('~/safety_state', 'std_msgs/String',
                'running, protective_stop, emergency_stop or recovering, latched',
                rate='at each change', depth=1, latched=True),
@@ -290,6 +294,9 @@ TOPICS = (
     _subscribed('<arm>/force_mode', 'std_msgs/Float64MultiArray',
                 'selection, wrench and limits of the axes of an impedance [N, N m, m/s, rad/s]',
                 'actuators', 'force_mode'),
+    _subscribed('<arm>/move_until_contact', 'std_msgs/Float64MultiArray',
+                'velocity of grip_site in world [m/s, rad/s], then force [N], distance [m] and '
+                'duration [s] that end the motion', 'actuators', 'until_contact'),
     _subscribed('<arm>/pose_command', 'std_msgs/Float64MultiArray',
                 "robosuite's action OSC_POSE: six numbers in [-1, 1]", 'actuators',
                 'pose_command'),

@@ -150,6 +150,7 @@ class CommandSubscribers:
         self._subscribe_to({'target_pose': self._target_pose, 'target_twist': self._target_twist,
                             'target_wrench': self._target_wrench,
                             'force_mode': self._force_mode,
+                            'until_contact': self._until_contact,
                             'pose_command': self._pose_action})
 
     def _subscribe_to(self, parsers: Mapping[str, Parser]) -> None:
@@ -284,6 +285,16 @@ class CommandSubscribers:
             raise CommandError(f'{arm}: force mode must have 18 numbers, got {len(message.data)}: '
                                'selection, wrench and limits of the six axes, row after row')
         return [self._parse_cartesian.force_mode(arm, *np.reshape(message.data, (3, 6)))]
+
+    def _until_contact(self, arm: str, message: Float64MultiArray) -> Sequence[Command]:
+        numbers = list(message.data)
+        if len(numbers) != 9:
+            raise CommandError(f'{arm}: a motion until contact must have 9 numbers, got '
+                               f'{len(numbers)}: linear and angular velocity in world, force, '
+                               'distance and duration')
+        return [self._parse_cartesian.until_contact(
+            arm, numbers[:3], numbers[3:6], force=numbers[6], distance=numbers[7],
+            duration_s=numbers[8])]
 
     def _frame_of(self, message: PoseStamped | TwistStamped | WrenchStamped) -> str:
         frame_id: str = message.header.frame_id

@@ -48,7 +48,7 @@ from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.robot_description import (
     DescriptionPublisher, DynamicsPublisher, ModelPublisher)
-from manip_sim.ros.safety_state import SafetyStatePublisher
+from manip_sim.ros.safety_state import ContactPublisher, SafetyStatePublisher
 from manip_sim.ros.scene import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
@@ -208,6 +208,7 @@ class SimNode(Node):
         if self.actions is not None:
             self._add(self.actions)
         self._add(SafetyStatePublisher(context))
+        self._add(ContactPublisher(context))
         self._add(SimulationServices(context))
         self._add(StandardServices(context, spawn_files(self.declared.value('spawn_roots'))))
         self._add(Diagnostics(context, self.commands, self.surroundings, self.cameras))

@@ -431,6 +431,28 @@ class CartesianCommands(RowByRow):
         self._apply(lambda robot, world: [robot.parse_cartesian.twist(
             arm, speeds[world], turns[world], frame)], where, period_s)
 
+    def until_contact(self, arm: str, linear: ArrayLike, angular: ArrayLike, *, force: float,
+                      distance: float, duration_s: float, frame: str = '',
+                      where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a velocity of ``grip_site`` of an arm until contact in each world.
+
+        :param linear: [m/s], shape (count, 3)
+        :param angular: [rad/s], shape (count, 3)
+        :param force: size of the external force on the tool that ends it [N]
+        :param distance: from where ``grip_site`` is now, which ends it [m]
+        :param duration_s: simulation time that ends it [s]
+        :param frame: whose axes the velocity is in; empty for ``world``
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: as ``robot.parse_cartesian.until_contact``
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        speeds = self._rows(linear, f'{arm}: linear velocities')
+        turns = self._rows(angular, f'{arm}: angular velocities')
+        self._apply(lambda robot, world: [robot.parse_cartesian.until_contact(
+            arm, speeds[world], turns[world], force=force, distance=distance,
+            duration_s=duration_s, frame=frame)], where, period_s)
+
     def wrench(self, arm: str, force: ArrayLike, torque: ArrayLike, frame: str = '', *,
                where: ArrayLike | None = None, period_s: float | None = None) -> None:
         """

@@ -3,6 +3,7 @@
 
 """Impedance with gains in the message, over the topic."""
 
+import json
 import math
 
 from geometry_msgs.msg import WrenchStamped
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from std_msgs.msg import Float64MultiArray
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64MultiArray, String
 
 NAN7 = [math.nan] * 7
 
@@ -92,3 +94,22 @@ def test_a_stiffness_that_cannot_be_used_is_rejected_and_the_old_one_acts(
     result = set_one(client, 'cartesian_stiffness.right', value)
     assert not result.successful and message in result.reason
     assert node.simulation.robot.settings['cartesian_stiffness.right'] == [0.0] * 6
+
+
+def test_a_motion_until_contact_says_how_it_ended(serve, client):
+    node = serve(stepping='free')
+    ends = client.listen(String, 'manip_sim/contact', QoSProfile(
+        depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
+    statistics = node.commands.robots[0].statistics['arm']
+    for number, cause in ((0.05, 'distance'), (-0.04, 'distance')):
+        count = len(ends)
+        client.publish('right/move_until_contact', Float64MultiArray(
+            data=[0.0, 0.0, number, 0.0, 0.0, 0.0, 5.0, 0.03, 9.0]))
+        client.spin_until(lambda expected=count: len(ends) > expected)
+        end = json.loads(ends[-1].data)
+        assert end['arm'] == 'right' and end['robot'] == 'robot0' and end['cause'] == cause
+        assert end['distance'] == pytest.approx(0.03, abs=1e-3)
+        assert end['duration'] == pytest.approx(0.03 / abs(number), rel=0.2)
+    client.publish('right/move_until_contact', Float64MultiArray(data=[0.0] * 9))
+    client.spin_until(lambda: statistics.rejected == 1)
+    assert len(ends) == 2

@@ -65,7 +65,8 @@ def commands_of_every_kind(robot):
         parse.trajectory('arm', joints[:1], [1.0], [[0.3]]), parse.trajectory('arm', [], [], []),
         parse.twist(0.1, 0.0, 0.0), poses.pose('right', [0.4, 0.0, 1.2], [1.0, 0.0, 0.0, 0.0]),
         poses.twist('right', [0.1, 0.0, 0.0], [0.0] * 3), poses.action('right', [0.5] * 6),
-        *wrenches_of_impedance(robot),
+        poses.until_contact('right', [0.1, 0.0, 0.0], [0.0] * 3, force=1.0, distance=1.0,
+                            duration_s=1.0), *wrenches_of_impedance(robot),
         GripperGoal(robot, 'right/gripper', GripperRequest(0.02)).command]
 
 

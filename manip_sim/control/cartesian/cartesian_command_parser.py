@@ -15,7 +15,7 @@ from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import action_example, clamp, finite_command_numbers
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianPose, CartesianTwist, CartesianWrench, ForceMode, PoseAction)
+    CartesianPose, CartesianTwist, CartesianWrench, ForceMode, GuardedTwist, PoseAction)
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
 from manip_sim.control.joint_controller import JointController
 from manip_sim.errors import CommandError, UnknownNameError
@@ -23,6 +23,7 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.physics.robot_frames import RobotFrames
 from manip_sim.quaternion import matrix_of, xyzw_to_wxyz
+from manip_sim.validation import positive_number
 
 
 class CartesianParser:
@@ -90,6 +91,32 @@ class CartesianParser:
             frame=found,
             twist=np.concatenate([vector for vector, _ in halves]),
             clamped=sum(clamped for _, clamped in halves))
+
+    def until_contact(self, arm: str, linear: ArrayLike, angular: ArrayLike, *, force: float,
+                      distance: float, duration_s: float, frame: str = '') -> GuardedTwist:
+        """
+        Return the command for a velocity of ``grip_site`` of an arm until contact.
+
+        ``reports[arm].contact`` of the Cartesian controller has where it ended, and why.
+
+        :param linear: [m/s], shape (3,)
+        :param angular: [rad/s], shape (3,)
+        :param force: size of the external force on the tool that ends it [N]
+        :param distance: of ``grip_site`` from where it is now, which ends it [m]
+        :param duration_s: simulation time that ends it [s]
+        :param frame: whose axes the velocity is in; empty for ``world``
+        :raises CommandError: if the frame is unknown, a velocity is not finite, or a number that
+            ends the motion is not above 0
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        twist = self.twist(arm, linear, angular, frame)
+        limits = {what: positive_number(value, f'{arm}: the {what} of a motion until contact',
+                                        CommandError) for what, value in (
+            ('force', force), ('distance', distance), ('duration', duration_s))}
+        return GuardedTwist(
+            robot=twist.robot, parts=twist.parts, indices=twist.indices, arm=arm,
+            frame=twist.frame, twist=twist.twist, clamped=twist.clamped, force=limits['force'],
+            distance=limits['distance'], duration_s=limits['duration'])
 
     def wrench(self, arm: str, force: ArrayLike, torque: ArrayLike, frame: str = ''
                ) -> CartesianWrench:

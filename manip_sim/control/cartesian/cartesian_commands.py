@@ -65,6 +65,21 @@ class CartesianTwist(CartesianCommand):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class GuardedTwist(CartesianTwist):
+    """
+    A velocity of ``grip_site`` until contact, which needs no fresh ones.
+
+    :ivar force: size of the external force on the tool that ends it [N]
+    :ivar distance: of ``grip_site`` from where it was, which ends it [m]
+    :ivar duration_s: simulation time that ends it [s]
+    """
+
+    force: float
+    distance: float
+    duration_s: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PoseAction(CartesianCommand):
     """
     An action of robosuite's controller OSC_POSE, in its default configuration.

@@ -11,15 +11,15 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import product, transposed_product
+from manip_sim.algebra import length, product, transposed_product
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.cartesian.arms import Arms
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench, ForceMode)
+    CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench, ForceMode, GuardedTwist)
 from manip_sim.control.cartesian.cartesian_settings import BASE, CartesianSettings, TOOL
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
-from manip_sim.control.cartesian.reports import CartesianReport
+from manip_sim.control.cartesian.reports import CartesianReport, Contact
 from manip_sim.control.cartesian.targets import Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.joint_accelerations import SPEED_UP_S
@@ -31,6 +31,7 @@ from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.derived import Derived
 from manip_sim.errors import UnknownNameError
+from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.physics.robot_frames import Frame, WORLD
@@ -59,6 +60,7 @@ class CartesianController:
     :param names: of the joints
     :param servos: of all driven joints
     :param setpoints: of all driven joints
+    :param end_effectors: readers of the grippers, by arm
     :ivar settings: by arm
     :ivar reports: by arm
     :ivar period_s: length of the control period [s]
@@ -69,8 +71,10 @@ class CartesianController:
     not_in_digest = ('interval_s',)
 
     def __init__(self, physics: Physics, chains: Mapping[str, KinematicChain],
-                 names: Sequence[str], servos: Servos, setpoints: SetpointGenerator) -> None:
+                 names: Sequence[str], servos: Servos, setpoints: SetpointGenerator,
+                 end_effectors: Mapping[str, EndEffectorReader]) -> None:
         self._physics = physics
+        self._readers = end_effectors
         self._chains = chains
         self._names = names
         self._servos = servos
@@ -163,9 +167,14 @@ class CartesianController:
         before, streamed = (self._targets.get(command.arm),) * 2
         if before is not None and (before.twists is None or now_s > before.until_s + 1e-9):
             before = None
+        lasts_s = self.settings[command.arm].twist_timeout
+        if isinstance(command, GuardedTwist):
+            lasts_s = math.inf
         target = self._targets[command.arm] = target_of(
             command, self._chains[command.arm], self._physics.model, data, before,
-            now_s + self.settings[command.arm].twist_timeout)
+            now_s + lasts_s)
+        if isinstance(command, GuardedTwist):
+            target.guard = self._chains[command.arm].tip.pose(data)[0], now_s
         if goes_on and streamed is not None:
             target.go_on(streamed, data)
         if isinstance(command, CartesianPose):
@@ -244,15 +253,41 @@ class CartesianController:
         return (self._targets[command.arm].settled_in is None
                 or self._servos.any_gives_effort_of(command.indices))
 
-    def begin_period(self, command: CartesianCommand, data: mujoco.MjData) -> None:
-        """Let this control period solve anew, and check whether the arm's mount has moved."""
+    def begin_period(self, command: CartesianCommand, data: mujoco.MjData, now_s: float) -> None:
+        """
+        Let this control period solve anew, and check whether the arm's mount has moved.
+
+        A motion until contact ends here.
+
+        :param now_s: simulation time [s]
+        """
         target = self._targets[command.arm]
+        if isinstance(command, GuardedTwist) and target.guard is not None:
+            self._guard(command, target, target.guard, data, now_s)
         target.solve_s = -math.inf
         if target.settled_in is not None:
             place = self._place(command, target, data)
             if place.shape != target.settled_in.shape or (
                     np.abs(place - target.settled_in).max() > _MOVED):
                 target.settled_in = None
+
+    def _guard(self, command: GuardedTwist, target: Target, guard: tuple[FloatArray, float],
+               data: mujoco.MjData, now_s: float) -> None:
+        """Let the end effector stay where it is if something ends its motion, and report it."""
+        position, rotation = self._chains[command.arm].tip.pose(data)
+        wrench = self._readers[command.arm].external_wrench(data)
+        distance, duration_s = length(position - guard[0]), now_s - guard[1]
+        causes = {'contact': length(wrench[:3]) >= command.force,
+                  'distance': distance >= command.distance,
+                  'time': duration_s >= command.duration_s - 1e-9}
+        cause = next((cause for cause, ends in causes.items() if ends), None)
+        if cause is None:
+            return
+        target.guard = target.twists = target.reference = None
+        target.stay_at((position, rotation), data)
+        self.reports[command.arm].contact = Contact(
+            cause, now_s, position, wrench.copy(), distance, duration_s)
+        command.handle.end(Status.DONE)
 
     def _place(self, command: CartesianCommand, target: Target, data: mujoco.MjData) -> FloatArray:
         chain = self._chains[command.arm]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 import math
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
@@ -20,12 +20,33 @@ _STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
 _ASIDE = 0.01
 
 
+class Contact(NamedTuple):
+    """
+    The end of a motion until contact.
+
+    :ivar cause: ``contact``, ``distance`` or ``time``
+    :ivar time_s: simulation time of it since the last reset [s]
+    :ivar position: of ``grip_site`` in the world then [m], shape (3,)
+    :ivar wrench: external force and torque on the tool, in ``ft_frame`` [N, N m], shape (6,)
+    :ivar distance: from where the motion began [m]
+    :ivar duration_s: since it began, simulation time [s]
+    """
+
+    cause: str
+    time_s: float
+    position: FloatArray
+    wrench: FloatArray
+    distance: float
+    duration_s: float
+
+
 @dataclass
 class CartesianReport:
     """
     Counts of what keeps an end effector from its target, each counted when it begins.
 
     :ivar arm: whose end effector
+    :ivar contact: the end of the last motion until contact, or None before the first
     :ivar unreachable: targets that were not reached
     :ivar joint_limit: how often the range of a joint shortened a motion
     :ivar singular: how often the end effector could hardly move in the wanted direction
@@ -36,10 +57,11 @@ class CartesianReport:
 
     #: Only reported, never used.
     not_in_digest: ClassVar[tuple[str, ...]] = (
-        'unreachable', 'joint_limit', 'singular', 'slowed', 'aside', 'texts', '_active', '_seen_s',
-        '_stalled_s')
+        'contact', 'unreachable', 'joint_limit', 'singular', 'slowed', 'aside', 'texts', '_active',
+        '_seen_s', '_stalled_s')
 
     arm: str
+    contact: Contact | None = None
     unreachable: int = 0
     joint_limit: int = 0
     singular: int = 0

@@ -45,6 +45,8 @@ class Target:
         impedance pull on the way to the goal, or None
     :ivar push: what an impedance exerts beside its springs, or None
     :ivar push_until_s: simulation time when that ends [s]
+    :ivar guard: where a motion until contact began, in the world [m], shape (3,), and when [s], or
+        None
     """
 
     anchor: Frame
@@ -61,6 +63,7 @@ class Target:
     reference: tuple[FloatArray, FloatArray] | None = None
     push: CartesianWrench | None = None
     push_until_s: float = math.inf
+    guard: tuple[FloatArray, float] | None = None
 
     @classmethod
     def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: mujoco.MjData
