@@ -526,7 +526,7 @@ class CartesianController:
         if reached and command.handle.is_active:
             command.handle.end(Status.DONE, error=targets.missed[number, k].copy())
         report.see_target(targets.errors[number, k], bool(close), progress, now_s)
-        if follows == RESTS:
+        if follows == RESTS and not targets.tasks[number]['impedes']:  # Which yields aside.
             report.see_way(aside)
 
 
