@@ -21,6 +21,9 @@ from manip_sim.rclpy_internals import describe_unheard
 from manip_sim.ros.arguments import start_ros
 
 _PATIENCE_S = 10.0
+#: How long a node may take to compile its control laws, on a busy machine [s].
+_START_S = 600.0
+_MODEL = 'manip_sim/mjcf'
 
 
 class TaskFailed(Exception):
@@ -48,7 +51,7 @@ class Demonstration(Node):
         self._mjcf: str | None = None
         self.latest: dict[str, Any] = {}
         latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-        self.create_subscription(String, 'manip_sim/mjcf', self._take_mjcf, latched)
+        self.create_subscription(String, _MODEL, self._take_mjcf, latched)
 
     def _take_mjcf(self, message: String) -> None:
         self._mjcf = message.data
@@ -85,19 +88,33 @@ class Demonstration(Node):
         :raises TaskFailed: if they do not come; the message says how to start the simulation
         """
         start = f"start one with '{self._start}'"
-        self.wait_until(lambda: self._mjcf is not None, f'no node answers: {start}')
+        self._wait_for_model(f'no node answers: {start}')
         self.wait_until(ready, 'the node that answers has no arm with a gripper by the names that '
                         f'this example uses: {start}')
         return mujoco.MjModel.from_xml_string(self._mjcf)
 
-    def wait_until(self, condition: Callable[[], bool], problem: str) -> None:
+    def _wait_for_model(self, problem: str) -> None:
+        try:
+            self.wait_until(lambda: self._mjcf is not None, problem)
+        except TaskFailed:
+            if not self.count_publishers(_MODEL) or describe_unheard(self):
+                raise
+            print('the node is starting: the first time it compiles control laws', flush=True)
+            self.wait_until(
+                lambda: self._mjcf is not None or not self.count_publishers(_MODEL),
+                'the node is still starting: its log says what it waits for', _START_S)
+            self.wait_until(lambda: self._mjcf is not None, problem)
+
+    def wait_until(self, condition: Callable[[], bool], problem: str,
+                   patience_s: float | None = None) -> None:
         """
         Wait for a condition.
 
-        :raises TaskFailed: with ``problem``, if it is not met within ten seconds of wall time
+        :param patience_s: how long, of wall time [s]; None: ten seconds
+        :raises TaskFailed: with ``problem``, if it is not met by then
         :raises TaskInterrupted: if the task is asked to end
         """
-        end = time.monotonic() + _PATIENCE_S
+        end = time.monotonic() + (_PATIENCE_S if patience_s is None else patience_s)
         while not condition():
             if self.is_asked_to_end():
                 raise TaskInterrupted

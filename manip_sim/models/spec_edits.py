@@ -163,6 +163,21 @@ def soften_contacts(spec: mujoco.MjSpec, timestep_s: float) -> None:
             element.solref[0] = max(element.solref[0], _CONTACT_STEPS * timestep_s)
 
 
+def stiffen_couplings(spec: mujoco.MjSpec, timestep_s: float) -> None:
+    """
+    Let couplings of joints that shall be stiffer than the timestep allows be as stiff as it does.
+
+    For a time constant of less than a timestep, MuJoCo takes two timesteps. Stiffness and damping
+    that close a gap in one step are four times as stiff, and stable too.
+
+    :param timestep_s: of the physics [s]
+    """
+    for tie in spec.equalities:
+        is_joint = int(tie.type) == int(mujoco.mjtEq.mjEQ_JOINT)
+        if is_joint and 0.0 < tie.solref[0] < timestep_s:
+            tie.solref = -1.0 / timestep_s**2, -1.0 / timestep_s
+
+
 def name_main_default(own: mujoco.MjSpec) -> None:
     """
     Rename the default class ``main`` of a spec.

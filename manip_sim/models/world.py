@@ -26,7 +26,7 @@ from manip_sim.models.object_creation import (
 from manip_sim.models.placements import check_placed
 from manip_sim.models.randomization import Randomization, RandomizationLike
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.spec_edits import soften_contacts
+from manip_sim.models.spec_edits import soften_contacts, stiffen_couplings
 from manip_sim.validation import start_by_joint, whole_nanoseconds
 
 #: Ratio of frictional to normal constraint impedance: friction gives less than the contact. From
@@ -177,6 +177,7 @@ class World:
         for lidar in self.lidars:
             lidar.attach(spec)
         soften_contacts(spec, self.timestep_s)
+        stiffen_couplings(spec, self.timestep_s)
         spec.compiler.discardvisual = not visual
         for item in self.objects if objects else ():
             item.attach(spec)

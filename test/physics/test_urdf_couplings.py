@@ -66,7 +66,7 @@ def hand(kind, mass, effort, multiplier=1.0, offset=0.0, block=''):
             + '</robot>')
 
 
-def close(file, timestep_s, goal, seconds=1.0):
+def close(file, timestep_s, goal, seconds=1.0, period_s=0.02):
     """Return positions of driven and follower in each period, and the last effort."""
     simulation = Simulation(compose(str(file), timestep_s=timestep_s))
     robot = simulation.robot
@@ -74,9 +74,9 @@ def close(file, timestep_s, goal, seconds=1.0):
              ('driven_finger_joint', 'follower_finger_joint')]
     indices = [robot.joint_names.index(name) for name in names]
     seen = []
-    for _ in range(round(seconds / 0.02)):
+    for _ in range(round(seconds / period_s)):
         robot.apply(*robot.parse.joint_command(names[:1], position=[goal]))
-        simulation.advance(round(0.02 / timestep_s))
+        simulation.advance(round(period_s / timestep_s))
         seen.append(robot.state().position[indices].copy())
     return np.array(seen), float(robot.state().effort[indices[0]])
 
@@ -125,6 +125,16 @@ def test_fingers_of_any_mass_stay_together_at_any_timestep(tmp_path, kind, times
     for (row, mass), (column, effort) in itertools.product(enumerate(masses), enumerate(efforts)):
         check(tmp_path, kind, mass, effort, *ratios[(row + column) % 3], timestep_s,
               ('range', '')[(row + column + other) % 2])
+
+
+@pytest.mark.parametrize(('ranges_per_s', 'stop'), [(2.0, 'range'), (3.0, '')])
+def test_fingers_stay_together_while_they_move_and_when_they_stop(tmp_path, ranges_per_s, stop):
+    span, file = SPANS['prismatic'], tmp_path / 'hand.urdf'
+    file.write_text(hand('prismatic', 0.05, 20.0, block=stop).replace(
+        'velocity="3"', f'velocity="{ranges_per_s * span!r}"'))
+    seen, _ = close(file, 0.005, span, seconds=0.6, period_s=0.005)
+    assert np.ptp(seen[:, 0]) > 0.45 * span
+    assert np.abs(seen[:, 0] - seen[:, 1]).max() < 0.01 * span
 
 
 @pytest.mark.parametrize('pushed', ['driven_finger_joint', 'follower_finger_joint'])

@@ -14,7 +14,9 @@ from harness import DOMAIN, END_SIGNALS
 import numpy as np
 import pytest
 import rclpy
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from manip_sim.examples import pick_cube
 from manip_sim.examples.arm import Arm, InverseKinematics
@@ -196,6 +198,18 @@ def test_states_that_end_while_the_gripper_closes_are_told(arm_with_fingers, mon
     timer.cancel()
     with pytest.raises(TaskFailed, match='^the simulation stands still'):
         arm.close()
+
+
+def test_a_node_that_compiles_its_laws_is_waited_for(arm_with_fingers, monkeypatch, capsys):
+    monkeypatch.setattr('manip_sim.examples.demonstration._PATIENCE_S', 0.3)
+    task = arm_with_fingers(lambda _: 0.04)[0]._task
+    with pytest.raises(TaskFailed, match='^no node answers: start one with'):
+        task.connect(lambda: True)
+    model = task.create_publisher(String, 'manip_sim/mjcf', QoSProfile(
+        depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
+    task.create_timer(0.9, lambda: model.publish(String(data='<mujoco/>')))
+    assert task.connect(lambda: True).nbody == 1
+    assert 'the node is starting' in capsys.readouterr().out
 
 
 def test_inverse_kinematics_keep_the_turns_of_joints_without_a_range():
