@@ -23,9 +23,32 @@ REMEDY = 'if another file includes this one, load that'
     ('head_called_hand.xml', {'torso': 1, 'right': 4, 'left': 4, 'other': 2}),
     ('two_robots_of_a_cell.xml', {'right': 4, 'left': 5, 'other': 1}),
     ('soft_pads.xml', {'right/gripper': 2}),
-    ('pelvis.xml', {'torso': 2, 'legs': 4})])
+    ('pelvis.xml', {'torso': 2, 'legs': 4}),
+    ('wheels_on_legs.xml', {'base': 12}),
+    ('feet.xml', {'legs': 9}),
+    ('worm.xml', {'other': 10}),
+    ('palm_in_the_world.xml', {'right/gripper': 10}),
+    ('three_arms_on_a_column.xml', {'torso': 1, 'right': 4, 'left': 4, 'other': 4})])
 def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
     parts = Simulation(compose(load_robot(DATA / name))).robot.parts
+    assert {part: len(own.joints) for part, own in parts.items()
+            if own.atomic == (part,) and own.joints} == expected
+
+
+@pytest.mark.parametrize(('old', 'new', 'expected'), [
+    # Sides in the names of joints, and one wheel alone, as of a tool.
+    ('three_arms_on_a_column.xml', {'body name="left_': 'body name="a_',
+                                    'body name="right_': 'body name="b_'},
+     {'torso': 1, 'right': 4, 'left': 4, 'other': 4}),
+    ('wheels_on_legs.xml', {'"b_wheel"': '"b_tip"', '"b_roll"': '"b_last"'},
+     {'base': 3, 'other': 9}),
+    ('worm.xml', {'"s9"': '"tool"'}, {'arm': 10}),
+    ('palm_in_the_world.xml', {'thumb': 'one', 'index': 'two'}, {'other': 10})])
+def test_less_in_the_names_says_less(tmp_path, old, new, expected):
+    text = (DATA / old).read_text()
+    for word, other in new.items():
+        text = text.replace(word, other)
+    parts = Simulation(compose(load_robot(write(tmp_path / 'robot.xml', text)))).robot.parts
     assert {part: len(own.joints) for part, own in parts.items()
             if own.atomic == (part,) and own.joints} == expected
 

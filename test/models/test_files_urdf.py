@@ -697,12 +697,14 @@ def test_collision_shapes_of_links_with_visual_ones_are_not_drawn(tmp_path, how)
 
 @pytest.mark.parametrize(('old', 'new'), [
     ('<link name="base_link">', '<!-- -- one -- two\n--- --><link name="base_link">'),
+    ('<link name="base_link">', '<!-- caf\xe9 in Latin-1 --><link name="base_link">'),
     ('lower="-1" upper="2"', 'lower="-1"upper="2"'),
     ('<robot name="arm">', '<robot name="arm" version="1 & 2">')])
 def test_what_mujoco_reads_although_it_is_no_xml_is_read(tmp_path, old, new):
     assert old in URDF
-    plain, loose = (load_robot(write(tmp_path / name, text)) for name, text in (
-        ('plain.urdf', URDF), ('loose.urdf', URDF.replace(old, new))))
+    loose_file = tmp_path / 'loose.urdf'
+    loose_file.write_bytes(URDF.replace(old, new).encode('latin-1'))
+    plain, loose = map(load_robot, (write(tmp_path / 'plain.urdf', URDF), loose_file))
     assert loose.joints == plain.joints
     np.testing.assert_array_equal(*(robot.compile().jnt_range for robot in (loose, plain)))
 

@@ -29,7 +29,7 @@ _CARRIED_BY_NO_HAND = _ARM_WORDS | {'arm'}
 #: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
 #: Fingers that hang on chains of at least so many joints of their own are of several hands.
-_LEAST_OF_ARM = 3
+LEAST_OF_ARM = 3
 #: A finger has at most so many times the joints of another; axes of two fingers are parallel if
 #: the cosine of their angle is greater than this.
 _UNEQUAL, _ONE_DIRECTION = 2, 0.9
@@ -69,7 +69,7 @@ def carries_arms(tree: BodyTree, body: int, others: Collection[int]) -> bool:
         *(words_of(_name(tree, joint)) for joint in others))
     of_arms = {joint for joint in set(hand_below(tree, body).joints) - set(others)
                if words_of(_name(tree, joint)) & words}
-    return any(len(of_arms.intersection(tree.joints(tree.path(end)))) >= _LEAST_OF_ARM
+    return any(len(of_arms.intersection(tree.joints(tree.path(end)))) >= LEAST_OF_ARM
                for end in tree.ends(of_arms))
 
 
@@ -255,7 +255,7 @@ def _by_arm(tree: BodyTree, joints: Collection[int]) -> list[set[int]]:
     groups = list(branches.values())
     shared, *lengths = (sum(map(tree.is_scalar, tree.joints(tree.path(body))))
                         for body in (carrier, *(_common_carrier(tree, g) for g in groups)))
-    is_several = len(groups) > 1 and min(lengths) >= _LEAST_OF_ARM and (
+    is_several = len(groups) > 1 and min(lengths) >= LEAST_OF_ARM and (
         shared <= _SHARED * min(lengths))
     return groups if is_several or Limbs(tree).are_of_two_hands([
         _fingers_below(tree, _common_carrier(tree, group)) for group in groups]
@@ -281,7 +281,7 @@ def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:
                         for body in [tree.common(carriers), *carriers])
     if any(one != other and one in tree.path(other) for one in carriers for other in carriers):
         return True  # What looks like a side is a letter of a finger's link.
-    if min(lengths) - shared >= _LEAST_OF_ARM:
+    if min(lengths) - shared >= LEAST_OF_ARM:
         return False
     # Without arms, one finger on each side makes one hand.
     return shared > _SHARED * max(lengths) or not max(lengths) and (

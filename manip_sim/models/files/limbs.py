@@ -87,6 +87,19 @@ class Limbs:
             found.setdefault(self._tree.path(limb)[0], []).append(limb)
         return list(found.values())
 
+    def tied(self, link: int) -> list[list[int]]:
+        """Return the limbs on a rigid link, those together that loops tie to each other."""
+        limbs = self.on(link)
+        limb_of = {body: limb for limb in limbs for body in self._tree.below(limb)}
+        group_of = {limb: [limb] for limb in limbs}
+        for one, other in self._tree.tied_bodies():
+            if one in limb_of and other in limb_of:
+                group, added = group_of[limb_of[one]], group_of[limb_of[other]]
+                if group is not added:
+                    group += added
+                    group_of.update(dict.fromkeys(added, group))
+        return [group for limb, group in group_of.items() if limb == group[0]]
+
     def joints(self, limb: int) -> list[int]:
         """Return the joints of a limb."""
         return self._tree.joints(sorted(self._tree.below(limb)))
