@@ -131,14 +131,15 @@ def _complete_wheels(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: 
     """
     Assign joints between the trunk and wheels to the base, and those of limbs tied to them.
 
-    Two limbs or more have wheels: an arm may end in a tool that is called a wheel.
+    Two limbs or more have wheels: an arm may end in a tool that is called a wheel. Limbs with the
+    name of a leg are legs.
 
     :param free: the joints whose subsystem nothing else decides; those of the base are taken out
     """
     def carries_wheels(limb: int) -> bool:
         joints = limbs.joints(limb)
         ends = tree.ends(j for j in joints if j in found)
-        return len(joints) > 1 and all(
+        return len(joints) > 1 and 'legs' not in map(found.get, joints) and all(
             found.get(joint) == 'base' for joint in tree.joints(ends))
 
     groups = [group for group in limbs.tied(limbs.trunk) if any(map(carries_wheels, group))]
