@@ -27,6 +27,8 @@ REMEDY = 'if another file includes this one, load that'
     ('wheels_on_legs.xml', {'base': 12}),
     ('feet.xml', {'legs': 9}),
     ('worm.xml', {'other': 10}),
+    ('turning_fingers.xml', {'arm': 3, 'right/gripper': 1}),
+    ('quadruped_with_hr.xml', {'legs': 12, 'arm': 2}),
     ('palm_in_the_world.xml', {'right/gripper': 10}),
     ('three_arms_on_a_column.xml', {'torso': 1, 'right': 4, 'left': 4, 'other': 4})])
 def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):

@@ -144,9 +144,11 @@ def with_mesh(name):
     return URDF.replace('<box size="0.02 0.02 0.1"/>', f'<mesh filename="{name}"/>')
 
 
-@pytest.mark.parametrize('name', ['meshes/link.stl', 'package://acme/urdf/meshes/link.stl'])
-def test_meshes_are_found_beside_the_file_and_in_its_package(tmp_path, name):
-    mesh_file(tmp_path / 'acme' / 'urdf' / 'meshes' / 'link.stl')
+@pytest.mark.parametrize(('name', 'place'), [
+    ('meshes/link.stl', 'meshes/link.stl'), ('package:///link.stl', 'link.stl'),
+    ('package://acme/urdf/meshes/link.stl', 'meshes/link.stl')])
+def test_meshes_are_found_beside_the_file_and_in_its_package(tmp_path, name, place):
+    mesh_file(tmp_path / 'acme' / 'urdf' / place)
     robot = load_robot(write(tmp_path / 'acme' / 'urdf' / 'arm.urdf', with_mesh(name)))
     assert robot.compile().nmesh == 1
 

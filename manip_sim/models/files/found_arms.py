@@ -36,7 +36,8 @@ _WORDS = {
 #: Words in names of bodies, which decide where those of joints do not.
 _BODY_WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
-    'legs': {'thigh', 'calf', 'shin', 'shank', 'coxa', 'femur', 'tibia', 'foot', 'toe', 'paw'}}
+    'legs': {'leg', 'thigh', 'calf', 'shin', 'shank', 'coxa', 'femur', 'tibia', 'foot', 'toe',
+             'paw'}}
 #: Words of an arm, also beside those above, as in ``shoulder_lift``.
 _OF_ARM = {'shoulder', 'elbow', 'wrist'}
 #: Of these, the words that no leg has: some name the hip of a quadruped its shoulder.

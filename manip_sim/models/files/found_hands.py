@@ -88,7 +88,7 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     for actuator in range(tree.model.nu):
         words = words_of(str(tree.model.actuator(actuator).name))
         if words & _FINGER_WORDS:
-            fingers |= tree.driven(actuator)
+            fingers |= {joint for joint in tree.driven(actuator) if not _turns_palm(tree, joint)}
         elif words & _HAND_WORDS:
             named |= tree.driven(actuator)
     if named:
@@ -221,7 +221,16 @@ def _is_of_finger(tree: BodyTree, joint: int) -> bool:
     """Return whether a joint, or the body that it moves, has the name of a finger."""
     words = words_of(_name(tree, joint))
     body = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
-    return bool(words & _FINGER_WORDS or body & _FINGER_BODY_WORDS and not words & _ARM_WORDS)
+    return bool(words & _FINGER_WORDS and not _turns_palm(tree, joint)
+                or body & _FINGER_BODY_WORDS and not words & _ARM_WORDS)
+
+
+def _turns_palm(tree: BodyTree, joint: int) -> bool:
+    """Return whether a joint moves a palm that carries fingers, after which it may be called."""
+    body = int(tree.model.jnt_bodyid[joint])
+    words = words_of(tree.name(body))
+    return bool(words & PALM_WORDS and not words & _FINGER_BODY_WORDS
+                and tree.joints(tree.below(body) - {body}))
 
 
 def _drives_flight(tree: BodyTree, joint: int) -> bool:
