@@ -55,6 +55,17 @@ def test_less_in_the_names_says_less(tmp_path, old, new, expected):
             if own.atomic == (part,) and own.joints} == expected
 
 
+def test_fingers_on_servos_that_integrate_velocities_open_and_close():
+    robot = load_robot(DATA / 'integrating_fingers.xml')
+    simulation = Simulation(compose(robot))
+    for action, ends in ((-1.0, 0.03), (1.0, 0.0), (-1.0, 0.03)):
+        simulation.robot.apply(simulation.robot.parse.action('right/gripper', [action, action]))
+        simulation.advance(round(2.5 / simulation.timestep_s))
+        np.testing.assert_allclose(simulation.robot.state().position, ends, atol=1e-3)
+    ids = simulation.robot.parts['right/gripper'].actuator_ids
+    np.testing.assert_array_equal(simulation.model.actuator_ctrlrange[ids], [[-0.02, 0.02]] * 2)
+
+
 def test_what_refers_to_the_scene_that_includes_a_file_is_left_out_with_what_it_refers_to():
     robot = load_robot(DATA / 'part_of_a_scene.xml')
     of_reference = 'with a reference to what is not in the file:'
