@@ -27,6 +27,7 @@ REMEDY = 'if another file includes this one, load that'
     ('wheels_on_legs.xml', {'base': 12}),
     ('feet.xml', {'legs': 9}),
     ('worm.xml', {'other': 10}),
+    ('standing_pair.xml', {'legs': 6}),
     ('turning_fingers.xml', {'arm': 3, 'right/gripper': 1}),
     ('quadruped_with_hr.xml', {'legs': 12, 'arm': 2}),
     ('palm_in_the_world.xml', {'right/gripper': 10}),
@@ -45,8 +46,9 @@ def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
     ('wheels_on_legs.xml', {'"b_wheel"': '"b_tip"', '"b_roll"': '"b_last"'},
      {'base': 3, 'other': 9}),
     ('worm.xml', {'"s9"': '"tool"'}, {'arm': 10}),
+    ('standing_pair.xml', {'0 0 0.45': '0 0 1.45'}, {'right': 3, 'left': 3}),
     ('palm_in_the_world.xml', {'thumb': 'one', 'index': 'two'}, {'other': 10})])
-def test_less_in_the_names_says_less(tmp_path, old, new, expected):
+def test_less_in_the_file_says_less(tmp_path, old, new, expected):
     text = (DATA / old).read_text()
     for word, other in new.items():
         text = text.replace(word, other)

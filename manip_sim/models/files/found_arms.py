@@ -119,7 +119,8 @@ def _find_unnamed(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set
             ('base', limbs.wheels(free), 'they turn without limits about horizontal axes and '
              'carry nothing'),
             ('legs', limbs.legs(free.union(limbs.legs_with_shoulders())),
-             'these limbs are alike, in pairs or too many for a hand')):
+             'these limbs are alike, in pairs or too many for a hand'),
+            ('legs', limbs.standing_pair(free), 'they are all that a floating robot stands on')):
         joints = [joint for joint in joints if joint in free and found[joint] == 'arm']
         if joints:
             found.update(dict.fromkeys(joints, part))
