@@ -28,6 +28,7 @@ REMEDY = 'if another file includes this one, load that'
     ('feet.xml', {'legs': 9}),
     ('worm.xml', {'other': 10}),
     ('standing_pair.xml', {'legs': 6}),
+    ('pistons.xml', {'arm': 6}),
     ('turning_fingers.xml', {'arm': 3, 'right/gripper': 1}),
     ('quadruped_with_hr.xml', {'legs': 12, 'arm': 2}),
     ('palm_in_the_world.xml', {'right/gripper': 10}),

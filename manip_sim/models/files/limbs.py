@@ -151,10 +151,15 @@ class Limbs:
                 for limb in wheels for joint in self.joints(limb)]
 
     def _is_wheel(self, limb: int) -> bool:
-        """Return whether a limb is a hinge of a wheel, with rollers or without."""
+        """
+        Return whether a limb is a hinge of a wheel, with rollers or without.
+
+        One that follows a joint with limits, such as the piston of an arm, is none.
+        """
         axle, *others = self.joints(limb)
         rollers = self.on(limb)
-        return (all(is_unlimited(self._model, joint) for joint in (axle, *others))
+        turning = self._tree.coupled((axle, *others))
+        return (all(is_unlimited(self._model, joint) for joint in turning)
                 and abs(float(self._data.xaxis[axle, 2])) < _ALIGNED
                 and len(rollers) == len(others) != 1)
 
