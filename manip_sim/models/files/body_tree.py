@@ -107,9 +107,9 @@ class BodyTree:
 
         What the ways share counts last, as the name of a robot that is called r2.
         """
-        shared = len(self.path(self.common(bodies)))
+        shared, joint = len(self.path(self.common(bodies))), self.model.joint
         return [side_of(map(self.name, way[shared:]))
-                or side_of(str(self.model.joint(joint).name) for joint in self.joints(way[shared:]))
+                or side_of(str(joint(own).name) for own in self.joints(way[shared:]))
                 or side_of(map(self.name, way[:shared])) for way in map(self.path, bodies)]
 
     def driven(self, actuator: int) -> set[int]:

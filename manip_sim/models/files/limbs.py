@@ -212,8 +212,8 @@ class Limbs:
         geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
         upward = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
         centres, halves = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
-        lowest = data.geom_xpos[geoms, 2] + (upward * centres - np.abs(upward) * halves).sum(axis=1)
-        return float(min([*lowest, *data.xpos[bodies, 2]]))
+        below = np.abs(upward) * halves - upward * centres
+        return float(min([*data.geom_xpos[geoms, 2] - below.sum(axis=1), *data.xpos[bodies, 2]]))
 
     def legs_with_shoulders(self) -> list[int]:
         """
