@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
@@ -149,7 +150,7 @@ def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
     """
     Leave out joints that repeat the name and the links of another one.
 
-    :raises ModelError: if other joints lead to the same link
+    :raises ModelError: if other joints lead to the same link, or if others or links have one name
     """
     leading: dict[str, tuple[str, str]] = {}
     repeated = []
@@ -166,6 +167,12 @@ def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
             raise ModelError(f'{file}: joint {quoted(name)} leads to link {quoted(child)}, as '
                              f'joint {quoted(leading[child][0])} does: delete one of them, or '
                              'correct its <child>')
+    for kind in ('link', 'joint'):
+        names = Counter(element.get('name', '') for element in robot.findall(kind))
+        name, count = next(iter(names.most_common(1)), ('', 0))
+        if count > 1:
+            raise ModelError(f'{file}: {count} elements <{kind}> have the name {quoted(name)}: '
+                             'give each another one, also where it is referred to')
     return [f'left out: joints that are there twice: {quoted_names(repeated)}'] if repeated else []
 
 
