@@ -39,6 +39,8 @@ _SMALL_CORNERS_M = (0.0, 0.0, 0.0, _SMALL_M, 0.0, 0.0, 0.0, _SMALL_M, 0.0, 0.0, 
 _FACES = (0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2)
 
 
+#: MuJoCo's sentence on a spec that it compiled without its visual shapes.
+_OF_OUR_COMPILER = 'The visual elements of the spec were discarded'
 #: MuJoCo's warning of a part without a prefix, which is intended.
 _EMPTY_PREFIX = 'Attaching a spec with an empty prefix'
 
@@ -248,7 +250,8 @@ def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None =
 
 
 def _one_line(error: Exception) -> str:
-    text = ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
+    lines = (part.strip() for part in str(error).splitlines())
+    text = ', '.join(line for line in lines if line and not line.startswith(_OF_OUR_COMPILER))
     return one_line(text) or type(error).__name__
 
 

@@ -315,14 +315,15 @@ def mended_xml(data: bytes) -> bytes:
     """
     Return a document with what MuJoCo and other readers accept written as XML; no line moves.
 
-    Hyphens in comments become blanks, attributes get one between them, values without quotes get
-    these, and a lone ampersand is that character.
+    Hyphens in comments become blanks, characters of other encodings there a question mark,
+    attributes get a blank between them, values without quotes get these, and a lone ampersand is
+    that character.
     """
     if b'<![CDATA[' in data:
         return data
     parts = _COMMENT.split(data)
-    comments = [b'<!--' + comment[4:-3].replace(b'-', b' ') + b'-->'
-                for comment in _COMMENT.findall(data)]
+    comments = [b'<!--' + comment[4:-3].replace(b'-', b' ').decode(errors='replace').encode()
+                + b'-->' for comment in _COMMENT.findall(data)]
     parts = [_ATTRIBUTE.sub(rb'\1 ', _TAG.sub(_with_quotes, _AMPERSAND.sub(b'&amp;', part)))
              for part in parts]
     return b''.join(part + comment for part, comment in zip(parts, [*comments, b'']))

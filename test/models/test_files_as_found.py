@@ -150,13 +150,19 @@ def test_valid_inertias_stay_as_they_are(tmp_path):
     np.testing.assert_array_equal(robot.compile().body('robot0_tool').inertia, [0.01] * 3)
 
 
-@pytest.mark.parametrize('shape', ['<sphere radius="0"/>', '<box size="0.1 0 0.1"/>',
-                                   '<cylinder radius="0.1" length="0.0"/>'])
+UNKNOWN = 'without a <box>, <cylinder>, <sphere> or <mesh> with its attributes'
+
+
+@pytest.mark.parametrize(('shape', 'why'), [
+    ('<sphere radius="0"/>', 'of size zero'), ('<box size="0.1 0 0.1"/>', 'of size zero'),
+    ('<cylinder radius="0.1" length="0.0"/>', 'of size zero'),
+    ('<cylinder radius="0.1"/>', UNKNOWN), ('<cone radius="0.1" length="1"/>', UNKNOWN),
+    ('', UNKNOWN)])
 @pytest.mark.parametrize('tag', ['visual', 'collision'])
-def test_shapes_of_size_zero_are_left_out_and_reported(tmp_path, tag, shape):
+def test_shapes_that_are_none_are_left_out_and_reported(tmp_path, tag, shape, why):
     text = SMALL.format(f'{SOLID}<{tag}><geometry>{shape}</geometry></{tag}>', 'fixed')
     robot = load_robot(write(tmp_path / 'arm.urdf', text))
-    assert said(robot, "left out: 1 shape of size zero, of 'tool'")
+    assert said(robot, f"left out: 1 shape {why}, of 'tool'")
 
 
 def test_a_lost_collision_shape_is_a_warning_of_its_own(tmp_path):

@@ -23,11 +23,50 @@ REMEDY = 'if another file includes this one, load that'
     ('head_called_hand.xml', {'torso': 1, 'right': 4, 'left': 4, 'other': 2}),
     ('two_robots_of_a_cell.xml', {'right': 4, 'left': 5, 'other': 1}),
     ('soft_pads.xml', {'right/gripper': 2}),
-    ('pelvis.xml', {'torso': 2, 'legs': 4})])
+    ('pelvis.xml', {'torso': 2, 'legs': 4}),
+    ('wheels_on_legs.xml', {'base': 12}),
+    ('feet.xml', {'legs': 9}),
+    ('worm.xml', {'other': 10}),
+    ('standing_pair.xml', {'legs': 6}),
+    ('pistons.xml', {'arm': 6}),
+    ('turning_fingers.xml', {'arm': 3, 'right/gripper': 1}),
+    ('quadruped_with_hr.xml', {'legs': 12, 'arm': 2}),
+    ('palm_in_the_world.xml', {'right/gripper': 10}),
+    ('three_arms_on_a_column.xml', {'torso': 1, 'right': 4, 'left': 4, 'other': 4})])
 def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
     parts = Simulation(compose(load_robot(DATA / name))).robot.parts
     assert {part: len(own.joints) for part, own in parts.items()
             if own.atomic == (part,) and own.joints} == expected
+
+
+@pytest.mark.parametrize(('old', 'new', 'expected'), [
+    # Sides in the names of joints, and one wheel alone, as of a tool.
+    ('three_arms_on_a_column.xml', {'body name="left_': 'body name="a_',
+                                    'body name="right_': 'body name="b_'},
+     {'torso': 1, 'right': 4, 'left': 4, 'other': 4}),
+    ('wheels_on_legs.xml', {'"b_wheel"': '"b_tip"', '"b_roll"': '"b_last"'},
+     {'base': 3, 'other': 9}),
+    ('worm.xml', {'"s9"': '"tool"'}, {'arm': 10}),
+    ('standing_pair.xml', {'0 0 0.45': '0 0 1.45'}, {'right': 3, 'left': 3}),
+    ('palm_in_the_world.xml', {'thumb': 'one', 'index': 'two'}, {'other': 10})])
+def test_less_in_the_file_says_less(tmp_path, old, new, expected):
+    text = (DATA / old).read_text()
+    for word, other in new.items():
+        text = text.replace(word, other)
+    parts = Simulation(compose(load_robot(write(tmp_path / 'robot.xml', text)))).robot.parts
+    assert {part: len(own.joints) for part, own in parts.items()
+            if own.atomic == (part,) and own.joints} == expected
+
+
+def test_fingers_on_servos_that_integrate_velocities_open_and_close():
+    robot = load_robot(DATA / 'integrating_fingers.xml')
+    simulation = Simulation(compose(robot))
+    for action, ends in ((-1.0, 0.03), (1.0, 0.0), (-1.0, 0.03)):
+        simulation.robot.apply(simulation.robot.parse.action('right/gripper', [action, action]))
+        simulation.advance(round(2.5 / simulation.timestep_s))
+        np.testing.assert_allclose(simulation.robot.state().position, ends, atol=1e-3)
+    ids = simulation.robot.parts['right/gripper'].actuator_ids
+    np.testing.assert_array_equal(simulation.model.actuator_ctrlrange[ids], [[-0.02, 0.02]] * 2)
 
 
 def test_what_refers_to_the_scene_that_includes_a_file_is_left_out_with_what_it_refers_to():

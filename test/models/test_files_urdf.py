@@ -144,9 +144,11 @@ def with_mesh(name):
     return URDF.replace('<box size="0.02 0.02 0.1"/>', f'<mesh filename="{name}"/>')
 
 
-@pytest.mark.parametrize('name', ['meshes/link.stl', 'package://acme/urdf/meshes/link.stl'])
-def test_meshes_are_found_beside_the_file_and_in_its_package(tmp_path, name):
-    mesh_file(tmp_path / 'acme' / 'urdf' / 'meshes' / 'link.stl')
+@pytest.mark.parametrize(('name', 'place'), [
+    ('meshes/link.stl', 'meshes/link.stl'), ('package:///link.stl', 'link.stl'),
+    ('package://acme/urdf/meshes/link.stl', 'meshes/link.stl')])
+def test_meshes_are_found_beside_the_file_and_in_its_package(tmp_path, name, place):
+    mesh_file(tmp_path / 'acme' / 'urdf' / place)
     robot = load_robot(write(tmp_path / 'acme' / 'urdf' / 'arm.urdf', with_mesh(name)))
     assert robot.compile().nmesh == 1
 
@@ -250,10 +252,15 @@ def test_a_number_of_a_joint_that_mujoco_does_not_read_is_checked(
 @pytest.mark.parametrize(('text', 'message'), [
     (URDF[:300], 'arm.urdf is not well-formed XML'),
     ('<mujoco/>', "arm.urdf is not URDF: its root is 'mujoco', not 'robot'"),
+    (URDF.replace('</robot>', '<joint name="again" type="fixed"><parent link="base_link"/>'
+                  '<child link="upper"/></joint></robot>'),
+     "joint 'again' leads to link 'upper', as joint 'shoulder' does: delete one of them, or "),
+    (URDF.replace('</robot>', '<link name="upper"/></robot>'),
+     "arm.urdf: 2 elements <link> have the name 'upper': give each another one"),
     ('<!DOCTYPE robot [<!ENTITY a "b">]><robot/>', "arm.urdf, line 1: the entity 'a' is declared"),
     (URDF.replace('<child link="upper"/>', '<child link="uper"/>'),
      "joint 'shoulder': its child link 'uper' is not declared"),
-    (URDF.replace('<box size="0.02 0.02 0.1"/>', '<box/>'), 'arm.urdf cannot be read by MuJoCo')])
+    (URDF.replace('<box size="0.02', '<box size="a'), 'arm.urdf cannot be read by MuJoCo')])
 def test_a_urdf_that_cannot_be_read_is_told_in_one_line(tmp_path, text, message):
     with pytest.raises(ModelError, match=message) as raised:
         load_robot(write(tmp_path / 'arm.urdf', text))
@@ -697,14 +704,24 @@ def test_collision_shapes_of_links_with_visual_ones_are_not_drawn(tmp_path, how)
 
 @pytest.mark.parametrize(('old', 'new'), [
     ('<link name="base_link">', '<!-- -- one -- two\n--- --><link name="base_link">'),
+    ('<link name="base_link">', '<!-- caf\xe9 in Latin-1 --><link name="base_link">'),
     ('lower="-1" upper="2"', 'lower="-1"upper="2"'),
     ('<robot name="arm">', '<robot name="arm" version="1 & 2">')])
 def test_what_mujoco_reads_although_it_is_no_xml_is_read(tmp_path, old, new):
     assert old in URDF
-    plain, loose = (load_robot(write(tmp_path / name, text)) for name, text in (
-        ('plain.urdf', URDF), ('loose.urdf', URDF.replace(old, new))))
+    loose_file = tmp_path / 'loose.urdf'
+    loose_file.write_bytes(URDF.replace(old, new).encode('latin-1'))
+    plain, loose = map(load_robot, (write(tmp_path / 'plain.urdf', URDF), loose_file))
     assert loose.joints == plain.joints
     np.testing.assert_array_equal(*(robot.compile().jnt_range for robot in (loose, plain)))
+
+
+def test_a_joint_that_is_there_twice_is_read_once(tmp_path):
+    joint = URDF[URDF.index('<joint name="shoulder"'):]
+    joint = joint[:joint.index('</joint>') + len('</joint>')]
+    robot = load_robot(write(tmp_path / 'arm.urdf', URDF.replace('</robot>', joint + '</robot>')))
+    assert "left out: joints that are there twice: 'shoulder'" in robot.inferred
+    assert robot.joints == load_robot(write(tmp_path / 'one.urdf', URDF)).joints
 
 
 def test_an_error_behind_a_loose_comment_names_the_line_of_the_file(tmp_path):

@@ -149,12 +149,21 @@ def test_an_error_in_an_included_file_names_it(tmp_path):
     ('<xacro:hand/>', 'unknown macro name: xacro:hand: include the file that defines it$'),
     ('<xacro:macro name="m" params="a b"/><xacro:m a="1"/>',
      r"Undefined parameters \[b\] of macro 'm': give them where it is called, or defaults$"),
+    ('<xacro:macro name="m" params=""/><xacro:m name="1"/>',
+     "Invalid parameter \"name\" of macro 'm': take it out where it is called, or name it in "),
     ('<link name="$(env NO_SUCH_ARM)"/>',
      "environment variable 'NO_SUCH_ARM' is not set: type 'export NAME"),
     ('<link name="${xacro.load_yaml(\'no.yaml\')}"/>', 'no such file: .*no.yaml$')])
 def test_what_is_wrong_is_told_once_with_a_remedy(text, message, tmp_path):
     with pytest.raises(ModelError, match=f'arm.xacro cannot be expanded by xacro: {message}'):
         load_robot(write(tmp_path / 'arm.xacro', TOP % text))
+
+
+def test_a_file_that_is_not_utf_8_is_told_with_the_line(tmp_path):
+    file = tmp_path / 'arm.xacro'
+    file.write_bytes((TOP % '\n<!-- caf\xe9 -->').encode('latin-1'))
+    with pytest.raises(ModelError, match='line 3 is not UTF-8: save the file as UTF-8$'):
+        load_robot(file)
 
 
 def test_a_missing_namespace_is_told(tmp_path):

@@ -103,13 +103,14 @@ class BodyTree:
 
     def sides(self, bodies: Sequence[int]) -> list[str | None]:
         """
-        Return the sides of bodies by the names on the ways to them.
+        Return the sides of bodies by the names of bodies, else of joints, on the ways to them.
 
         What the ways share counts last, as the name of a robot that is called r2.
         """
-        shared = len(self.path(self.common(bodies)))
-        names = [list(map(self.name, self.path(body))) for body in bodies]
-        return [side_of(way[shared:]) or side_of(way[:shared]) for way in names]
+        shared, joint = len(self.path(self.common(bodies))), self.model.joint
+        return [side_of(map(self.name, way[shared:]))
+                or side_of(str(joint(own).name) for own in self.joints(way[shared:]))
+                or side_of(map(self.name, way[:shared])) for way in map(self.path, bodies)]
 
     def driven(self, actuator: int) -> set[int]:
         """Return the joints that an actuator acts on, directly, by a tendon or at a site."""
@@ -156,18 +157,18 @@ class BodyTree:
         tied = np.flatnonzero((model.eq_type == joint) & (model.eq_obj2id >= 0))
         return [{int(model.eq_obj1id[i]), int(model.eq_obj2id[i])} for i in tied]
 
-    def bodies_in_loops(self) -> set[int]:
-        """Return the bodies that connect and weld constraints tie to another body."""
+    def tied_bodies(self) -> list[tuple[int, int]]:
+        """Return the pairs of bodies that connect and weld constraints tie to each other."""
         model, kinds = self.model, mujoco.mjtEq
         tied = np.flatnonzero(np.isin(
             model.eq_type, [int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD)]))
-        found: set[int] = set()
+        pairs = []
         for equality in tied.tolist():
             ids = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
             if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
                 ids = int(model.site_bodyid[ids[0]]), int(model.site_bodyid[ids[1]])
-            found |= set(ids)
-        return found - {0}
+            pairs.append(ids)
+        return pairs
 
     def is_scalar(self, joint: int) -> bool:
         """Return whether a joint is a hinge or a slide."""

@@ -66,13 +66,24 @@ def _without_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
+def integrates(model: mujoco.MjModel, actuator: int) -> bool:
+    """Return whether a servo integrates its control: that is the velocity of its setpoint."""
+    return bool(position_servos(model, actuator)) and int(
+        model.actuator_dyntype[actuator]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+
+
 def control_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float] | None:
     """
     Return the control range of an actuator; a servo's is cut if it far exceeds its joint's.
 
+    Of one that integrates its control, it is the range of the integral.
+
     :returns: lowest and highest control; None if nothing limits it or the range is empty
     """
     reach = _reach(model, actuator)
+    if integrates(model, actuator):
+        low, high = model.actuator_actrange[actuator]
+        return (float(low), float(high)) if low < high else reach
     if model.actuator_ctrllimited[actuator]:
         low, high = model.actuator_ctrlrange[actuator]
         if reach:
@@ -293,6 +304,11 @@ class Fingers:
         model.opt.disableflags |= int(off.mjDSBL_GRAVITY | off.mjDSBL_AUTORESET)
         if not contacts:
             model.opt.disableflags |= int(off.mjDSBL_CONTACT)
+        for actuator in range(model.nu):
+            if integrates(self._model, actuator):  # The trials set positions.
+                model.actuator_dyntype[actuator] = int(mujoco.mjtDyn.mjDYN_NONE)
+                model.actuator_actadr[actuator], model.actuator_actnum[actuator] = -1, 0
+                model.actuator_ctrllimited[actuator] = 0
         # Only where the fingers come to rest counts, so they may be slow, which makes them stable.
         moments = np.zeros((model.nu, model.nv))
         data = self._data

@@ -13,7 +13,7 @@ import mujoco
 
 from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.found_hands import (
-    carries_arms, FoundHand, hand_below, lone_hands)
+    carries_arms, FoundHand, hand_below, LEAST_OF_ARM, lone_hands)
 from manip_sim.models.files.limbs import FINGERS, Limbs, MAX_FINGERS
 from manip_sim.models.robots.subsystems import classify
 from manip_sim.quoting import quoted_names
@@ -21,6 +21,8 @@ from manip_sim.quoting import quoted_names
 _END_WORDS = {'tool', 'flange', 'tcp', 'ee', 'eef', 'hand', 'gripper', 'attachment', 'pinch'}
 #: A chain of at most this fraction of the joints of the longest one is not an arm.
 _ARM_SHARE = 0.5
+#: An arm on a floating root has at most so many joints, unless a name says that it is one.
+_MOST_OF_ARM = 8
 #: Arms that are nearer to each other along an axis are not beside each other along it [m].
 _BESIDE_M = 0.05
 #: Words for a subsystem besides those of ``classify``, in the order in which they are tried.
@@ -34,7 +36,8 @@ _WORDS = {
 #: Words in names of bodies, which decide where those of joints do not.
 _BODY_WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
-    'legs': {'thigh', 'calf', 'shin', 'shank', 'coxa', 'femur', 'tibia'}}
+    'legs': {'leg', 'thigh', 'calf', 'shin', 'shank', 'coxa', 'femur', 'tibia', 'foot', 'toe',
+             'paw'}}
 #: Words of an arm, also beside those above, as in ``shoulder_lift``.
 _OF_ARM = {'shoulder', 'elbow', 'wrist'}
 #: Of these, the words that no leg has: some name the hip of a quadruped its shoulder.
@@ -74,6 +77,7 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     free = {joint for joint in unnamed if found[joint] == 'arm'}
     _correct_base(tree, found, declared)
     limbs = Limbs(tree)
+    _complete_wheels(tree, limbs, found, free)
     for joint in free.difference(limbs.leading):  # One that moves the whole robot is of the base.
         if 'pelvis' in words_of(str(model.joint(joint).name)):
             found[joint] = 'torso'
@@ -115,13 +119,36 @@ def _find_unnamed(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set
             ('base', limbs.wheels(free), 'they turn without limits about horizontal axes and '
              'carry nothing'),
             ('legs', limbs.legs(free.union(limbs.legs_with_shoulders())),
-             'these limbs are alike, in pairs or too many for a hand')):
+             'these limbs are alike, in pairs or too many for a hand'),
+            ('legs', limbs.standing_pair(free), 'they are all that a floating robot stands on')):
         joints = [joint for joint in joints if joint in free and found[joint] == 'arm']
         if joints:
             found.update(dict.fromkeys(joints, part))
             first = str(tree.model.joint(joints[0]).name)
             notes.append(f'{part} is a guess: {why}; subsystems: {{{first}: other}} in a YAML '
                          'file, and so on for each joint, changes it')
+
+
+def _complete_wheels(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set[int]) -> None:
+    """
+    Assign joints between the trunk and wheels to the base, and those of limbs tied to them.
+
+    Two limbs or more have wheels: an arm may end in a tool that is called a wheel. Limbs with the
+    name of a leg are legs.
+
+    :param free: the joints whose subsystem nothing else decides; those of the base are taken out
+    """
+    def carries_wheels(limb: int) -> bool:
+        joints = limbs.joints(limb)
+        ends = tree.ends(j for j in joints if j in found)
+        return len(joints) > 1 and 'legs' not in map(found.get, joints) and all(
+            found.get(joint) == 'base' for joint in tree.joints(ends))
+
+    groups = [group for group in limbs.tied(limbs.trunk) if any(map(carries_wheels, group))]
+    if len(groups) > 1:
+        joints = {joint for group in groups for limb in group for joint in limbs.joints(limb)}
+        found.update(dict.fromkeys(joints & free, 'base'))
+        free -= joints
 
 
 def _complete_legs(tree: BodyTree, limbs: Limbs, found: dict[int, str],
@@ -209,12 +236,27 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     hands = [*hands, *_hands_of_chains(tree, subsystems, hands)]
     joints = _joints_of_arms(tree, subsystems, hands)
     tips = _longest_chains(tree, _ends_of_arms(tree, joints), joints)
+    if not hands and _is_worm(tree, tips, joints):
+        notes.append(f'no arm is a guess: {len(joints)} joints in a row on a floating root are '
+                     f'the links of a worm; arms: {{right: {{mount: {tree.name(tips[0])}}}}} in a '
+                     'YAML file makes them an arm')
+        return {}
     if not hands and all(_length(tree, tip, joints) < 2 for tip in tips) and (
             len(tips) > 1 or {'base', 'torso', 'head', 'legs'} & set(subsystems.values())):
         return {}  # Such as a laser that turns, or two antennas.
     by_side = _by_side(tree, tips, joints, hands, notes)
     arms = {side: _end_of(tree, tip, hands) for side, tip in by_side.items()}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
+
+
+def _is_worm(tree: BodyTree, tips: list[int], joints: Collection[int]) -> bool:
+    """Return whether a floating robot is one chain with more joints than an arm has."""
+    if len(tips) != 1 or _length(tree, tips[0], joints) <= _MOST_OF_ARM:
+        return False
+    way = tree.path(tips[0])
+    return any(int(tree.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE)
+               for joint in tree.joints(way[:1])) and not any(
+        words_of(tree.name(body)) & _END_WORDS for body in tree.below(tips[0]))
 
 
 def lone_hands_as_arms(tree: BodyTree, subsystems: Mapping[int, str],
@@ -312,11 +354,13 @@ def _hands_of_chains(tree: BodyTree, subsystems: Mapping[int, str], hands: Colle
             branches.setdefault(tree.path(tip)[len(tree.path(carrier))], []).append(tip)
         shared = _length(tree, carrier, joints)
         whole = max(_length(tree, tip, joints) for tip in tips)
-        # No robot has three arms on a link that moves, but fingers may have more joints than a
-        # wrist.
+        # No robot has three arms on a link that moves, unless their names have sides, but fingers
+        # may have more joints than a wrist.
         above = joints.intersection(tree.joints(tree.path(carrier)))
+        have_sides = whole - shared >= LEAST_OF_ARM and {'right', 'left'} <= set(tree.sides(tips))
         if len(branches) <= MAX_FINGERS and (
-                shared > _ARM_SHARE * whole or (shared and len(branches) >= FINGERS)
+                shared > _ARM_SHARE * whole or (
+                    shared and len(branches) >= FINGERS and not have_sides)
                 ) and not carries_arms(tree, carrier, above):
             found.append(hand_below(tree, carrier))
         else:

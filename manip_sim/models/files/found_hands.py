@@ -29,7 +29,7 @@ _CARRIED_BY_NO_HAND = _ARM_WORDS | {'arm'}
 #: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
 #: Fingers that hang on chains of at least so many joints of their own are of several hands.
-_LEAST_OF_ARM = 3
+LEAST_OF_ARM = 3
 #: A finger has at most so many times the joints of another; axes of two fingers are parallel if
 #: the cosine of their angle is greater than this.
 _UNEQUAL, _ONE_DIRECTION = 2, 0.9
@@ -69,7 +69,7 @@ def carries_arms(tree: BodyTree, body: int, others: Collection[int]) -> bool:
         *(words_of(_name(tree, joint)) for joint in others))
     of_arms = {joint for joint in set(hand_below(tree, body).joints) - set(others)
                if words_of(_name(tree, joint)) & words}
-    return any(len(of_arms.intersection(tree.joints(tree.path(end)))) >= _LEAST_OF_ARM
+    return any(len(of_arms.intersection(tree.joints(tree.path(end)))) >= LEAST_OF_ARM
                for end in tree.ends(of_arms))
 
 
@@ -88,7 +88,7 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     for actuator in range(tree.model.nu):
         words = words_of(str(tree.model.actuator(actuator).name))
         if words & _FINGER_WORDS:
-            fingers |= tree.driven(actuator)
+            fingers |= {joint for joint in tree.driven(actuator) if not _turns_palm(tree, joint)}
         elif words & _HAND_WORDS:
             named |= tree.driven(actuator)
     if named:
@@ -221,7 +221,16 @@ def _is_of_finger(tree: BodyTree, joint: int) -> bool:
     """Return whether a joint, or the body that it moves, has the name of a finger."""
     words = words_of(_name(tree, joint))
     body = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
-    return bool(words & _FINGER_WORDS or body & _FINGER_BODY_WORDS and not words & _ARM_WORDS)
+    return bool(words & _FINGER_WORDS and not _turns_palm(tree, joint)
+                or body & _FINGER_BODY_WORDS and not words & _ARM_WORDS)
+
+
+def _turns_palm(tree: BodyTree, joint: int) -> bool:
+    """Return whether a joint moves a palm that carries fingers, after which it may be called."""
+    body = int(tree.model.jnt_bodyid[joint])
+    words = words_of(tree.name(body))
+    return bool(words & PALM_WORDS and not words & _FINGER_BODY_WORDS
+                and tree.joints(tree.below(body) - {body}))
 
 
 def _drives_flight(tree: BodyTree, joint: int) -> bool:
@@ -255,7 +264,7 @@ def _by_arm(tree: BodyTree, joints: Collection[int]) -> list[set[int]]:
     groups = list(branches.values())
     shared, *lengths = (sum(map(tree.is_scalar, tree.joints(tree.path(body))))
                         for body in (carrier, *(_common_carrier(tree, g) for g in groups)))
-    is_several = len(groups) > 1 and min(lengths) >= _LEAST_OF_ARM and (
+    is_several = len(groups) > 1 and min(lengths) >= LEAST_OF_ARM and (
         shared <= _SHARED * min(lengths))
     return groups if is_several or Limbs(tree).are_of_two_hands([
         _fingers_below(tree, _common_carrier(tree, group)) for group in groups]
@@ -281,7 +290,7 @@ def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:
                         for body in [tree.common(carriers), *carriers])
     if any(one != other and one in tree.path(other) for one in carriers for other in carriers):
         return True  # What looks like a side is a letter of a finger's link.
-    if min(lengths) - shared >= _LEAST_OF_ARM:
+    if min(lengths) - shared >= LEAST_OF_ARM:
         return False
     # Without arms, one finger on each side makes one hand.
     return shared > _SHARED * max(lengths) or not max(lengths) and (

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.fingers import control_range, Fingers
+from manip_sim.models.files.fingers import control_range, Fingers, integrates
 from manip_sim.models.files.found_hands import FoundHand
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.part_descriptions import FrameDescription, HandDescription
@@ -177,6 +177,9 @@ def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: l
         if limits is None:
             limits = (-1.0, 1.0)
             notes.append(f"actuator '{element.name}' has no limits: actions are its control")
-        element.ctrlrange, element.ctrllimited = limits, int(mujoco.mjtLimited.mjLIMITED_TRUE)
         element.inheritrange = 0.0
+        if integrates(model, actuator):
+            element.actrange = limits
+            continue
+        element.ctrlrange, element.ctrllimited = limits, int(mujoco.mjtLimited.mjLIMITED_TRUE)
     return notes

@@ -29,6 +29,9 @@ _HIP_WORDS, _BEYOND_HIP = {'shoulder'}, {'elbow', 'wrist', 'finger', 'thumb'}
 _FOOT_WORDS = {'foot', 'toe', 'paw'}
 #: The fewest limbs that may be legs by their places alone.
 _LEAST_LEGS = 4
+#: Two limbs alone are legs if they have so many joints, and end so near to the floor, as a share
+#: of the height of the trunk.
+_LEAST_JOINTS, _ON_FLOOR = 3, 0.2
 #: A hinge that turns farther than this has no limits in practice [rad].
 _UNLIMITED_RAD = 100.0
 #: Likewise a slide [m].
@@ -87,6 +90,19 @@ class Limbs:
             found.setdefault(self._tree.path(limb)[0], []).append(limb)
         return list(found.values())
 
+    def tied(self, link: int) -> list[list[int]]:
+        """Return the limbs on a rigid link, those together that loops tie to each other."""
+        limbs = self.on(link)
+        limb_of = {body: limb for limb in limbs for body in self._tree.below(limb)}
+        group_of = {limb: [limb] for limb in limbs}
+        for one, other in self._tree.tied_bodies():
+            if one in limb_of and other in limb_of:
+                group, added = group_of[limb_of[one]], group_of[limb_of[other]]
+                if group is not added:
+                    group += added
+                    group_of.update(dict.fromkeys(added, group))
+        return [group for limb, group in group_of.items() if limb == group[0]]
+
     def joints(self, limb: int) -> list[int]:
         """Return the joints of a limb."""
         return self._tree.joints(sorted(self._tree.below(limb)))
@@ -135,10 +151,15 @@ class Limbs:
                 for limb in wheels for joint in self.joints(limb)]
 
     def _is_wheel(self, limb: int) -> bool:
-        """Return whether a limb is a hinge of a wheel, with rollers or without."""
+        """
+        Return whether a limb is a hinge of a wheel, with rollers or without.
+
+        One that follows a joint with limits, such as the piston of an arm, is none.
+        """
         axle, *others = self.joints(limb)
         rollers = self.on(limb)
-        return (all(is_unlimited(self._model, joint) for joint in (axle, *others))
+        turning = self._tree.coupled((axle, *others))
+        return (all(is_unlimited(self._model, joint) for joint in turning)
                 and abs(float(self._data.xaxis[axle, 2])) < _ALIGNED
                 and len(rollers) == len(others) != 1)
 
@@ -165,6 +186,34 @@ class Limbs:
                 and (len(limbs) > MAX_FINGERS or self.in_pairs(limbs))
                 and not self.are_of_two_hands(list(self.by_carrier(limbs).values()))
                 for limb in limbs for joint in self.joints(limb)]
+
+    def standing_pair(self, among: Iterable[int]) -> list[int]:
+        """
+        Return the joints of two limbs that mirror each other, all that a floating trunk carries.
+
+        They end where the file has the floor: z = 0.
+
+        :param among: the joints that may be of legs
+        """
+        limbs, height = self.on(self.trunk), float(self._data.xpos[self.trunk, 2])
+        joints = [self.joints(limb) for limb in limbs]
+        lengths = [len(of_limb) for of_limb in joints]
+        floats = self.leading and not any(map(self._tree.is_scalar, self.leading))
+        if not floats or len(limbs) != 2 or lengths[0] != lengths[1] or lengths[0] < _LEAST_JOINTS:
+            return []
+        stand = all(len(self._tree.ends(of_limb)) == 1 and abs(self._lowest(limb)) < (
+            _ON_FLOOR * height) for limb, of_limb in zip(limbs, joints))
+        every = [joint for of_limb in joints for joint in of_limb]
+        return every if stand and set(every) <= set(among) and self.in_pairs(limbs) else []
+
+    def _lowest(self, limb: int) -> float:
+        """Return the height of the lowest point of a limb [m], of its frames and its shapes."""
+        model, data, bodies = self._model, self._data, sorted(self._tree.below(limb))
+        geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+        upward = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
+        centres, halves = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+        below = np.abs(upward) * halves - upward * centres
+        return float(min([*data.geom_xpos[geoms, 2] - below.sum(axis=1), *data.xpos[bodies, 2]]))
 
     def legs_with_shoulders(self) -> list[int]:
         """

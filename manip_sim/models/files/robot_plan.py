@@ -25,7 +25,7 @@ from manip_sim.models.files.model_file import depth_in_floor, ModelFile, read_mo
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
-from manip_sim.models.loading import compile_without_meshes
+from manip_sim.models.loading import compile_copy, compile_without_meshes
 from manip_sim.models.regular_files import Files
 
 #: Height above the floor at which the fingers of a hand alone stay [m].
@@ -74,6 +74,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     :raises UnknownNameError: if the description has a name that the file lacks
     """
     model_file = read_model(file, description, where, files=files, visual=False)
+    _hang_fingers_on_palm(model_file)
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = model_file.start
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
@@ -111,6 +112,20 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     notes += _subsystem_notes(by_name)
     return RobotPlan(file, description, where, spec, start, by_name, ends, own, arms, loose,
                      notes, model_file.keyframes, mocap, depth)
+
+
+def _hang_fingers_on_palm(model_file: ModelFile) -> None:
+    """
+    Take the new root of a hand for its palm whose fingers are roots of their own in the file.
+
+    Converters write hands so: a link that is fixed to the world becomes shapes of the world body.
+    """
+    root = model_file.spec.worldbody.first_body()
+    if mujoco.mj_name2id(model_file.tree.model, mujoco.mjtObj.mjOBJ_BODY, root.name) >= 0:
+        return
+    tree = BodyTree(compile_copy(model_file.spec, str(model_file.file), visual=False))
+    if {joint for hand in find_hands(tree) for joint in hand.joints} == {*range(tree.model.njnt)}:
+        model_file.tree = tree
 
 
 def _with_shapes(model_file: ModelFile, hands: Mapping[str, FoundHand]) -> BodyTree:
@@ -183,12 +198,12 @@ def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, 
         own |= set(tree.joints(tree.path(_end_body(tree, arm))))
         own |= set(() if arm.hand is None else arm.hand.joints)
     # A joint below which a loop is closed may drive the arm, as the crank of a parallel one.
-    loops = tree.bodies_in_loops() if arms else set()
+    loops = {body for pair in tree.tied_bodies() for body in pair if body} if arms else set()
     others = [joint for joint, part in subsystems.items()
               if part == 'arm' and joint not in own and str(model.joint(joint).name)
               not in declared and not tree.below(int(model.jnt_bodyid[joint])) & loops]
     subsystems.update(dict.fromkeys(others, 'other'))
-    for joint in others:
+    for joint in reversed(others):  # What a joint carries is sorted before it.
         body = int(model.jnt_bodyid[joint])
         leaders = {subsystems[other] for other in tree.coupled([joint]) if other in own}
         carried = {subsystems[j] for j in tree.joints(sorted(tree.below(body)))

@@ -34,6 +34,9 @@ _COLLISION_GROUP = 3
 _MOVES = re.compile(rb'type\s*=\s*["\'](?:revolute|continuous|prismatic)["\']')
 #: Elements of a URDF that MuJoCo reads.
 _READ_BY_MUJOCO = ('link', 'joint', 'material', 'mujoco', 'include')
+#: Shapes, and the attributes that each needs.
+_GEOMETRY = {'box': {'size'}, 'cylinder': {'radius', 'length'}, 'capsule': {'radius', 'length'},
+             'sphere': {'radius'}, 'mesh': {'filename'}}
 #: Elements of which an element has one.
 _SINGLE = {'visual': ('origin', 'geometry', 'material'), 'collision': ('origin', 'geometry'),
            'inertial': ('origin', 'mass', 'inertia'),
@@ -186,8 +189,12 @@ def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
 
 
 def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
-    """Remove shapes of size zero, which some exporters write for links without a shape."""
-    dropped = []
+    """
+    Remove shapes of size zero, which some exporters write for links without a shape.
+
+    Those of which URDF cannot say what they are, are removed, too.
+    """
+    dropped, unknown = [], []
     for link in robot.iter('link'):
         for shape in [*link.findall('visual'), *link.findall('collision')]:
             sizes = [number for element in shape.findall('geometry/*') if element.tag != 'mesh'
@@ -196,8 +203,14 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
             if any(_is_zero(number) for number in sizes):
                 link.remove(shape)
                 dropped.append(str(link.get('name')))
-    return [f'left out: {counted(len(dropped), "shape")} of size zero, of '
-            f'{quoted_names(dropped)}'] if dropped else []
+            elif not any(needed <= set(element.keys()) for tag, needed in _GEOMETRY.items()
+                         for element in shape.findall(f'geometry/{tag}')):
+                link.remove(shape)
+                unknown.append(str(link.get('name')))
+    return [f'left out: {counted(len(names), "shape")} {what}, of {quoted_names(names)}'
+            for names, what in ((dropped, 'of size zero'), (
+                unknown, 'without a <box>, <cylinder>, <sphere> or <mesh> with its attributes'))
+            if names]
 
 
 def _is_zero(number: str) -> bool:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
@@ -53,7 +54,7 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
         m], and what was done, in sentences
     :raises ModelError: naming file and joint, and for types what to write instead
     """
-    notes = _declare_links(robot, file)
+    notes = [*_leave_out_repeated(robot, file), *_declare_links(robot, file)]
     joints = {joint.get('name', ''): joint for joint in robot.findall('joint')}
     fixed: dict[str, float] = {}
     unlimited, swapped, of_sdf = [], [], []
@@ -143,6 +144,36 @@ def _reject_negative(element: ElementTree.Element | None, attributes: Sequence[s
             raise ModelError(
                 f'{file}: joint {quoted(joint)}: {attribute} of its <{element.tag}> is negative: '
                 f'{value:g}; write {-value:g}, or 0 for none')
+
+
+def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
+    """
+    Leave out joints that repeat the name and the links of another one.
+
+    :raises ModelError: if other joints lead to the same link, or if others or links have one name
+    """
+    leading: dict[str, tuple[str, str]] = {}
+    repeated = []
+    for joint in robot.findall('joint'):
+        name, (parent, child) = joint.get('name', ''), (
+            element.get('link', '') if element is not None else ''
+            for element in (joint.find('parent'), joint.find('child')))
+        if not child or child not in leading:
+            leading[child] = name, parent
+        elif leading[child] == (name, parent):
+            robot.remove(joint)
+            repeated.append(name)
+        else:
+            raise ModelError(f'{file}: joint {quoted(name)} leads to link {quoted(child)}, as '
+                             f'joint {quoted(leading[child][0])} does: delete one of them, or '
+                             'correct its <child>')
+    for kind in ('link', 'joint'):
+        names = Counter(element.get('name', '') for element in robot.findall(kind))
+        name, count = next(iter(names.most_common(1)), ('', 0))
+        if count > 1:
+            raise ModelError(f'{file}: {count} elements <{kind}> have the name {quoted(name)}: '
+                             'give each another one, also where it is referred to')
+    return [f'left out: joints that are there twice: {quoted_names(repeated)}'] if repeated else []
 
 
 def _declare_links(robot: ElementTree.Element, file: Path) -> list[str]:

@@ -24,6 +24,8 @@ from manip_sim.resources import cache_folder, keep_in_cache
 
 _MESHES = ('.stl', '.obj', '.msh')
 _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
+#: What begins a name without a package.
+_NO_PACKAGE = 'package:///'
 _CONVERTIBLE = ('.dae', '.glb', '.gltf', '.ply', '.off')
 _MAX_BYTES = 200_000_000
 _MAX_FACES = 2_000_000
@@ -103,7 +105,8 @@ def _resolve(name: str, folder: Path, file: Path, packages: PackageFolders, file
     match, at = _PACKAGE.fullmatch(name), files or Files()
     roots, rest = list[Path](), ''
     if match is None:
-        path = folder / name.removeprefix('file://')
+        unnamed = name.startswith(_NO_PACKAGE)  # Onshape's exporter means the folder of the file.
+        path = folder / name.removeprefix(_NO_PACKAGE if unnamed else 'file://')
         candidates = [path, *(_elsewhere(path, packages) if files is None else ())]
     else:
         package, rest = match.groups()

@@ -33,7 +33,9 @@ _REMEDIES = {
     'is not defined when evaluating': 'define it by <xacro:property name="..." value="..."/>, or '
                                       'include the file that does',
     'not a boolean expression': 'write true, false, or an expression in ${}',
-    'Undefined parameters': 'give them where it is called, or defaults'}
+    'Undefined parameters': 'give them where it is called, or defaults',
+    'Invalid parameter': 'take it out where it is called, or name it in params where the macro '
+                         'is defined'}
 #: xacro keeps the files and arguments that it works with in its module.
 _ONE_FILE = threading.Lock()
 
@@ -181,6 +183,9 @@ def _explained(file: Path, error: Exception, given: _Arguments, finder: _Finder)
     for cause in causes:
         if isinstance(cause, ModelError):
             return f'{begin}{cause}'
+        if isinstance(cause, UnicodeDecodeError):
+            line = cause.object.count(b'\n', 0, cause.start) + 1
+            return f'{begin}line {line} is not UTF-8: save the file as UTF-8'
         if isinstance(cause, OSError) and cause.filename:
             package = finder.package_of(str(cause.filename))
             return (f'{begin}no such file: {one_line(str(cause.filename), 300)}' + (
