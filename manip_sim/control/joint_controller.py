@@ -613,20 +613,20 @@ class JointController(ControlledJoints):
         acts[0] = bool(commands.running or self._timeouts.pending or self.seats.of)
         return self._timeouts.first_s
 
-    def catch_up(self, begun_s: float | None, goals: FloatArray, renewed_s: FloatArray,
-                 now_s: float) -> None:
+    def catch_up(self, moved_s: float, goals: FloatArray, renewed_s: FloatArray, now_s: float
+                 ) -> None:
         """
         Take over what compiled code has done by itself.
 
-        :param begun_s: simulation time of setpoints [s], or None if it has run no period
+        :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
         :param goals: that have come meanwhile, by joint, shape (n,)
         :param renewed_s: when they came, or -1 [s], shape (n,)
         :param now_s: simulation time since the last reset [s]
         """
         setpoints = self._setpoints
         setpoints.moving, self._efforts_due, self._written = self._flags.tolist()
-        if begun_s is not None:
-            setpoints.now_s = begun_s
+        if moved_s >= 0.0:
+            setpoints.now_s = moved_s
         for command in self.commands.running:
             came_s = renewed_s.item(command.indices.item(0))
             if came_s >= 0.0:

@@ -130,8 +130,9 @@ class ControlPeriods:
         if standing.item(PERIODS):
             begin_s = (clock.control_steps - standing.item(STEPS)) * clock.step_ns * 1e-9
             self._steps.went_on(self.compiled.outcome()[2].present.item(1) != 0)
-        for robot, run in zip(*self._standing):
-            robot.catch_up(run, begin_s)
+        acting = dict(zip(*self._standing))
+        for robot in self._robots:
+            robot.catch_up(acting.get(robot), begin_s)
 
     def begin(self, steps: int) -> bool:
         """

@@ -663,16 +663,19 @@ class SimulatedRobot:
         """True if it rests, and nothing has to be looked at in a control period."""
         return self.resting and self._may_stand
 
-    def catch_up(self, run: RobotRun, begin_s: float | None) -> None:
+    def catch_up(self, run: RobotRun | None, begin_s: float | None) -> None:
         """
         Take over what compiled code has done by itself.
 
-        :param run: what it has gone on with
+        :param run: what it has gone on with, or None if the robot rests
         :param begin_s: when its last period began [s], or None if it has run none
         """
-        moved_s = run.room.moved_s.item()
-        self.joints.catch_up(begin_s if begin_s is None or moved_s < 0.0 else moved_s,
-                             run.room.goals, run.room.renewed_s, self._clock.control_s)
+        if begin_s is not None:
+            self.joints.setpoints.now_s = begin_s
+        if run is not None:
+            moved_s = -1.0 if begin_s is None else run.room.moved_s.item()
+            self.joints.catch_up(
+                moved_s, run.room.goals, run.room.renewed_s, self._clock.control_s)
 
     def streams(self, command: JointSetpoint) -> int:
         """
