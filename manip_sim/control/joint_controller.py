@@ -589,20 +589,17 @@ class JointController(ControlledJoints):
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
             setpoints.counts, self.cartesian.posture, flags, indices, path, *base), targets, count
 
-    def stand(self, joints: RobotJoints, targets: Targets, owners: IntArray, acts: IntArray
-              ) -> float | None:
+    def stand(self, joints: RobotJoints, owners: IntArray, acts: IntArray) -> float | None:
         """
         Let compiled code go on with joints, if nothing but their setpoints has to be looked at.
 
-        :param joints: as :meth:`begin_run` has returned them
-        :param targets: returned with them
+        :param joints: as :meth:`begin_run` has returned them, without targets
         :param owners: for the law, shape (n,)
         :param acts: for the law, shape (1,)
         :returns: when a command times out [s], or None
         """
         commands = self.commands
-        if targets is not no_targets() or commands.waiting or len(joints.path) or len(
-                joints.base) or self.resting:
+        if commands.waiting or len(joints.path) or len(joints.base) or self.resting:
             return None
         owners[:] = -1
         for number, command in enumerate(commands.running):

@@ -301,7 +301,7 @@ class PhysicsSteps:
 
     def resumes_after_laws(self, act: bool) -> int:
         """
-        Return what of a step is computed after a period whose end a law has computed, as it has it.
+        Return what of a step is computed after a period that a law has ended, as it has it.
 
         :param act: whether laws change controls before the step
         """

@@ -186,15 +186,14 @@ class ControlPeriods:
     def _stand(self, steps: int, acting: Sequence[SimulatedRobot], runs: Sequence[RobotRun]
                ) -> None:
         """Let compiled code go on by itself like in the last period, if it may."""
-        if self._pulls or not self._steps.goes_on:
-            return
         until_s = math.inf
         for robot, run in zip(acting, runs):
             own_s = robot.stand(run)
             if own_s is None:
                 return
             until_s = min(until_s, own_s)
-        if all([robot in acting or robot.stands_resting for robot in self._robots]):
+        if self._steps.goes_on and not self._pulls and all([
+                robot in acting or robot.stands_resting for robot in self._robots]):
             self._standing = acting, runs
             self.compiled.stand(steps, until_s, len(acting) > 0)
 

@@ -25,7 +25,7 @@ from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.law.arm_records import Targets
+from manip_sim.control.law.arm_records import no_targets, Targets
 from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.control.modes import MODES, POSITION
@@ -648,9 +648,9 @@ class SimulatedRobot:
         :returns: simulation time since the last reset at which a command times out [s], or None
             if Python has to look before the next period
         """
-        if run.controllers or not self._may_stand:
+        if run.targets is not no_targets() or run.controllers or not self._may_stand:
             return None
-        return self.joints.stand(run.joints, run.targets, run.room.owners, run.room.acts)
+        return self.joints.stand(run.joints, run.room.owners, run.room.acts)
 
     @property
     def _may_stand(self) -> bool:

@@ -19,7 +19,7 @@ from manip_sim.errors import (
     CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
-from manip_sim.physics.physics import BECAME, ENDED, STEPS, WENT_ON
+from manip_sim.physics.physics import BECAME, ENDED, WENT_ON
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.compiled_period import go_on, load, run_prepared
 from manip_sim.validation import whole_number
@@ -63,6 +63,7 @@ class Worlds:
         self._table = np.zeros((count, len(first.physics.standing)), np.int64)
         for simulation, standing in zip(self.simulations, self._table):
             simulation.physics.standing = standing
+        self._everything = np.arange(count)
         self.robots = {name: RobotInWorlds([simulation.robots[name]
                                             for simulation in self.simulations],
                                            self._table, first.timestep_s)
@@ -155,19 +156,18 @@ class Worlds:
         """
         self._check_open()
         steps = whole_number(steps, 1, 'steps', CommandError)
-        running = np.flatnonzero(chosen(where, len(self)))
+        running = self._everything if where is None else np.flatnonzero(
+            chosen(where, len(self)))
         count = min(self._threads.count, len(running))
         self._threads.run([partial(self._advance, running[begin::count], steps)
                            for begin in range(count)])
 
     def _advance(self, numbers: IntArray, steps: int) -> None:
         """Run a control period in some worlds, all of which end it."""
-        left = numbers
-        if self._table[numbers, STEPS].any():
-            scratch = self.simulations[0].physics.scratch
-            go_on(self._table, numbers, steps, scratch)
-            left = numbers[self._table[numbers, BECAME] != WENT_ON]
-        _advance([self.simulations[number] for number in left.tolist()], steps)
+        go_on(self._table, numbers, steps, self.simulations[0].physics.scratch)
+        became = self._table[numbers, BECAME].tolist()
+        _advance([self.simulations[number] for number, how in zip(numbers.tolist(), became)
+                  if how != WENT_ON], steps)
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:
