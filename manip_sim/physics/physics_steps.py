@@ -312,7 +312,7 @@ class PhysicsSteps:
     @property
     def goes_on(self) -> bool:
         """True if laws may run the next period too while nothing is changed or pushes a tool."""
-        return (self.lets_laws_step and self._touch.may_go_on
+        return (self.lets_laws_step and self._efforts.room is not None and self._touch.may_go_on
                 and all([not tool.is_filtered for tool in self.tools]))
 
     @property
