@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+import math
 
 
 class CommandTimeouts:
@@ -59,6 +60,15 @@ class CommandTimeouts:
     def pending(self) -> bool:
         """Whether any part that is watched has a timeout."""
         return bool(self._last_s) and any([self._timeout_s[part] for part in self._last_s])
+
+    @property
+    def first_s(self) -> float:
+        """When a part will be overdue, or a little before [s]; infinite for none."""
+        if not self._last_s:
+            return math.inf
+        return min([last_s + self._timeout_s[part] - 2e-9
+                    for part, last_s in self._last_s.items() if self._timeout_s[part] > 0.0],
+                   default=math.inf)
 
     def overdue(self, now_s: float) -> list[str]:
         """

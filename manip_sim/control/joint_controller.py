@@ -589,6 +589,51 @@ class JointController(ControlledJoints):
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
             setpoints.counts, self.cartesian.posture, flags, indices, path, *base), targets, count
 
+    def stand(self, joints: RobotJoints, owners: IntArray, acts: IntArray) -> float | None:
+        """
+        Let compiled code go on with joints, if nothing but their setpoints has to be looked at.
+
+        :param joints: as :meth:`begin_run` has returned them, without targets
+        :param owners: for the law, shape (n,)
+        :param acts: for the law, shape (1,)
+        :returns: when a command times out [s], or None
+        """
+        commands = self.commands
+        if commands.waiting or len(joints.path) or len(joints.base) or self.resting:
+            return None
+        owners[:] = -1
+        for number, command in enumerate(commands.running):
+            if type(command) is not JointSetpoint:
+                return None
+            if all([MODES[mode].ends for mode in dict.fromkeys(command.modes)]):
+                owners[command.indices] = number
+        acts[0] = bool(commands.running or self._timeouts.pending or self.seats.of)
+        return self._timeouts.first_s
+
+    def catch_up(self, moved_s: float, goals: FloatArray, renewed_s: FloatArray, now_s: float
+                 ) -> None:
+        """
+        Take over what compiled code has done by itself.
+
+        :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
+        :param goals: that have come meanwhile, by joint, shape (n,)
+        :param renewed_s: when they came, or -1 [s], shape (n,)
+        :param now_s: simulation time since the last reset [s]
+        """
+        setpoints = self._setpoints
+        setpoints.moving, self._efforts_due, self._written = self._flags.tolist()
+        if moved_s >= 0.0:
+            setpoints.now_s = moved_s
+        for command in self.commands.running:
+            came_s = renewed_s.item(command.indices.item(0))
+            if came_s >= 0.0:
+                assert isinstance(command, JointSetpoint)
+                command.values[:] = goals[command.indices]
+                renewed_s[command.indices] = -1.0
+                self._timeouts.renew(command.parts, came_s)
+                if came_s == now_s:
+                    setpoints.now_s = now_s
+
     def seats_of(self, part: str) -> list[SeatState]:
         """
         Return the seats of the law that moves a part, one for each part that it consists of.

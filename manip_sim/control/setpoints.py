@@ -16,6 +16,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.joint_records import blank_state, PLACES, PLAIN, records
 from manip_sim.derived import Derived
 
+_MOVES = PLACES['moves']
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
 #: servos add up to 15 % while they take over.
 _BRAKING = 0.87
@@ -126,7 +127,9 @@ class SetpointGenerator:
 
     def at_rest(self, indices: IntArray) -> bool:
         """Return whether all of the given setpoints rest at their goals."""
-        return not self.moving or not np.count_nonzero(self._state[indices, PLACES['moves']])
+        # The first one alone mostly says enough.
+        return not self.moving or not (len(indices) and self._state.item(
+            (indices.item(0), _MOVES)) or np.count_nonzero(self._state[indices, _MOVES]))
 
     @property
     def settled(self) -> bool:

@@ -9,6 +9,7 @@ import math
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
 
@@ -25,6 +26,8 @@ class DivergenceWatch:
     :param model: the ``mujoco.MjModel``
     :param data: its ``mujoco.MjData``
     :ivar good: the last good state, all that MuJoCo integrates
+    :ivar warnings: how often MuJoCo has warned of bad numbers, by kind, a view
+    :ivar warned: the same when the good state was remembered
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -33,29 +36,19 @@ class DivergenceWatch:
         self.good: FloatArray = np.empty(mujoco.mj_stateSize(model, _STATE))
         # Views, which need not be fetched in each period.
         self._numbers = data.qpos, data.qvel, data.qacc
-        #: How often MuJoCo has warned of bad numbers, by kind.
-        self._warnings = data.warning.number[_KINDS]
-        self._warned = self._warnings.tobytes()
+        self.warnings: NDArray[np.int32] = data.warning.number[_KINDS]
+        self.warned: NDArray[np.int32] = self.warnings.copy()
 
     def remember(self) -> FloatArray:
         """Remember the present state as the good one, and return it."""
         mujoco.mj_getState(self._model, self._data, self.good, _STATE)
-        self.count_warnings()
+        self.warned[:] = self.warnings
         return self.good
-
-    def count_warnings(self) -> None:
-        """Remember how often MuJoCo has warned so far, where others remember the state."""
-        self._warned = self._warnings.tobytes()
-
-    @property
-    def warns(self) -> bool:
-        """True if MuJoCo has warned of bad numbers since then."""
-        return bool(self._warnings.tobytes() != self._warned)
 
     def reason(self) -> str | None:
         """Return why the present state has diverged, or None if it is good."""
         position, velocity, acceleration = self._numbers
-        warns = self.warns
+        warns = self.warnings.tobytes() != self.warned.tobytes()
         if (velocity.dot(velocity) < _ABSURD_VELOCITY**2 and not warns
                 and math.isfinite(position.dot(position) + acceleration.dot(acceleration))):
             return None
@@ -70,7 +63,7 @@ class DivergenceWatch:
     def undo(self) -> None:
         """Restore the good state and its counts of warnings; ``mj_step`` has to follow."""
         mujoco.mj_setState(self._model, self._data, self.good, _STATE)
-        self._warnings[:] = np.frombuffer(self._warned, self._warnings.dtype)
+        self.warnings[:] = self.warned
 
     def hold(self) -> None:
         """Restore the good state, at rest; ``mj_forward`` has to follow."""

@@ -102,15 +102,18 @@ class ActuatorEfforts:
 
     :param physics: of the world, after ``mj_forward``; :attr:`values` have to be read before
         another model replaces that of the last step
+    :ivar stale: whether others have recorded a step into :attr:`room` since they were computed,
+        shape (1,)
     """
 
     #: Of the step that has passed; nothing in the next one depends on it.
-    not_in_digest = ('_last', '_values', '_loads', '_loaded')
+    not_in_digest = ('_last', '_values', '_loads', '_loaded', 'stale')
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
         _explicit_at_limits()  # Now: a callback of MuJoCo that is set later would see its steps.
-        self._values: FloatArray | None = np.zeros(0)
+        self._values: FloatArray = np.zeros(0)
+        self.stale: BoolArray = np.zeros(1, dtype=bool)
         self._loaded: FloatArray | float = 0.0
         self._derived = Derived()
         physics.on_change(self._find_views)
@@ -138,22 +141,19 @@ class ActuatorEfforts:
         present = self._physics.data.qfrc_actuator - self._of_loads()
         if dofs is None:
             self._values = present.copy()
+            self.stale[0] = False
         else:
             self.values[dofs] = present[dofs]
 
     def record(self) -> None:
         """Remember the last step; between ``mj_step`` and the next ``mj_forward``."""
         np.concatenate(self._views, out=self._last)
-        self._loaded, self._values = self._of_loads(), None
+        self._loaded, self.stale[0] = self._of_loads(), True
 
     @property
     def room(self) -> FloatArray | None:
         """Room for a record that others make; None where that takes more than copies of arrays."""
         return self._last if self._loads is None else None
-
-    def take_record(self) -> None:
-        """Take over what others have recorded into :attr:`room`."""
-        self._loaded, self._values = 0.0, None
 
     def set_aside(self) -> tuple[Any, ...]:
         """Return what :meth:`record` changes."""
@@ -162,6 +162,7 @@ class ActuatorEfforts:
     def take_back(self, content: tuple[Any, ...]) -> None:
         """Go on with what :meth:`set_aside` has returned."""
         self._values, self._last[:], self._loaded = content
+        self.stale[0] = False
 
     def _of_loads(self) -> FloatArray | float:
         """Return what actuators exert at joints that they do not drive [N m or N], or 0."""
@@ -176,9 +177,8 @@ class ActuatorEfforts:
     @property
     def values(self) -> FloatArray:
         """The efforts [N m or N], shape (nv,)."""
-        if self._values is None:
+        if self.stale[0]:
             compute([self])
-        assert self._values is not None
         return self._values
 
     @property
@@ -206,11 +206,12 @@ def compute(efforts: Iterable[ActuatorEfforts]) -> None:
     """
     alike: dict[tuple[int, int, int], list[ActuatorEfforts]] = {}
     for one in efforts:
-        if one._values is None:
+        if one.stale[0]:
             alike.setdefault(one._world.sizes, []).append(one)
     for (nv, nu, njnt), some in alike.items():
         for one, acted in zip(some, _acted(some, nv, nu, njnt)):
             one._values = acted - one._loaded
+            one.stale[0] = False
 
 
 def _rows(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -191,6 +191,16 @@ class ExternalWrench:
         self.restart(data)
 
     @property
+    def is_filtered(self) -> bool:
+        """Whether a low-pass goes on in each period."""
+        return self._filtered is not None
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether nothing was recorded in the last period."""
+        return self._sum is _ZERO and not self._rows
+
+    @property
     def settled(self) -> bool:
         """Whether a period in which nothing touches the tool would change nothing."""
         mean = self._compute_mean() if self._mean is None else self._mean
@@ -223,6 +233,7 @@ class ExternalWrench:
         """
         cutoff_hz = positive_number(
             cutoff_hz, 'the cutoff of a wrench', CommandError, or_zero=True)
+        self._physics.interrupt()
         self._cutoff_hz = cutoff_hz
         if cutoff_hz == 0.0:
             self._filtered = None
@@ -278,6 +289,11 @@ class TouchWatch:
                 return True
         return (self._pulled or has_fluid(self._options)
                 or self._ties.size > 0 and bool(self._data.eq_active[self._ties].any()))
+
+    @property
+    def may_go_on(self) -> bool:
+        """True if nothing but contacts and pushes by others can exert a force on a tool."""
+        return not (self._pulled or has_fluid(self._options) or self._ties.size)
 
     @property
     def touches(self) -> bool:

@@ -19,6 +19,12 @@ from manip_sim.physics.object_spawning import (
     carry_over, in_common, LiveWorld, start_live, WorldPlan)
 #: All that MuJoCo integrates, with what its solvers start from.
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+#: What compiled code knows of a world that goes on like in its last period: steps of that, 0 if
+#: Python has to look; the address of its row; how often it has gone on; what the last call has
+#: done: nothing, it went on, or it did and Python has to look at the end; and how often Python has
+#: let it go on.
+STEPS, ROW, PERIODS, BECAME, EPOCH = range(5)
+STOOD, WENT_ON, ENDED = range(3)
 
 
 class Kinematics(NamedTuple):
@@ -136,6 +142,10 @@ class _Kept(threading.local):
 _kept = _Kept()
 
 
+def _nothing() -> None:
+    """Do nothing."""
+
+
 class Physics:
     """
     What MuJoCo simulates; nothing else keeps a model, because another one may replace it.
@@ -154,6 +164,8 @@ class Physics:
     :ivar ctrl: of ``ctrl``
     :ivar arrays: for laws of control
     :ivar sizes: worlds with the same ones can share the scratch of a thread
+    :ivar standing: numbers by :data:`STEPS` and those that follow it, shape (5,)
+    :ivar catch_up: takes over what compiled code has done in such periods
     :ivar kept_dofs: where the degrees of freedom that stayed in the last change were in ``qvel``
         before it, and where they are now
     """
@@ -161,8 +173,21 @@ class Physics:
     def __init__(self, plan: WorldPlan) -> None:
         self._adapt: list[Callable[[], None]] = []
         self._derived = Derived()
+        self.standing: IntArray = np.zeros(5, np.int64)
+        self.catch_up: Callable[[], None] = _nothing
         self.kept_dofs: tuple[IntArray, IntArray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._take(start_live(plan))
+
+    def interrupt(self) -> None:
+        """
+        Let Python look before the next control period, which need not go on like the last one.
+
+        Whoever changes what rows of compiled code were made of calls this before; so does whoever
+        reads what they change.
+        """
+        if self.standing.item(STEPS):
+            self.catch_up()
+            self.standing[STEPS] = 0
 
     def _take(self, live: LiveWorld) -> None:
         self._derived.of.clear()
@@ -211,5 +236,6 @@ class Physics:
         live = LiveWorld(self.plan, self.model, self.data)
         both = in_common(live, plan)
         carried = carry_over(live, plan, both)
+        self.interrupt()
         self.kept_dofs = both.rows('nv', live.data.qvel, carried.data.qvel)
         self._take(carried)

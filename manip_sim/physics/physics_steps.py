@@ -140,6 +140,7 @@ class PhysicsSteps:
 
     def compute_anew(self) -> None:
         """Let the next step compute all anew, as the model may be changed before it."""
+        self.physics.interrupt()
         self._computed = False
 
     def compute_from(self, state: FloatArray) -> None:
@@ -188,14 +189,12 @@ class PhysicsSteps:
         :returns: whether a step may go on from what has been computed, if the state is the same
         """
         self._begin_records()
-        self.divergence.count_warnings()
         resumes = self._may_resume
         self._computed = self._resumes = False
         return resumes
 
     def end_by_law(self) -> None:
         """End a control period of which a law has computed the last instant."""
-        self._efforts.take_record()
         self._computed = True
 
     def undo(self) -> None:
@@ -296,9 +295,25 @@ class PhysicsSteps:
         return self._first_half
 
     @property
-    def room_for_efforts(self) -> FloatArray | None:
-        """Room for the efforts of the last step, or None if :meth:`finish` has to record them."""
-        return self._efforts.room
+    def efforts(self) -> ActuatorEfforts:
+        """The efforts of the last step; without room :meth:`finish` has to record them."""
+        return self._efforts
+
+    def resumes_after_laws(self, act: bool) -> int:
+        """
+        Return what of a step is computed after a period that a law has ended, as it has it.
+
+        :param act: whether laws change controls before the step
+        """
+        if not self._may_resume:
+            return 0
+        return 1 if act or int(self._options.integrator) == _EULER else 2
+
+    @property
+    def goes_on(self) -> bool:
+        """True if laws may run the next period too while nothing is changed or pushes a tool."""
+        return (self.lets_laws_step and self._efforts.room is not None and self._touch.may_go_on
+                and all([not tool.is_filtered for tool in self.tools]))
 
     @property
     def lets_laws_step(self) -> bool:
@@ -310,6 +325,14 @@ class PhysicsSteps:
         """Return whether the first half of the next step is computed, which then is made."""
         resumes, self._resumes = self._resumes, False
         return resumes
+
+    def went_on(self, changed: bool) -> None:
+        """
+        Take over that laws have run the steps of periods by themselves.
+
+        :param changed: whether contacts came or went in the last one
+        """
+        self.contacts_change, self.was_untouched = changed, False
 
     def took_steps(self, changed: bool, counts: IntArray, rows: FloatArray, roots: FloatArray
                    ) -> None:

@@ -102,6 +102,7 @@ class Pulls:
             if body not in self._moving or not isinstance(pull, _Pull) or (
                     np.shape(pull.point) != (3,) or np.shape(pull.target) != (3,)):
                 raise ModelError(f'{quoted(body)} cannot be pulled like that')
+        self._physics.interrupt()
         self._pulls = dict(state)
 
     def check_body(self, body: str) -> None:
@@ -144,6 +145,7 @@ class Pulls:
         :raises CommandError: as :meth:`check`
         """
         self.check(body, point, target)
+        self._physics.interrupt()
         found = self._pulls.get(body)
         if found is None or found.number != number:
             found = self._begin(self._bodies[body], np.asarray(point, float), number)

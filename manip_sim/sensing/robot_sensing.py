@@ -79,11 +79,13 @@ class RobotSensing:
     arrives, without jitter, exactly at the end of a period of that length.
 
     :param name: of the robot, unique in its world
+    :param interrupt: called before settings change
     :ivar delays: of what is measured, images and commands, by ``state``, ``image``, ``command``
     """
 
-    def __init__(self, name: str, steps: Steps, timestep_s: float) -> None:
-        self._name = name
+    def __init__(self, name: str, steps: Steps, timestep_s: float,
+                 interrupt: Callable[[], None]) -> None:
+        self._name, self._interrupt = name, interrupt
         self._steps = steps
         self._timestep_s = timestep_s
         self.settings = SensingSettings()
@@ -134,6 +136,7 @@ class RobotSensing:
         self._adapt()
 
     def _adapt(self) -> None:
+        self._interrupt()
         for channel, _ in self._channels.values():
             if channel is not None:
                 channel.adapt(self.settings)

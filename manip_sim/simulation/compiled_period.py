@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
-from manip_sim.physics.physics import PHYSICS, Scratch
+from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Scratch
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.simulation.robot import RobotRun, RunRoom
 
@@ -45,6 +45,7 @@ class _Room(NamedTuple):
     orders: IntArray
     watch: Any
     outcome: IntArray
+    standing: Any
 
 
 class CompiledPeriod:
@@ -89,41 +90,67 @@ class CompiledPeriod:
         room, steps = self._room(), self._steps
         self._derived.of['room'] = room
         room.orders[:] = begins, ends, (
-            steps.begin_by_law() if begins else steps.take_resumes())
+            steps.begin_by_law() if begins else steps.take_resumes()), 0
         notes = self._derived.of['notes'] = self.notes(left)
         for run in runs:
-            run.room.row.write((run.joints, run.targets, run.grippers, run.room.moved_s))
+            run.room.write(run.joints, run.targets, run.grippers)
         robots = self._derived.made_of(_addresses, *[run.room for run in runs])
         seats = self._derived.made_of(_joined, *[run.seats for run in runs])
         room.row.write((room.place, room.time, room.orders, intervals, steps.physics.arrays,
-                        robots, seats, notes, room.watch, room.outcome))
+                        robots, seats, notes, room.watch, room.outcome, room.standing))
+
+    def stand(self, steps: int, until_s: float, act: bool) -> None:
+        """
+        Let the next periods go on like the one that the rows were written for, without Python.
+
+        :param steps: of a period
+        :param until_s: simulation time since the last reset when Python has to look [s]
+        :param act: whether robots do
+        """
+        room, physics = self._derived.of['room'], self._steps.physics
+        standing, notes = room.standing, self._derived.of['notes']
+        if not len(standing.options):
+            return
+        room.orders[:] = 1, 1, 0, self._steps.resumes_after_laws(act)
+        standing.until_s[0] = until_s
+        standing.contacts[:] = notes.contacts[0], all([
+            tool.is_quiet for tool in self._steps.tools])
+        standing.kept[:] = standing.options
+        physics.standing[:BECAME] = steps, room.row.address, 0
+        physics.standing[EPOCH] += 1
 
     def _room(self) -> _Room:
         """Return what is the same as long as there is the same model."""
         steps = self._steps
-        return self._derived.made_of(self._make_room, steps.divergence, steps.room_for_efforts)
+        return self._derived.made_of(
+            self._make_room, steps.divergence, steps.efforts.room, steps.efforts.stale)
 
-    def _make_room(self, watched: DivergenceWatch, efforts: FloatArray | None) -> _Room:
+    def _make_room(self, watched: DivergenceWatch, efforts: FloatArray | None, stale: BoolArray
+                   ) -> _Room:
         """
         Make it for a model, and for efforts that a restored state has replaced.
 
         :param watched: keeps the good state, of each model another
         :param efforts: room for those of the last step, or None
+        :param stale: says that they were noted
         """
-        from manip_sim.control.law.period import PERIOD, Time  # It imports numba.
+        from manip_sim.control.law.period import PERIOD, Standing, Time  # It imports numba.
         from manip_sim.control.law.rows import Row
-        from manip_sim.control.law.stepping import LastStep, Watch
+        from manip_sim.control.law.stepping import LastStep, options_of, Watch, words_of
         steps, clock, physics = self._steps, self._clock, self._steps.physics
         model, data, addresses = physics.model, physics.data, physics.addresses
         halves = np.array([(part.start, part.stop) for part in steps.first_half], np.int64)
         watch = Watch(
             watched.good, steps.computed_from, halves.reshape(-1, 2), PHYSICS,
             data.qpos, data.qacc,
-            LastStep.of(model, data, np.zeros(0) if efforts is None else efforts))
+            words_of(watched.warnings.ctypes.data, 2 * len(watched.warned) - 1), watched.warned,
+            LastStep.of(model, data, np.zeros(0) if efforts is None else efforts, stale))
+        options = options_of(model)
         return _Room(
             Row(PERIOD), (addresses.model, addresses.data),
-            Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(3, np.int64), watch,
-            np.zeros(2, np.int64))
+            Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(4, np.int64), watch,
+            np.zeros(2, np.int64), Standing(
+                np.zeros(1), np.zeros(2, np.int64), data.xfrc_applied, options, options.copy()))
 
     @property
     def row(self) -> int:
@@ -168,12 +195,62 @@ def _law() -> Any:
     return run_rows
 
 
+@cache
+def _renewing() -> Any:
+    from manip_sim.control.law.period import renew  # It imports numba.
+    return renew
+
+
+@cache
+def _going_on() -> Any:
+    from manip_sim.control.law.period import go_on  # It imports numba.
+    return go_on
+
+
 def _row_of(scratch: Scratch) -> Any:
     from manip_sim.control.law.period import SCRATCH, ScratchArrays  # It imports numba.
     from manip_sim.control.law.rows import Row
     row = Row(SCRATCH)
     row.write(ScratchArrays(scratch.address, scratch.kinematics))
     return row
+
+
+def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> None:
+    """
+    Let worlds go on as in their last periods, where Python has nothing to do for them.
+
+    :param table: what is known of all worlds, ``Physics.standing`` of each, shape (count, 5)
+    :param worlds: which of them go on, shape (n,)
+    :param steps: of the period
+    :param scratch: of this thread and of these worlds
+    """
+    _going_on()(table, worlds, steps, _row_in_thread(scratch))
+
+
+def renew(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray,
+          goals: FloatArray, period_s: float, velocities: bool) -> None:
+    """
+    Give commands that run other goals, as if equal ones had replaced them, in worlds that go on.
+
+    :param table: what is known of all worlds, ``Physics.standing`` of each, shape (count, 5)
+    :param robots: address of the row of the robot in each world, shape (count,)
+    :param worlds: which of them do, shape (k,)
+    :param indices: of the joints of the command, shape (n,)
+    :param goals: positions [rad or m] or velocities [rad/s or m/s], shape (count, n)
+    :param period_s: length of a control period [s]
+    :param velocities: whether goals are velocities
+    """
+    _renewing()(table, robots, worlds, indices, goals, period_s, velocities)
+
+
+def is_loaded() -> bool:
+    """Return whether compiled code is there already, whose import takes a while."""
+    return _going_on.cache_info().currsize > 0 or _law.cache_info().currsize > 0
+
+
+def load() -> None:
+    """Import compiled code."""
+    _going_on()
 
 
 def run_prepared(rows: Sequence[int], scratch: Scratch) -> None:
@@ -183,6 +260,11 @@ def run_prepared(rows: Sequence[int], scratch: Scratch) -> None:
     :param rows: addresses of their rows
     :param scratch: of this thread and of these worlds
     """
+    _law()(np.array(rows), _row_in_thread(scratch))
+
+
+def _row_in_thread(scratch: Scratch) -> int:
+    """Return the address of the row of the scratch of this thread."""
     if _kept.scratch is not scratch:
         _kept.scratch, _kept.row = scratch, _row_of(scratch)
-    _law()(np.array(rows), _kept.row.address)
+    return int(_kept.row.address)

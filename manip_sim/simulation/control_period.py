@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+import math
 
 import numpy as np
 
@@ -14,15 +15,18 @@ from manip_sim.arrays import IntArray
 from manip_sim.errors import DivergenceError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
-from manip_sim.simulation.compiled_period import CompiledPeriod
+from manip_sim.simulation.compiled_period import CompiledPeriod, go_on, is_loaded
 from manip_sim.simulation.robot import RobotRun, SimulatedRobot
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
 #: Nothing to be measured within a period.
 _NOTHING: Mapping[int, Callable[[], None]] = {}
+#: The world of a simulation, by its number.
+_ALONE = np.zeros(1, np.int64)
 #: Of how many lengths of periods the intervals are kept.
 _REMEMBERED = 64
 
@@ -54,9 +58,12 @@ class ControlPeriods:
         #: The robots and runs that it was prepared for; true if a period ends with them.
         self._prepared: tuple[
             Sequence[SimulatedRobot], Sequence[RobotRun], bool] | None = None
+        #: What compiled code goes on with by itself.
+        self._standing: tuple[Sequence[SimulatedRobot], Sequence[RobotRun]] = (), ()
+        steps.physics.catch_up = self._catch_up
         #: Of this period: whether it has begun for the physics, whether all of its last instant is
-        #: computed, and whether that is known to be good.
-        self._begun = self._is_computed = self._is_good = False
+        #: computed, whether that is known to be good, and whether nothing acted or touched a tool.
+        self._begun = self._is_computed = self._is_good = self._is_resting = False
         #: Steps left until a late command takes effect, or until the end of the period.
         self._left = 0
         #: Steps of the period after that.
@@ -69,6 +76,7 @@ class ControlPeriods:
     @property
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
+        self._steps.physics.interrupt()
         return (self.diverged is None and not self._pulls
                 and self._steps.resumes() and self.resting
                 and not any([robot.sensing.settings.measures for robot in self._robots]))
@@ -76,6 +84,7 @@ class ControlPeriods:
     @property
     def resting(self) -> bool:
         """Whether control has nothing to do."""
+        self._steps.physics.interrupt()
         return not self._free_roots.is_needed and not self._awake()
 
     def advance(self, steps: int) -> None:
@@ -85,9 +94,45 @@ class ControlPeriods:
         :param steps: number of physics steps of the period
         :raises DivergenceError: if the physics diverges, or is on hold
         """
+        physics = self._steps.physics
+        if physics.standing.item(STEPS) == steps:
+            go_on(physics.standing[None], _ALONE, steps, physics.scratch)
+            became = physics.standing.item(BECAME)
+            if became == WENT_ON:
+                return
+            if became == ENDED:
+                self.end_standing(steps)
+                return
         if self.begin(steps):
             self.compiled.run()
         self.end(steps)
+
+    def end_standing(self, steps: int) -> None:
+        """
+        End a control period in which compiled code has gone on by itself.
+
+        :param steps: number of physics steps of the period
+        :raises DivergenceError: if the physics has diverged in it
+        """
+        physics = self._steps.physics
+        physics.interrupt()
+        physics.standing[BECAME] = STOOD
+        for tool in self._steps.tools:
+            tool.begin_period()
+        self._left, self._later, self._begun = steps, 0, True
+        self._is_computed = self._is_good = False
+        self._prepared = (*self._standing, True)
+        self.end(steps)
+
+    def _catch_up(self) -> None:
+        """Take over what compiled code has done by itself."""
+        standing, clock, begin_s = self._steps.physics.standing, self._clock, None
+        if standing.item(PERIODS):
+            begin_s = (clock.control_steps - standing.item(STEPS)) * clock.step_ns * 1e-9
+            self._steps.went_on(self.compiled.outcome()[2].present.item(1) != 0)
+        acting = dict(zip(*self._standing))
+        for robot in self._robots:
+            robot.catch_up(acting.get(robot), begin_s)
 
     def begin(self, steps: int) -> bool:
         """
@@ -98,9 +143,11 @@ class ControlPeriods:
         :raises DivergenceError: if the physics is on hold
         """
         self._check_not_diverged()
+        self._steps.physics.interrupt()
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         self._prepared, self._is_computed, self._is_good = None, False, False
+        self._is_resting = False
         self._left, self._later, self._steps.measuring = steps, 0, _NOTHING
         if any([robot.has_latency for robot in self._robots]):
             self._plan_measuring(steps)
@@ -111,6 +158,7 @@ class ControlPeriods:
         self._begun = resting = not awake and not self._free_roots.is_needed
         if resting and physics.begin() and physics.stays_untouched and (
                 physics.run_untouched(steps)):
+            self._is_resting = True
             return False
         physics.begin_run()
         return self._run(steps, awake, waits=True)
@@ -123,10 +171,31 @@ class ControlPeriods:
         :raises DivergenceError: if the physics has diverged in it
         """
         if self._prepared is not None:
+            acting, runs, _ = self._prepared
             self._take_over()
-            self._run(steps, self._awake())
+            if self._is_good:
+                self._stand(steps, acting, runs)
+            else:
+                self._run(steps, self._awake())
         self._end(steps)
         self._check_not_diverged()
+        if self._is_resting and is_loaded() and self.compiled.may_run(steps):
+            self.compiled.prepare((), np.array([steps]), steps)
+            self._stand(steps, (), ())
+
+    def _stand(self, steps: int, acting: Sequence[SimulatedRobot], runs: Sequence[RobotRun]
+               ) -> None:
+        """Let compiled code go on by itself like in the last period, if it may."""
+        until_s = math.inf
+        for robot, run in zip(acting, runs):
+            own_s = robot.stand(run)
+            if own_s is None:
+                return
+            until_s = min(until_s, own_s)
+        if self._steps.goes_on and not self._pulls and all([
+                robot in acting or robot.stands_resting for robot in self._robots]):
+            self._standing = acting, runs
+            self.compiled.stand(steps, until_s, len(acting) > 0)
 
     def _begin_control(self, period_s: float) -> None:
         interval_s = self._chunk(self._left) * self._timestep_s
@@ -152,7 +221,7 @@ class ControlPeriods:
     def _end(self, steps: int) -> None:
         """End a period; hold the last good state if the physics has diverged in it."""
         watch = self._steps.divergence
-        reason = None if self._is_good and not watch.warns else watch.reason()
+        reason = None if self._is_good else watch.reason()
         if reason is None:
             self._steps.end_period(steps, steps * self._timestep_s)
             for robot in self._robots:
@@ -171,6 +240,7 @@ class ControlPeriods:
         :raises DivergenceError: if the physics diverges
         """
         physics = self._steps
+        physics.physics.interrupt()
         if physics.stays_untouched and all([tool.settled for tool in physics.tools]):
             physics.begin()
             if physics.run_untouched(steps * periods):
@@ -247,7 +317,7 @@ class ControlPeriods:
         intervals = min([run.intervals for run in runs], key=len)
         begins = not self._begun
         ends = (not self._later and len(intervals) == len(self._cut(self._left))
-                and self._steps.room_for_efforts is not None)
+                and self._steps.efforts.room is not None)
         self.compiled.prepare(runs, intervals, self._left, begins, ends)
         self._prepared, self._begun = (robots, runs, ends), True
         return begins and ends

@@ -25,7 +25,7 @@ from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.law.arm_records import Targets
+from manip_sim.control.law.arm_records import no_targets, Targets
 from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.control.modes import MODES, POSITION
@@ -56,10 +56,24 @@ class RunRoom(NamedTuple):
 
     :ivar row: the row of the robot
     :ivar moved_s: simulation time when setpoints stopped to move, or -1 [s], shape (1,)
+    :ivar owners: of joints, see the law, shape (n,)
+    :ivar acts: see the law, shape (1,)
+    :ivar goals: of joints, see the law, shape (n,)
+    :ivar renewed_s: of joints, see the law [s], shape (n,)
     """
 
     row: Any
     moved_s: FloatArray
+    owners: IntArray
+    acts: IntArray
+    goals: FloatArray
+    renewed_s: FloatArray
+
+    def write(self, joints: RobotJoints, targets: Targets, grippers: tuple[Gripper, Gripper]
+              ) -> None:
+        """Write the row."""
+        self.row.write((joints, targets, grippers, self.moved_s, self.owners, self.acts,
+                        self.goals, self.renewed_s))
 
 
 class RobotRun(NamedTuple):
@@ -168,6 +182,7 @@ class SimulatedRobot:
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""
+        self._physics.interrupt()
         return self.joints.moving or self.grippers_move
 
     @property
@@ -178,6 +193,7 @@ class SimulatedRobot:
     @property
     def resting(self) -> bool:
         """Whether the physics loop has nothing to do for it until the next command."""
+        self._physics.interrupt()
         return (self.joints.resting and not self.reflexes.armed and not self._late
                 and not self.grippers_move)
 
@@ -193,6 +209,7 @@ class SimulatedRobot:
         :raises CommandError: if a command was made for another robot, or ``period_s`` is no
             finite number above 0; then none takes effect
         """
+        self._physics.interrupt()
         for command in commands:
             self.check_own(command)
         if period_s is not None and period_s != self._period_s:
@@ -216,6 +233,7 @@ class SimulatedRobot:
         :param period_s: length of a control period [s]; None for that of the last one
         :returns: False, and nothing has changed, where it has to be applied instead
         """
+        self._physics.interrupt()
         if self._late or self.sensing.settings.delays_commands or self.reflexes.tripped:
             return False
         if not self.joints.renew(command, values, self._clock.control_s):
@@ -258,6 +276,7 @@ class SimulatedRobot:
         :raises CommandError: if it was made for another robot
         """
         self.check_own(command)
+        self._physics.interrupt()
         if self._late.withdraw(command.handle, reason):
             return
         if isinstance(command, GripperCommand):
@@ -286,6 +305,7 @@ class SimulatedRobot:
         :raises UnknownNameError: if there is no such part or mode
         """
         self._check_no_gripper(part)
+        self._physics.interrupt()
         self.joints.set_mode(part, mode, self._physics.data)
         self.reflexes.hold_laws(self._physics.data)
 
@@ -310,6 +330,7 @@ class SimulatedRobot:
         :raises UnknownNameError: if there is no such part or parameter
         """
         self._check_no_gripper(part)
+        self._physics.interrupt()
         own = law_of(law)
         compiled = own.is_compiled if compiled is None else bool(compiled)
         if not compiled:
@@ -356,6 +377,7 @@ class SimulatedRobot:
         :raises UnknownNameError: if there is no such part
         """
         self._check_no_gripper(part)
+        self._physics.interrupt()
         timeout_s = positive_number(timeout_s, 'timeout_s', CommandError, or_zero=True)
         self.joints.set_timeout(part, timeout_s, ends_targets)
 
@@ -518,6 +540,7 @@ class SimulatedRobot:
         :raises UnknownNameError: if there is no such part or quantity
         """
         self._check_no_gripper(part)
+        self._physics.interrupt()
         self.reflexes.set(
             part, quantity, positive_number(limit, 'a limit', CommandError, or_zero=True))
 
@@ -527,6 +550,7 @@ class SimulatedRobot:
 
         :raises CommandError: in emergency stop
         """
+        self._physics.interrupt()
         self.reflexes.reset()
 
     def set_speed_scaling(self, scaling: float) -> None:
@@ -552,10 +576,12 @@ class SimulatedRobot:
 
         Joints brake within their acceleration limits and are held.
         """
+        self._physics.interrupt()
         self.reflexes.stop_all(self._physics.data)
 
     def recover(self) -> None:
         """Let all parts take commands again as soon as the joints that were stopped rest."""
+        self._physics.interrupt()
         self.reflexes.recover()
 
     @property
@@ -608,8 +634,60 @@ class SimulatedRobot:
         if room is None:
             from manip_sim.control.law.period import ROBOT  # It imports numba.
             from manip_sim.control.law.rows import Row
-            room = self._derived.of['room'] = RunRoom(Row(ROBOT), np.zeros(1))
+            count = len(self.joints.names)
+            room = self._derived.of['room'] = RunRoom(
+                Row(ROBOT), np.zeros(1), np.full(count, -1), np.zeros(1, np.int64),
+                np.zeros(count), np.full(count, -1.0))
         return room
+
+    def stand(self, run: RobotRun) -> float | None:
+        """
+        Let compiled code go on with what this robot did in a control period, if it may.
+
+        :param run: what compiled code has run
+        :returns: simulation time since the last reset at which a command times out [s], or None
+            if Python has to look before the next period
+        """
+        if run.targets is not no_targets() or run.controllers or not self._may_stand:
+            return None
+        return self.joints.stand(run.joints, run.room.owners, run.room.acts)
+
+    @property
+    def _may_stand(self) -> bool:
+        """True if nothing but joints has to be looked at in a control period."""
+        return not (self._late or self.sensing.settings.delays or self.sensing.settings.measures
+                    or self.reflexes.armed or self.reflexes.is_recovering or self.grippers_move)
+
+    @property
+    def stands_resting(self) -> bool:
+        """True if it rests, and nothing has to be looked at in a control period."""
+        return self.resting and self._may_stand
+
+    def catch_up(self, run: RobotRun | None, begin_s: float | None) -> None:
+        """
+        Take over what compiled code has done by itself.
+
+        :param run: what it has gone on with, or None if the robot rests
+        :param begin_s: when its last period began [s], or None if it has run none
+        """
+        if begin_s is not None:
+            self.joints.setpoints.now_s = begin_s
+        if run is not None:
+            moved_s = -1.0 if begin_s is None else run.room.moved_s.item()
+            self.joints.catch_up(
+                moved_s, run.room.goals, run.room.renewed_s, self._clock.control_s)
+
+    def streams(self, command: JointSetpoint) -> int:
+        """
+        Return where compiled code can give a command other values in a world that goes on.
+
+        :param command: that was applied, nobody else has it
+        :returns: address of the row of the robot; 0 if it has to be given to :meth:`renew`
+        """
+        if self.sensing.settings.delays_commands or self.reflexes.tripped or not any(
+                [own is command for own in self.joints.commands.running]):
+            return 0
+        return int(self._run_room.row.address)
 
     def end_run(self, run: RobotRun) -> None:
         """
@@ -627,12 +705,14 @@ class SimulatedRobot:
 
         :param reason: why, for the handles
         """
+        self._physics.interrupt()
         self._late.abort(reason)
         for ledger in (self.joints.commands, *(g.commands for g in self.grippers.values())):
             ledger.end(Status.ABORTED, reason)
 
     def reset(self) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""
+        self._physics.interrupt()
         self._period_s = self._timestep_s
         self.reflexes.clear()
         self._late.abort('the simulation was reset')

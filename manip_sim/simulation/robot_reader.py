@@ -55,7 +55,8 @@ class RobotReader:
         self.end_effectors = {
             part_name.split('/')[0]: EndEffectorReader(physics, part.gripper)
             for part_name, part in parts.items() if part.gripper is not None}
-        self.sensing = RobotSensing(name, clock, float(physics.model.opt.timestep))
+        self.sensing = RobotSensing(
+            name, clock, float(physics.model.opt.timestep), physics.interrupt)
         self._add_channels(name)
 
     def _find_places(self) -> None:

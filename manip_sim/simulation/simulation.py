@@ -154,6 +154,7 @@ class Simulation:
         :param plan: made by ``plan_with_robot`` or ``plan_without_robot`` from the present state
             of this simulation
         """
+        self.physics.interrupt()
         there = {robot.name_in_world for robot in plan.world.robots}
         for name in self.robots.keys() - there:
             self._present.delete(name)
@@ -309,6 +310,7 @@ class Simulation:
         """
         if seed is not None:
             seed = checked_seed(seed)
+        self.physics.interrupt()
         own = self.seed if seed is None else seed
         positions = self.episode_start.draw(seed)
         if drawn is not None or (seed is not None and self.randomized.draws):
@@ -354,6 +356,7 @@ class Simulation:
 
         Call it between control periods. Edits of :attr:`model` are not part of it.
         """
+        self.physics.interrupt()
         return self.states.save(self.diverged)
 
     def restore(self, state: SimulationState) -> None:
@@ -378,6 +381,7 @@ class Simulation:
         :param control: what its ``control`` stands for
         :param sensing: what its ``sensing`` stands for
         """
+        self.physics.interrupt()
         for robot in self.robots.values():
             robot.abort('a saved state was restored')
         self.pulls.end()
@@ -393,4 +397,5 @@ class Simulation:
         It is the same for the same commands since the last reset, in any process, after any
         other episodes, and whatever was read meanwhile.
         """
+        self.physics.interrupt()
         return self.states.digest()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,10 +21,15 @@ from manip_sim.control.setpoints import wait_in_worlds
 from manip_sim.control.user_laws import Law, law_of
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.physics.end_effectors import EndEffector
+from manip_sim.physics.physics import EPOCH, STEPS
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
+from manip_sim.simulation.compiled_period import renew
 from manip_sim.validation import positive_number
 from manip_sim.worlds.rows import chosen, rows
+
+#: So many streams of a robot are known at most.
+_MOST_STREAMS = 8
 
 
 @dataclass(frozen=True)
@@ -57,14 +63,17 @@ class RobotInWorlds:
     ``CommandError`` names its world, and no world gets a command.
 
     :param robots: the robot in each world
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
     :ivar command: takes commands for joints, grippers and bases
     :ivar command_cartesian: takes commands for the end effectors of arms
     :ivar joint_names: all scalar joints, in the order of the states
     """
 
-    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
+    def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
+                 ) -> None:
         self._robots = robots
-        self.command = Commands(robots)
+        self.command = Commands(robots, table, timestep_s)
         self.command_cartesian = CartesianCommands(robots)
         self.joint_names = robots[0].joint_names
 
@@ -242,17 +251,43 @@ class RowByRow:
         return rows(values, len(self._robots), what)
 
 
+class _Stream(NamedTuple):
+    """
+    A command that goes on with other numbers.
+
+    :ivar one: the command of a world
+    :ivar modes: of all joints of the robot
+    :ivar clamps: lowest and highest numbers, shape (n, 2)
+    :ivar velocities: whether they are velocities, not positions
+    :ivar known: of each world the address of the row of the robot, or 0, and at which epoch,
+        shape (2, count)
+    """
+
+    one: JointSetpoint
+    modes: tuple[str, ...]
+    clamps: FloatArray
+    velocities: bool
+    known: IntArray
+
+
 class Commands(RowByRow):
     """
     Commands for joints, grippers and bases, named as those of ``robot.parse``.
 
     :param robots: the robot in each world
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
     """
 
-    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
+    def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
+                 ) -> None:
         super().__init__(robots)
+        self._timestep_s = timestep_s
         #: By world: the last command that can go on with other numbers; nobody else has it.
         self._streams: dict[int, JointSetpoint] = {}
+        self._table = table
+        #: What compiled code needs to give them other numbers, by names, field and part.
+        self._going_on: dict[tuple[str | None, ...], _Stream] = {}
 
     def action(self, part: str, action: ArrayLike, *, where: ArrayLike | None = None,
                period_s: float | None = None) -> None:
@@ -290,8 +325,11 @@ class Commands(RowByRow):
                                        ('effort', effort)) if values is not None}
         mask = chosen(where, len(self._robots))
         alike, one = np.zeros(len(self._robots), dtype=bool), None
-        if len(given) == 1 and len(self._robots) > 1:
+        if len(given) == 1:
             (field, values), = given.items()
+            mask = mask & ~self._go_on(names, field, values, part, mask, period_s)
+            if not mask.any():
+                return
             one, alike = self._alike(names, field, values, part, mask)
         made = self._parsed(lambda robot, world: robot.parse.joint_command(
             names, part=part, **{field: values[world] for field, values in given.items()}),
@@ -303,12 +341,44 @@ class Commands(RowByRow):
         for robot, commands in made:
             robot.apply(*commands, period_s=period_s)
 
+    def _go_on(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
+               mask: BoolArray, period_s: float | None) -> BoolArray:
+        """Let commands that run in worlds that go on have other numbers; return where they do."""
+        try:
+            stream = self._going_on.get((*names, field, part))
+        except TypeError:  # One by one, the message says what is wrong.
+            stream = None
+        if stream is None or values.ndim != 2 or values.shape[1] != len(stream.clamps):
+            return np.zeros(len(mask), dtype=bool)
+        table, (robots, epochs), (low, high) = self._table, stream.known, stream.clamps.T
+        steps = table[:, STEPS]
+        stands = mask & (steps > 0) & ((values >= low) & (values <= high)).all(axis=1)
+        if period_s is not None:
+            stands &= steps * self._timestep_s == period_s
+        for world in np.flatnonzero(stands & (epochs != table[:, EPOCH])).tolist():
+            epochs[world] = table[world, EPOCH]
+            robots[world] = self._address(world, stream)
+        stands &= robots > 0
+        worlds = np.flatnonzero(stands)
+        for period in dict.fromkeys(steps[worlds].tolist()):
+            renew(table, robots, worlds[steps[worlds] == period], stream.one.indices, values,
+                  period * self._timestep_s, stream.velocities)
+        return np.asarray(stands)
+
+    def _address(self, world: int, stream: _Stream) -> int:
+        """Return the address of the row of a robot whose stream may have other numbers, or 0."""
+        robot, own, one = self._robots[world], self._streams.get(world), stream.one
+        if own is None or own.indices is not one.indices or own.modes is not one.modes or (
+                robot.joints.modes != stream.modes):
+            return 0
+        return robot.streams(own)
+
     def _alike(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
                mask: BoolArray) -> tuple[JointSetpoint | None, BoolArray]:
         """Return the command of a world, and which differ from it in nothing but numbers."""
         none = None, np.zeros(len(self._robots), dtype=bool)
         fine = mask & np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-        if np.count_nonzero(fine) < 2:
+        if not fine.any():
             return none
         robots, first = self._robots, int(np.flatnonzero(fine)[0])
         joints = robots[first].joints
@@ -320,7 +390,14 @@ class Commands(RowByRow):
                 len(parsed[0].indices) != values.shape[1]):
             return none
         one, modes = parsed[0], joints.modes
-        inside = fine & (clamp(values, joints.clamps(one.indices))[0] == values).all(axis=1)
+        clamps = joints.clamps(one.indices)
+        inside = fine & (clamp(values, clamps)[0] == values).all(axis=1)
+        velocities = {*one.modes} == {VELOCITY.name}
+        if velocities or {*one.modes} == {POSITION.name}:
+            if len(self._going_on) == _MOST_STREAMS:
+                self._going_on.clear()
+            self._going_on[(*names, field, part)] = _Stream(
+                one, modes, clamps, velocities, np.zeros((2, len(self._robots)), np.int64))
         for world in np.flatnonzero(inside).tolist():
             inside[world] = robots[world].joints.modes == modes
         return one, inside

@@ -19,8 +19,9 @@ from manip_sim.errors import (
     CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
+from manip_sim.physics.physics import BECAME, ENDED, WENT_ON
 from manip_sim.simulation import Simulation, SimulationState
-from manip_sim.simulation.compiled_period import run_prepared
+from manip_sim.simulation.compiled_period import go_on, load, run_prepared
 from manip_sim.validation import whole_number
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
@@ -52,13 +53,20 @@ class Worlds:
                  visual: bool = False) -> None:
         count = whole_number(count, 1, 'count of worlds')
         self._threads = PhysicsThreads(threads)
+        load()
         first = Simulation(world, visual)
         template = Template(first)
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
         self._closed = False
+        #: What compiled code knows of each world.
+        self._table = np.zeros((count, len(first.physics.standing)), np.int64)
+        for simulation, standing in zip(self.simulations, self._table):
+            simulation.physics.standing = standing
+        self._everything = np.arange(count)
         self.robots = {name: RobotInWorlds([simulation.robots[name]
-                                            for simulation in self.simulations])
+                                            for simulation in self.simulations],
+                                           self._table, first.timestep_s)
                        for name in first.robots}
 
     def __len__(self) -> int:
@@ -148,10 +156,18 @@ class Worlds:
         """
         self._check_open()
         steps = whole_number(steps, 1, 'steps', CommandError)
-        running = [world for world in self._of(where) if world.diverged is None]
+        running = self._everything if where is None else np.flatnonzero(
+            chosen(where, len(self)))
         count = min(self._threads.count, len(running))
-        self._threads.run([partial(_advance, running[begin::count], steps)
+        self._threads.run([partial(self._advance, running[begin::count], steps)
                            for begin in range(count)])
+
+    def _advance(self, numbers: IntArray, steps: int) -> None:
+        """Run a control period in some worlds, all of which end it."""
+        go_on(self._table, numbers, steps, self.simulations[0].physics.scratch)
+        became = self._table[numbers, BECAME].tolist()
+        _advance([self.simulations[number] for number, how in zip(numbers.tolist(), became)
+                  if how != WENT_ON], steps)
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:
@@ -239,6 +255,9 @@ def _advance(worlds: Sequence[Simulation], steps: int) -> None:
     prepared, failures = [], []
     for world in worlds:
         try:
+            if world.physics.standing[BECAME] == ENDED:
+                world.periods.end_standing(steps)
+                continue
             if world.periods.begin(steps):
                 prepared.append(world)
                 continue

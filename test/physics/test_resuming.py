@@ -12,9 +12,11 @@ from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.physics import physics_steps as module
+from manip_sim.physics.physics import BECAME, STOOD
 from manip_sim.physics.physics_steps import PhysicsSteps
-from manip_sim.simulation import Simulation
+from manip_sim.simulation import control_period, Simulation
 from manip_sim.simulation.compiled_period import CompiledPeriod
+from manip_sim.simulation.control_period import ControlPeriods
 
 EVERYTHING = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 PERIODS = 80
@@ -74,9 +76,22 @@ def count(monkeypatch):
 
     def ran(period):
         run_law(period)
-        begins, _, resumes = period.orders.tolist()
+        begins, _, resumes, _ = period.orders.tolist()
         parts.extend(['mj_step2'] * (begins and resumes))
     monkeypatch.setattr(CompiledPeriod, 'run', ran)
+    advance, go_on, advanced = ControlPeriods.advance, control_period.go_on, []
+
+    def advancing(periods, steps):
+        advanced[:] = [periods]
+        advance(periods, steps)
+
+    def going_on(table, *rest):
+        go_on(table, *rest)
+        if table[0, BECAME] != STOOD:
+            _, _, resumes, _ = advanced[0].compiled.orders.tolist()
+            parts.extend(['', 'mj_step2', 'mj_implicit'][resumes:resumes + 1] * (resumes > 0))
+    monkeypatch.setattr(ControlPeriods, 'advance', advancing)
+    monkeypatch.setattr(control_period, 'go_on', going_on)
     return parts
 
 
@@ -113,7 +128,9 @@ def test_periods_at_rest_only_integrate_first_and_are_whole_steps_to_the_last_bi
             states.append(whole_state(simulation))
         return np.array(states)
     resumed = rest()
-    assert set(count) == {part, 'mj_step2'} and count.count(part) > 20
+    # Compiled code, which may be there already, takes the second half of a step of Euler.
+    assert set(count) == {part, 'mj_step2'}
+    assert count.count(part) > (20 if integrator == 'IMPLICITFAST' else 0)
     count.clear()
     monkeypatch.setattr(module, '_RESUMABLE', ())
     assert np.array_equal(resumed, rest())

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from robot_kinds import KINDS
 
-from manip_sim.errors import DivergenceError
+from manip_sim.errors import CommandError, DivergenceError
+from manip_sim.laws import law
 from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.world import World
+from manip_sim.physics.physics import PERIODS as GONE_ON
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.compiled_period import CompiledPeriod
 from manip_sim.simulation.control_period import ControlPeriods
@@ -157,6 +159,149 @@ def test_a_divergence_in_a_planned_period_is_reported_as_that_of_a_simulation(at
     followers = Followers('Panda')
     followers.run(disturb)
     assert followers.alone.diverged and all(at_once)
+
+
+def _push(robot):
+    body = robot._physics.model.site(robot.end_effectors['right'].grip_site).bodyid[0]
+    robot._physics.data.xfrc_applied[body, 2] = -3.0
+    robot._physics.data.joint('cube_joint').qpos[2] = 3.0  # It touches nothing for a while.
+
+
+def _hit(robot):
+    data = robot._physics.data
+    place = data.site(robot.end_effectors['right'].grip_site).xpos
+    data.joint('cube_joint').qpos[:3] = place - [0.0, 0.0, 0.12]
+    data.joint('cube_joint').qvel[:] = 0.0, 0.0, 2.0, 0.0, 0.0, 0.0
+
+
+def _blow(robot):
+    robot._physics.model.opt.wind[:] = 50.0
+    robot._physics.model.opt.density = 1.2
+
+
+def _take(robot):
+    robot.apply(*robot.parse.joint_command(robot.joints.names[:1], position=[0.1]))
+
+
+@law(parameters={'stiffness': 100.0})
+def held(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+    """Hold joints as springs do."""
+    for i in range(len(q)):
+        effort[i] = bias[i] + parameters[0] * (setpoint[i, 0] - q[i]) - 10.0 * v[i]
+
+
+#: What may come between two periods that go on like those before.
+_BETWEEN = [
+    [lambda robot: None], [_push], [_hit], [_blow], [_take], [_take, _hit],
+    [lambda robot: robot.apply(robot.parse.action('right/gripper', [1.0]))],
+    [lambda robot: robot.set_wrench_cutoff('right', 20.0), _hit],
+    [_hit, lambda robot: robot.tare_wrench()],
+    [lambda robot: robot.set_command_timeout('arm', 0.03)],
+    [lambda robot: robot.set_control_mode('arm', 'velocity')],
+    [lambda robot: robot.set_control_mode('arm', 'effort')],
+    [lambda robot: robot.set_reflex('arm', 'velocity', 1e-4)],
+    [lambda robot: robot.emergency_stop(), lambda robot: robot.recover()],
+    [lambda robot: robot.sensing.set('latency.state', 0.03)],
+    [lambda robot: robot.sensing.set('latency.command', 0.03), _take],
+    [lambda robot: robot.set_law('arm', held), lambda robot: robot.reset_reflexes()],
+    [lambda robot: robot.set_speed_scaling(0.5)],
+    [lambda robot: robot.set_stream('arm', hold_s=0.04)]]
+
+
+def _same(one, other):
+    assert whole_state(one) == whole_state(other)
+    assert wrench(one).tolist() == wrench(other).tolist()
+    np.testing.assert_array_equal(one.robot.state().position, other.robot.state().position)
+    assert one.robot.safety_state == other.robot.safety_state
+    assert one.robot.joints.timeouts == other.robot.joints.timeouts
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('streams', [False, True])
+def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(streams, at_once):
+    world = compose('Panda', arena=create_arena('table', cube=True))
+    worlds, alone = Worlds(world, 1, 1), Simulation(world)
+    BY_PYTHON.append(alone.periods)
+    names, first = alone.robot.joints.names[:7], worlds.simulations[0]
+    start, saved = alone.robot.state().position[:7], [alone.save(), first.save()]
+    options = alone.model.opt.wind.copy(), alone.model.opt.density
+    for acts in _BETWEEN:
+        for simulation, state in zip((alone, first), saved):
+            simulation.restore(state)
+            simulation.model.opt.wind[:], simulation.model.opt.density = options
+            simulation.data.xfrc_applied[:] = 0.0
+        for period in range(60 if streams else 4):
+            if streams:
+                goals = start + 0.1 * np.sin(0.1 * period + np.arange(7)) - 0.1 * np.sin(
+                    np.arange(7))
+                worlds.robot.command.joint_command(names, position=goals[None], period_s=0.02)
+                alone.robot.apply(*alone.robot.parse.joint_command(names, goals), period_s=0.02)
+            worlds.advance(STEPS)
+            alone.advance(STEPS)
+        assert first.physics.standing[GONE_ON] > 0
+        for act in acts:
+            for simulation in (alone, first):
+                act(simulation.robot)
+            for _ in range(8):
+                worlds.advance(STEPS)
+                alone.advance(STEPS)
+                _same(first, alone)
+        for _ in range(40):
+            worlds.advance(STEPS)
+            alone.advance(STEPS)
+        _same(first, alone)
+        assert first.digest() == alone.digest()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('seed', range(2))
+def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at_once):
+    draw, went_on = np.random.default_rng(seed), 0
+    world = compose('Panda', arena=create_arena('table', cube=True))
+    worlds, alone = Worlds(world, 2, 1), Simulation(world)
+    BY_PYTHON.append(alone.periods)
+    names, saved = alone.robot.joints.names[:7], []
+    start, streams, steps = alone.robot.state().position[:7], True, STEPS
+    first = worlds.simulations[0]
+    with worlds:
+        for period in range(200):
+            if draw.random() < 0.15:
+                for act in _BETWEEN[draw.integers(len(_BETWEEN))]:
+                    for simulation in (alone, first):
+                        with contextlib.suppress(CommandError):
+                            act(simulation.robot)
+            if draw.random() < 0.1:
+                for simulation in (alone, first):
+                    simulation.reset(period)
+                    simulation.model.opt.density = 0.0
+                    simulation.data.xfrc_applied[:] = 0.0
+                    simulation.robot.set_control_mode('arm', 'position')
+                    simulation.robot.set_reflex('arm', 'velocity', 0.0)
+                    simulation.robot.sensing.set('latency.state', 0.0)
+            if draw.random() < 0.03:
+                saved = [alone.save(), first.save()]
+            elif saved and draw.random() < 0.03:
+                alone.restore(saved[0])
+                first.restore(saved[1])
+            if draw.random() < 0.05:
+                streams, steps = bool(draw.random() < 0.6), int(draw.choice([STEPS, 4]))
+            if streams:
+                field = alone.robot.command_interfaces()[names[0]]
+                goals = 0.1 * np.sin(0.05 * period + np.arange(7)) + (
+                    start if field == 'position' else 0.0)
+                worlds.robot.command.joint_command(
+                    names, **{field: np.tile(goals, (2, 1))}, where=[True, False],
+                    period_s=steps * 0.002)
+                alone.robot.apply(*alone.robot.parse.joint_command(
+                    names, **{field: goals}), period_s=steps * 0.002)
+            worlds.advance(steps)
+            with contextlib.suppress(DivergenceError):
+                alone.advance(steps)
+            went_on += first.physics.standing[GONE_ON] > 0
+            _same(first, alone)
+            if draw.random() < 0.2:
+                assert first.digest() == alone.digest(), period
+    assert went_on > 10
 
 
 def test_a_period_of_very_many_steps_takes_no_room_for_notes(at_once):

@@ -19,7 +19,7 @@ from manip_sim.control.law.joint_records import (
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.leading import lead, press_on, put_ahead
 from manip_sim.control.law.operational_space import exert
-from manip_sim.control.law.period import run_rows, SCRATCH
+from manip_sim.control.law.period import go_on, renew, run_rows, SCRATCH
 from manip_sim.control.law.rows import Row
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
@@ -76,7 +76,10 @@ def load_laws() -> None:
     lead(world, world.kinematics, joints, none, targets, 0, 0.0)
     move_fingers(world, no_gripper(), 0.1)
     if may_step(data):
-        run_rows(places[:0].copy(), Row(SCRATCH).address)
+        nowhere_yet, nobody_yet = np.zeros((0, 5), np.int64), places[:0].copy()
+        run_rows(nobody_yet, Row(SCRATCH).address)
+        go_on(nowhere_yet, nobody_yet, 1, Row(SCRATCH).address)
+        renew(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)), 0.01, False)
     if not PLAIN:
         note_that_all_are_kept()
 

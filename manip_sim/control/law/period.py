@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.arm_records import (
@@ -25,13 +26,17 @@ from manip_sim.control.law.seat import begin_all
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law.setpoint_changes import follow
 from manip_sim.control.law.setpoint_motion import advance
+from manip_sim.control.law.stream_timing import wait
 from manip_sim.control.law.stepping import (
     begin_notes, compute_end, find_places, LastStep, Notes, notes_of, remember, take_steps, Watch)
-from manip_sim.physics.physics import address_of, Addresses, Kinematics, WorldArrays
+from manip_sim.physics.physics import (
+    address_of, Addresses, BECAME, ENDED, Kinematics, PERIODS, ROW, STEPS, STOOD, WENT_ON,
+    WorldArrays)
 
 #: Orders for a period: remember the state that it begins with, compute all of the one that it ends
-#: in; the first half of the first step is computed, which is cleared if the state has changed.
-BEGINS, ENDS, RESUMES = range(3)
+#: in; what of the first step is computed, which is less if the state has changed; the same for a
+#: period that goes on like the one before.
+BEGINS, ENDS, RESUMES, RESUMES_AFTER = range(4)
 
 
 class Time(NamedTuple):
@@ -56,12 +61,39 @@ class Robot(NamedTuple):
     :ivar targets: of its end effectors
     :ivar grippers: of the robot, those that are not there without fingers
     :ivar moved_s: simulation time when its setpoints stopped to move, or -1 [s], shape (1,)
+    :ivar owners: of each joint the number of the command that ends as soon as its joints rest, or
+        -1, shape (n,)
+    :ivar acts: 1 if it acts whether setpoints move or not, shape (1,)
+    :ivar goals: last goals of commands that go on, by joint, shape (n,)
+    :ivar renewed_s: simulation time when these came, or -1 [s], shape (n,)
     """
 
     joints: RobotJoints
     targets: Targets
     grippers: tuple[Gripper, Gripper]
     moved_s: FloatArray
+    owners: IntArray
+    acts: IntArray
+    goals: FloatArray
+    renewed_s: FloatArray
+
+
+class Standing(NamedTuple):
+    """
+    Conditions under which a period goes on like the one before.
+
+    :ivar until_s: simulation time when a command times out [s], shape (1,)
+    :ivar contacts: most contacts, and 1 if nothing has touched tools, shape (2,)
+    :ivar pushes: ``xfrc_applied``, a view, shape (nbody, 6)
+    :ivar options: of the model, a view, shape (k,)
+    :ivar kept: what they have to be, shape (k,)
+    """
+
+    until_s: FloatArray
+    contacts: IntArray
+    pushes: FloatArray
+    options: NDArray[np.int32]
+    kept: NDArray[np.int32]
 
 
 class Period(NamedTuple):
@@ -70,7 +102,7 @@ class Period(NamedTuple):
 
     :ivar place: addresses of the model and of its data
     :ivar time: of the world, which goes on
-    :ivar orders: flags by :data:`BEGINS`, :data:`ENDS`, :data:`RESUMES`, shape (3,)
+    :ivar orders: by :data:`BEGINS` and those that follow it, shape (4,)
     :ivar intervals: steps of each, shape (k,)
     :ivar world: arrays of the data
     :ivar robots: addresses of the rows of those that act, shape (n,)
@@ -80,6 +112,7 @@ class Period(NamedTuple):
     :ivar outcome: physics steps that were made, fewer than wanted where no room is left to note
         what has become of targets, and where a law of a user has failed; and whether the last
         instant has to be looked at, shape (2,)
+    :ivar standing: conditions under which the next period goes on like this one
     """
 
     place: tuple[Any, Any]
@@ -92,6 +125,7 @@ class Period(NamedTuple):
     notes: Notes
     watch: Watch
     outcome: IntArray
+    standing: Standing
 
 
 class ScratchArrays(NamedTuple):
@@ -183,7 +217,8 @@ def _example_of_robot() -> Robot:
     joints = RobotJoints(
         readable(np.zeros(0, JOINT)), readable(np.zeros(0, SERVO)), nowhere, none, nowhere, none,
         np.zeros(3, np.bool_), nobody, np.zeros((0, 0, 3)), nobody, nobody, np.zeros((0, 3)))
-    return Robot(joints, targets_of(0), (no_gripper(), no_gripper()), np.zeros(1))
+    return Robot(joints, targets_of(0), (no_gripper(), no_gripper()), np.zeros(1), nobody, nobody,
+                 none, none)
 
 
 def _example() -> tuple[Period, ScratchArrays]:
@@ -191,11 +226,13 @@ def _example() -> tuple[Period, ScratchArrays]:
     model = mujoco.MjModel.from_xml_string('<mujoco/>')
     data, none, nobody = mujoco.MjData(model), np.zeros(0), np.zeros(0, np.int64)
     world, place = WorldArrays.of(data), (address_of(model), address_of(data))
+    words = np.zeros(0, np.int32)
     period = Period(
-        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(3, np.int64), nobody, world, nobody,
+        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(4, np.int64), nobody, world, nobody,
         nobody, notes_of(data, np.zeros((0, 3), np.int64), 0),
         Watch(none, none, np.zeros((0, 2), np.int64), 0, data.qpos, data.qacc,
-              LastStep.of(model, data, none)), np.zeros(2, np.int64))
+              words, words, LastStep.of(model, data, none, np.zeros(1, np.bool_))),
+        np.zeros(2, np.int64), Standing(none, nobody, data.xfrc_applied, words, words))
     return period, ScratchArrays(place[1], world.kinematics)
 
 
@@ -231,10 +268,9 @@ def _act_all(addresses: Addresses, period: Period, k: int, now: float, duration:
 def _run(period: Period, scratch: ScratchArrays) -> None:
     """Run intervals: control of robots at the beginning of each, and its steps."""
     addresses = Addresses(period.place[0], period.place[1], scratch.address)
-    time, orders, resumes = period.time, period.orders, period.orders[RESUMES] != 0
+    time, orders = period.time, period.orders
     if orders[BEGINS]:
-        resumes = remember(addresses, period.watch) and resumes
-        orders[RESUMES] = resumes
+        orders[RESUMES] = remember(addresses, period.watch, orders[RESUMES])
     begin_notes(period.notes)
     _begin_robots(period.robots)
     done, ends = 0, orders[ENDS] != 0
@@ -244,8 +280,8 @@ def _run(period: Period, scratch: ScratchArrays) -> None:
         if not _act_all(addresses, period, k, now, steps * time.step_s, scratch.kinematics):
             ends = False
             break
-        failed = take_steps(addresses, steps, resumes and k == 0, period.notes, period.seats, now,
-                            time.step_s)
+        failed = take_steps(addresses, steps, orders[RESUMES] if k == 0 else 0, period.notes,
+                            period.seats, now, time.step_s)
         time.counts[0] += steps
         time.counts[1] += steps
         done += steps
@@ -267,3 +303,99 @@ def run_rows(rows: IntArray, scratch: int) -> None:
     room = _read_scratch(scratch)
     for row in rows:
         _run(_read_period(row), room)
+
+
+@inner
+def _rests(robot: Robot) -> bool:
+    """Return whether a robot has nothing to do any more, or one of its commands is done."""
+    setpoints, owners = robot.joints.setpoints, robot.owners
+    if not (robot.acts[0] or robot.joints.flags[MOVES] or robot.joints.flags[WRITTEN]):
+        return True
+    for i in range(len(owners)):
+        moves = owners[i] < 0
+        for other in range(len(owners)):
+            moves = moves or owners[other] == owners[i] and setpoints[other].moves != 0.0
+        if not (moves and (owners[i] < 0 or robot.joints.flags[MOVES])):
+            return True
+    return False
+
+
+@inner
+def _goes_on(period: Period) -> bool:
+    """Return whether a period goes on like the one before."""
+    time, standing, tools = period.time, period.standing, period.notes.tools
+    if time.counts[1] * time.step_ns * 1e-9 >= standing.until_s[0] or (
+            period.notes.contacts[0] > standing.contacts[0]):
+        return False
+    for k in range(len(standing.options)):
+        if standing.options[k] != standing.kept[k]:
+            return False
+    for tool in range(len(tools)):
+        for body in range(tools[tool, 0], tools[tool, 1]):
+            for k in range(6):
+                if standing.pushes[body, k] != 0.0:
+                    return False
+    acts = True
+    for row in period.robots:
+        acts = acts and not _rests(_read_robot(row))
+    return acts
+
+
+@inner
+def _is_quiet(period: Period) -> bool:
+    """Return whether nothing has happened in a period that Python has to look at."""
+    left = -period.outcome[0]
+    for steps in period.intervals:
+        left += steps
+    if left != 0 or period.outcome[1] != 0 or period.standing.contacts[1] == 0:
+        return False
+    touched = False
+    for count in period.notes.counts:
+        touched = touched or count != 0
+    return not touched
+
+
+@compiled
+def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: int) -> None:
+    """
+    Let worlds go on as in their last periods, where Python has nothing to do for them.
+
+    :param table: ``Physics.standing`` of all worlds, shape (count, 5)
+    :param worlds: which of them go on, shape (n,)
+    :param steps: of the period
+    :param scratch: of a row by :data:`SCRATCH`, whose data nobody else uses meanwhile
+    """
+    room = _read_scratch(scratch)
+    for world in worlds:
+        known = table[world]
+        known[BECAME] = STOOD
+        if known[STEPS] == steps:
+            period = _read_period(known[ROW])
+            if _goes_on(period):
+                period.orders[RESUMES] = period.orders[RESUMES_AFTER]
+                _run(period, room)
+                known[PERIODS] += 1
+                known[BECAME] = WENT_ON if _is_quiet(period) else ENDED
+
+
+@compiled
+def renew(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray,
+          goals: FloatArray, period_s: float, velocities: bool) -> None:
+    """
+    Give commands that run other goals, as if equal ones had replaced them, in worlds that go on.
+
+    :param table: ``Physics.standing`` of all worlds, shape (count, 5)
+    :param robots: address of the row of the robot in each world, shape (count,)
+    :param worlds: which of them do, shape (k,)
+    :param indices: of the joints of the command, shape (n,)
+    :param goals: shape (count, n)
+    :param period_s: length of a control period [s]
+    :param velocities: whether goals are velocities
+    """
+    for world in worlds:
+        time, robot = _read_period(table[world, ROW]).time, _read_robot(robots[world])
+        wait(robot.joints.setpoints, indices, goals[world], period_s, 1.0, 0.0, velocities)
+        robot.joints.flags[MOVES] = True
+        for k in range(len(indices)):
+            robot.goals[indices[k]] = goals[world, k]
+            robot.renewed_s[indices[k]] = time.counts[1] * time.step_ns * 1e-9

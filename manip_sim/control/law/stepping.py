@@ -21,20 +21,25 @@ from numba.core import config
 import numpy as np
 from numpy.typing import NDArray
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.law.compiling import inner
 from manip_sim.control.law.seat import exert_all, feel_all
 from manip_sim.physics.physics import Addresses
 
 #: Numbers of contacts by which their place is recognized.
 _MARKS = (987654321, 0)
+#: The options of a model have fewer words from gravity on.
+_MOST_OPTIONS = 100
 #: Share of the memory of ``MjData`` that may have been used so far.
 _MEMORY = 0.5
 #: Sum of the squares of velocities from which on somebody has to look [(rad/s or m/s)^2].
 _ABSURD = 1e8
+#: What of a step has been computed: its first half, or all but its integration.
+RESUMED, INTEGRATES = 1, 2
 #: Functions of MuJoCo that compiled code calls, with the addresses of an ``MjModel`` and an
 #: ``MjData``; and one that takes where to write a state, and which parts of it.
-_CALLED = ('mj_step', 'mj_step1', 'mj_step2', 'mj_kinematics', 'mj_comPos', 'mj_forward')
+_CALLED = ('mj_step', 'mj_step1', 'mj_step2', 'mj_kinematics', 'mj_comPos', 'mj_forward',
+           'mj_implicit')
 _GET_STATE = 'mj_getState'
 
 
@@ -51,7 +56,7 @@ def _load_steps() -> bool:
 
 #: False where MuJoCo's library lies elsewhere than in its package.
 _LOADED = _load_steps()
-_mj_step, _mj_step1, _mj_step2, _mj_kinematics, _mj_com_pos, _mj_forward = (
+_mj_step, _mj_step1, _mj_step2, _mj_kinematics, _mj_com_pos, _mj_forward, _mj_implicit = (
     types.ExternalFunction(name, types.void(types.uintp, types.uintp)) for name in _CALLED)
 _mj_get_state = types.ExternalFunction(
     _GET_STATE, types.void(types.uintp, types.uintp, types.uintp, types.int32))
@@ -94,6 +99,7 @@ class LastStep(NamedTuple):
     :ivar ranges: ``actuator_forcerange``, shape (nu, 2)
     :ivar limited: ``actuator_forcelimited``, shape (nu,)
     :ivar last: of the last step, the first four, damping, ranges and limits one after another
+    :ivar stale: whether that was noted, shape (1,)
     """
 
     acted: FloatArray
@@ -104,13 +110,15 @@ class LastStep(NamedTuple):
     ranges: FloatArray
     limited: NDArray[Any]
     last: FloatArray
+    stale: BoolArray
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, last: FloatArray) -> LastStep:
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, last: FloatArray, stale: BoolArray
+           ) -> LastStep:
         """Return the views of a model and its data."""
         return cls(data.qfrc_actuator, data.qvel, data.actuator_force, data.actuator_velocity,
                    model.actuator_biasprm, model.actuator_forcerange,
-                   model.actuator_forcelimited, last)
+                   model.actuator_forcelimited, last, stale)
 
 
 class Watch(NamedTuple):
@@ -123,6 +131,8 @@ class Watch(NamedTuple):
     :ivar parts: the parts that the state consists of, as MuJoCo numbers them
     :ivar positions: ``qpos``, shape (nq,)
     :ivar accelerations: ``qacc``, shape (nv,)
+    :ivar warnings: how often MuJoCo has warned of bad numbers, each second number, (2 w - 1,)
+    :ivar warned: how often it had at the beginning, shape (w,)
     :ivar last_step: what becomes of the efforts of actuators
     """
 
@@ -132,7 +142,14 @@ class Watch(NamedTuple):
     parts: int
     positions: FloatArray
     accelerations: FloatArray
+    warnings: NDArray[np.int32]
+    warned: NDArray[np.int32]
     last_step: LastStep
+
+
+def words_of(address: int, count: int) -> NDArray[np.int32]:
+    """Return a view of some numbers of 32 bits in memory of MuJoCo."""
+    return np.ctypeslib.as_array((ctypes.c_int32 * count).from_address(address))
 
 
 @cache
@@ -148,6 +165,26 @@ def _place_of_contacts() -> int | None:
         if number.value != mark:
             return None
     return int(address - data._address)
+
+
+@cache
+def _count_of_options() -> int:
+    """Return how many words of the options of a model follow one another, from gravity on."""
+    model = mujoco.MjModel.from_xml_string('<mujoco/>')
+    words = options_of(model, _MOST_OPTIONS)
+    before = words.copy()
+    model.opt.integrator, model.opt.enableflags = mujoco.mjtIntegrator.mjINT_RK4, _MARKS[0]
+    changed = np.flatnonzero(words != before)
+    return int(changed[-1]) + 1 if len(changed) == 2 else 0
+
+
+def options_of(model: mujoco.MjModel, count: int | None = None) -> NDArray[np.int32]:
+    """
+    Return a view of the options of a model from gravity to its flags, as words of 32 bits.
+
+    :param count: of the words; None for all; none if their order is not known
+    """
+    return words_of(model.opt.gravity.ctypes.data, _count_of_options() if count is None else count)
 
 
 def may_step(data: mujoco.MjData) -> bool:
@@ -168,9 +205,9 @@ def notes_of(data: mujoco.MjData, tools: IntArray, steps: int) -> Notes:
     :param tools: as in :class:`Notes`
     :param steps: how many there will be at most
     """
-    words = (ctypes.c_int32 * 1).from_address(data._address + (_place_of_contacts() or 0))
+    contacts = words_of(data._address + (_place_of_contacts() or 0), 1)
     count, bodies = len(tools), int((tools[:, 1] - tools[:, 0]).max(initial=0))
-    return Notes(np.ctypeslib.as_array(words), data.cfrc_ext, data.subtree_com, tools,
+    return Notes(contacts, data.cfrc_ext, data.subtree_com, tools,
                  np.zeros(2, np.int64), np.zeros(count, np.int64),
                  np.empty((count, steps, bodies, 6)), np.empty((count, steps, 3)))
 
@@ -214,12 +251,12 @@ def _note(notes: Notes) -> None:
 
 
 @inner
-def take_steps(addresses: Addresses, steps: int, resumes: bool, notes: Notes, seats: IntArray,
+def take_steps(addresses: Addresses, steps: int, resumes: int, notes: Notes, seats: IntArray,
                now: float, step_s: float) -> bool:
     """
     Run physics steps.
 
-    :param resumes: whether the first half of the first step has been computed
+    :param resumes: what of the first step has been computed, by :func:`remember`
     :param seats: addresses of the rows of laws of users, shape (s,)
     :param now: simulation time since the last reset [s]
     :param step_s: length of a step [s]
@@ -227,13 +264,15 @@ def take_steps(addresses: Addresses, steps: int, resumes: bool, notes: Notes, se
     """
     failed = False
     for number in range(steps):
-        halved = resumes and number == 0
+        halved = resumes != 0 and number == 0
         if len(seats):
             if not halved:
                 _mj_step1(addresses.model, addresses.data)
             exert_all(seats, now + number * step_s, number / steps)
             halved = True
-        if halved:
+        if halved and resumes == INTEGRATES:
+            _mj_implicit(addresses.model, addresses.data)
+        elif halved:
             _mj_step2(addresses.model, addresses.data)
         else:
             _mj_step(addresses.model, addresses.data)
@@ -263,18 +302,24 @@ def _same(first: FloatArray, second: FloatArray, begin: int, end: int) -> bool:
 
 
 @inner
-def remember(addresses: Addresses, watch: Watch) -> bool:
+def remember(addresses: Addresses, watch: Watch, most: int) -> int:
     """
     Remember the state that a period begins with.
 
-    :returns: whether the first half of a step has been computed for it
+    :param most: what of a step may have been computed
+    :returns: what has been computed for that state: nothing, its first half, or all but its
+        integration
     """
     _mj_get_state(addresses.model, addresses.data, watch.good.ctypes.data, watch.parts)
+    for kind in range(len(watch.warned)):
+        watch.warned[kind] = watch.warnings[2 * kind]
+    if most == INTEGRATES and _same(watch.good, watch.computed, 0, len(watch.good)):
+        return INTEGRATES
     for part in range(len(watch.first_half)):
         if not _same(watch.good, watch.computed, watch.first_half[part, 0],
                      watch.first_half[part, 1]):
-            return False
-    return True
+            return 0
+    return min(most, RESUMED)
 
 
 @inner
@@ -287,6 +332,9 @@ def compute_end(addresses: Addresses, watch: Watch) -> bool:
     _record(watch.last_step)
     _mj_get_state(addresses.model, addresses.data, watch.computed.ctypes.data, watch.parts)
     _mj_forward(addresses.model, addresses.data)
+    for kind in range(len(watch.warned)):
+        if watch.warned[kind] != watch.warnings[2 * kind]:
+            return False
     position, velocity, acceleration = 0.0, 0.0, 0.0
     for k in range(len(watch.positions)):
         position += watch.positions[k] * watch.positions[k]
@@ -301,6 +349,7 @@ def compute_end(addresses: Addresses, watch: Watch) -> bool:
 def _record(step: LastStep) -> None:
     """Note the efforts of the last step, and what they depend on."""
     last, joints, actuators = step.last, len(step.acted), len(step.forces)
+    step.stale[0] = True
     for k in range(joints):
         last[k], last[joints + k] = step.acted[k], step.velocities[k]
     place = 2 * joints
