@@ -324,7 +324,8 @@ ACTIONS = (
     Action('<part>/follow_joint_trajectory', 'control_msgs/FollowJointTrajectory',
            'a trajectory, with tolerances on the way and at the end'),
     Action('<arm>/gripper/gripper_cmd', 'control_msgs/GripperCommand',
-           'a position of the first driven joint, with a largest effort'),
+           'a position of the first driven joint, or the vacuum of suction cups, with a largest '
+           'effort'),
     Action('<arm>/gripper/parallel_gripper_cmd', 'control_msgs/ParallelGripperCommand',
            'the same as a joint state of one joint, with a largest velocity too'),
 )
