@@ -142,11 +142,11 @@ class SuctionGoal(ActionGoal):
         gripper = robot.grippers[part]
         self._cups, self._name = gripper.cups, _checked(request, gripper.cups.names, part)
         values, clamped = clamp(np.array([request.position]), np.array([[0.0, 1.0]]))
+        controls = self._cups.controls(float(values[0]), request.max_effort)
         super().__init__(robot, GripperSuction(
             robot=robot.robot_model, parts=frozenset([part]), indices=gripper.indices,
-            controls=self._cups.controls(float(values[0]), request.max_effort),
-            clamped=clamped), gripper.commands)
-        self._goal = np.maximum(self.command.controls, 0.0)
+            controls=controls, clamped=clamped), gripper.commands)
+        self._goal = np.maximum(controls, 0.0)
         self._leaks_since_ns: int | None = None
 
     def _look(self, simulation: Simulation) -> None:

@@ -15,6 +15,7 @@ from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
+from manip_sim.physics.belts import Belts
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.entities import Entities
@@ -76,13 +77,15 @@ class Simulation:
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self.timestep_s = float(self.model.opt.timestep)
         self._free_roots = FreeRoots(self.physics, [robot.root_body for robot in world.robots])
-        self.episode_start = EpisodeStart(world, self.physics, self.surroundings, self._free_roots)
+        belts = Belts(self.physics)
+        self.episode_start = EpisodeStart(
+            world, self.physics, self.surroundings, self._free_roots, belts)
         self.episode_start.place()
         self._present = PresentRobots(self.physics, self.efforts, self._clock, world.robots)
         self.robots = self._present.by_name
         self._steps = PhysicsSteps(
             self.physics, self._clock, self.efforts, self._present.tools, self._present.laws,
-            self._present.seats)
+            self._present.seats, belts)
         self.pulls = Pulls(self.physics, self._clock)
         self.periods = ControlPeriods(
             self._steps, self.robots, self._free_roots, self.pulls, self._clock, self.timestep_s)

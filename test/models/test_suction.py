@@ -1,10 +1,9 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The suction cup holds what its data sheet says, and nothing that its whole lip does not touch."""
+"""The suction cup holds what its data sheet says, and only what its whole lip touches."""
 
 import mujoco
-import numpy as np
 import pytest
 
 from gripper_rig import GripperRig
