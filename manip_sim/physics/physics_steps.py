@@ -20,7 +20,6 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.derived import Derived
-from manip_sim.physics.belts import Belts
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
@@ -55,6 +54,13 @@ class StepLaws(Protocol):
         """Note the wrenches on tools, after a step."""
 
 
+class ModelEdit(Protocol):
+    """What changes the model between control periods, by the present state alone."""
+
+    def write(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+        """Change the model, and return whether it was another one."""
+
+
 class PhysicsSteps:
     """
     Runs the steps of control periods, and records the forces on tools.
@@ -65,7 +71,7 @@ class PhysicsSteps:
     :param tools: whose external wrenches are recorded
     :param laws: what changes the model with the velocities
     :param seats: laws that act between the halves of a step, of each robot
-    :param belts: surfaces that move, by default those of the model
+    :param edits: of the model between periods, such as the speeds of belts
     :ivar physics: of the world
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
@@ -78,8 +84,8 @@ class PhysicsSteps:
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
                  tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws] = (),
-                 seats: Sequence[StepLaws] = (), belts: Belts | None = None) -> None:
-        self.physics, self._belts = physics, belts or Belts(physics)
+                 seats: Sequence[StepLaws] = (), edits: Sequence[ModelEdit] = ()) -> None:
+        self.physics, self._edits = physics, tuple(edits)
         self._clock = clock
         self._efforts = efforts
         self.tools, self._laws, self.seats = tuple(tools), tuple(laws), tuple(seats)
@@ -135,7 +141,7 @@ class PhysicsSteps:
     def compute(self) -> None:
         """Compute all of the present instant."""
         mujoco.mj_getState(self._model, self._data, self.computed_from, PHYSICS)
-        self._belts.write(self._model, self._data)
+        self._edit()
         for laws in self._laws:
             laws.write(self._model, self._data)
         mujoco.mj_forward(self._model, self._data)
@@ -165,17 +171,18 @@ class PhysicsSteps:
     def _compare(self, state: FloatArray) -> None:
         """Find out what of a step has been computed for the present state."""
         self._integrates = self._resumes = False
-        self._move_belts()
+        self._edit()
         if self._may_resume:
             self._integrates = state.tobytes() == self.computed_from.tobytes()
             self._resumes = self._integrates or all([
                 state[part].tobytes() == self.computed_from[part].tobytes()
                 for part in self._first_half])
 
-    def _move_belts(self) -> None:
-        """Let belts run as commanded; contacts that were computed are of their speed before."""
-        if self._belts.write(self._model, self._data):
-            self._computed = False
+    def _edit(self) -> None:
+        """Let the model be what the present state says; what was computed is of the one before."""
+        for edit in self._edits:
+            if edit.write(self._model, self._data):
+                self._computed = False
 
     # ------------------------------------------------------------------ control periods
 
@@ -198,7 +205,7 @@ class PhysicsSteps:
         """
         self._begin_records()
         self.divergence.count_warnings()
-        self._move_belts()
+        self._edit()
         resumes = self._may_resume
         self._computed = self._resumes = False
         return resumes

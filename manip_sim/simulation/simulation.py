@@ -29,6 +29,7 @@ from manip_sim.simulation.control_period import ControlPeriods
 from manip_sim.simulation.control_state import Content
 from manip_sim.simulation.drawn_randomization import Drawn, Randomized
 from manip_sim.simulation.episode_start import EpisodeStart
+from manip_sim.simulation.faults import Faults
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.present_robots import PresentRobots
 from manip_sim.simulation.robot import SimulatedRobot
@@ -61,6 +62,7 @@ class Simulation:
     :ivar pulls: springs that pull bodies
     :ivar periods: runs control periods
     :ivar episode_start: where resets lead to
+    :ivar faults: of the robots
     :ivar states: what saved states consist of
     :ivar timestep_s: length of a physics step [s]
     :ivar start_defects: what is wrong with the start, a sentence for each defect
@@ -83,9 +85,10 @@ class Simulation:
         self.episode_start.place()
         self._present = PresentRobots(self.physics, self.efforts, self._clock, world.robots)
         self.robots = self._present.by_name
+        self.faults = Faults(self.physics, self._clock, self.robots, world.faults)
         self._steps = PhysicsSteps(
             self.physics, self._clock, self.efforts, self._present.tools, self._present.laws,
-            self._present.seats, belts)
+            self._present.seats, (belts, self.faults))
         self.pulls = Pulls(self.physics, self._clock)
         self.periods = ControlPeriods(
             self._steps, self.robots, self._free_roots, self.pulls, self._clock, self.timestep_s)
@@ -118,6 +121,7 @@ class Simulation:
 
         :param plan: made from :attr:`plan`, by ``plan_with`` or ``plan_without``
         """
+        self.faults.lift()
         _ = self.efforts.values  # They belong to a step of the model before.
         known = self.surroundings.other_actuators
         self.physics.change(plan)
@@ -312,6 +316,7 @@ class Simulation:
         """
         if seed is not None:
             seed = checked_seed(seed)
+        self.faults.lift()
         own = self.seed if seed is None else seed
         positions = self.episode_start.draw(seed)
         if drawn is not None or (seed is not None and self.randomized.draws):
@@ -336,6 +341,7 @@ class Simulation:
         self._clock.control_steps = 0
         for robot in self.robots.values():
             robot.reset()
+        self.faults.begin(self.seed)
         self.periods.diverged = None
         self.pulls.end()
         self._steps.contacts_change = False
@@ -346,6 +352,7 @@ class Simulation:
             tool.reset(self.data)
         for robot in self.robots.values():
             robot.sensing.reset(seed)
+            robot.faults.measure()
 
     def forward(self) -> None:
         """Compute all of the present instant anew, after :attr:`data` was changed by hand."""

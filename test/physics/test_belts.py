@@ -52,7 +52,8 @@ def test_a_part_rides_at_the_speed_of_the_belt_within_a_hundredth(simulation):
         run(simulation, speed)
         # Friction of 1 takes 20 ms to bring the part to 0.2 m/s more.
         advance(simulation, 20)
-        assert velocity(simulation) == pytest.approx([0.0, -speed, 0.0], abs=0.01 * abs(speed) + 1e-5)
+        assert velocity(simulation) == pytest.approx(
+            [0.0, -speed, 0.0], abs=0.01 * abs(speed) + 1e-5)
         assert joint.state()[1] == pytest.approx(speed, abs=1e-6)
     way = joint.state()[0]
     assert way == pytest.approx(-simulation.data.body('part').xpos[1] + 0.3, abs=0.01)
@@ -68,7 +69,7 @@ def test_friction_limits_what_a_belt_can_do():
     assert -simulation.data.body('part').cvel[4] == pytest.approx(0.2 * 9.81 * 0.1, rel=0.05)
 
 
-def test_a_command_acts_at_once_though_contacts_were_computed_and_restored_states_go_on(simulation):
+def test_a_command_acts_at_once_though_contacts_were_computed_also_when_restored(simulation):
     ends = []
     for restored in (False, True, True):
         simulation.reset()
@@ -133,8 +134,11 @@ def test_a_turntable_in_a_file_turns_with_its_actuator_and_other_surfaces_as_the
 <mujoco>
   <worldbody>
     <geom name="plate" type="cylinder" size="0.3 0.02" pos="0 0 0.5" surfacevel="0 0 0 0 0 1"/>
-    <geom name="treadmill" type="box" size="0.3 0.3 0.02" pos="2 0 0.5" surfacevel="0.2 0 0 0 0 0"/>
-    <body><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="turn" axis="0 0 1"/></body>
+    <geom name="treadmill" type="box" size="0.3 0.3 0.02" pos="2 0 0.5"
+      surfacevel="0.2 0 0 0 0 0"/>
+    <body>
+      <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="turn" axis="0 0 1"/>
+    </body>
     <body name="walker" pos="2 0 0.54"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>
     <body name="rider" pos="0.2 0 0.54"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>
   </worldbody>
