@@ -314,6 +314,9 @@ SERVICES = (
             'stop all parts of all robots, which reject commands until ~/recover'),
     Service('~/recover', 'std_srvs/Trigger',
             'let all parts take commands again as soon as they rest'),
+    Service('~/inject_fault', 'diagnostic_msgs/AddDiagnostics',
+            'let something of a part fail, as YAML in load_namespace, and tell all faults of the '
+            'episode; an empty text only tells them'),
     Service('~/tare_wrench', 'std_srvs/Trigger', 'let the external wrenches read zero now'),
     Service('~/save_state', 'std_srvs/Trigger', 'save the state; the message is its digest'),
     Service('~/restore_state', 'std_srvs/Trigger',

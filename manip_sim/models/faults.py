@@ -111,8 +111,7 @@ class FaultPlan:
             given = _listed(read_yaml(given), where)
         if isinstance(given, Mapping) or not isinstance(given, Iterable):
             raise ModelError(f'{where} must be a list of faults, got {shown(given)}')
-        self.given: list[dict[str, Any]] = [
-            dict(one) if isinstance(one, Mapping) else one for one in given]
+        self.given: list[Any] = [dict(one) if isinstance(one, Mapping) else one for one in given]
         self.faults: Sequence[PlannedFault] = [
             planned(one, f'{where}: number {number}') for number, one in enumerate(self.given, 1)]
 

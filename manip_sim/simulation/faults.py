@@ -26,6 +26,8 @@ from manip_sim.simulation.robot_reader import RobotReader
 
 #: Dry friction of a joint that is stuck [N m or N].
 _STUCK_FRICTION = 1e4
+#: Most faults of an episode.
+_MOST = 1000
 #: End of what never ends, in steps.
 _NEVER = 2**62
 
@@ -201,10 +203,13 @@ class Faults:
         """
         fault = planned(given, 'the fault')
         number = sum(len(robot.faults.scheduled) for robot in self._robots.values())
-        middle = [sum(ends) / 2.0 for ends in (fault.begin_s, fault.end_s, fault.value)]
+        if number >= _MOST:
+            raise ModelError(f'an episode has {_MOST} faults at most, and there are {number}')
+        begin, end, value = (sum(ends) / 2.0 for ends in (
+            fault.begin_s, fault.end_s, fault.value))
         for name in self._fitting(fault):
             self._robots[name].faults.add(self._scheduled(
-                fault, *middle, number + len(self._plan), self._clock.control_steps))
+                fault, begin, end, value, number + len(self._plan), self._clock.control_steps))
 
     def _scheduled(self, fault: PlannedFault, begin_s: float, end_s: float, value: float,
                    number: int, now: int) -> tuple[str, str, int, int, float, int]:
