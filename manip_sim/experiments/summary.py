@@ -63,7 +63,7 @@ class Row:
         row = cls(**{'returned' if key == 'return' else key: value
                      for key, value in columns.items()})
         for name, kind in (('seed', int), ('success', bool), ('returned', float),
-                           ('periods', int), ('digest', str), ('error', str),
+                           ('periods', int), ('digest', str), ('error', str), ('faults', str),
                            *((name, float) for name in TIMES)):
             if type(getattr(row, name)) is not kind:
                 raise TypeError(f'{name} must be {kind.__name__}')
