@@ -60,6 +60,7 @@ nitpick_ignore_regex = [
                         r'|CameraLike|AnswerTimeLike|Pictures|FrictionLaw|Friction|TorqueSpeed'
                         r'|Shard|Base|PictureThreads'
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
+                        r'|FaultsLike|FaultPlan|_LikeTable'
                         r'|ControlState|ElementMap|Operations|Part|RobotJoints|Targets'
                         r'|SeatState|Surroundings)'),
 ]

@@ -38,7 +38,8 @@ def test_the_table_of_arenas_is_that_of_the_classes():
             default = 'true' if one.default is True else f'{one.default:g}'
             rows.append(f'| `{arena}` | `{one.name}` | {default} | {one.limits} | '
                         f'{one.description} |')
-    told = [line for line in TEXT.splitlines() if re.match(r'\| `(bins|table|empty)`', line)]
+    told = [line for line in TEXT.splitlines()
+            if re.match(r'\| `(bins|conveyor|table|empty)`', line)]
     assert told == rows
 
 

@@ -40,7 +40,7 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
     types = {str: 'string', bool: 'bool', int: 'integer', float: 'double'}
     scope, place = Scope(), [0.1, 0.2, 0.3]
     specs = [MODEL_PATH, *node_parameters(), keyframe_parameter(()),
-             *arena_specs('table'), *arena_specs('bins'),
+             *arena_specs('table'), *arena_specs('bins'), *arena_specs('conveyor'),
              *composition_parameters(scope), *actuation_parameters(scope, ['arm']),
              *place_parameters(scope, place), *mode_parameters(scope, ['arm', 'base']),
              *timeout_parameters(scope, ['arm', 'base']),

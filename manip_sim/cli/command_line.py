@@ -364,6 +364,8 @@ def _add_run(commands: Any) -> None:
                         'or NAME:=VALUE; may be repeated, the last one wins')
     parser.add_argument('--randomization', type=Path, metavar='FILE', help='YAML file with '
                         'distributions, drawn at each start from its seed')
+    parser.add_argument('--faults', type=Path, metavar='FILE', help='YAML file with faults that '
+                        'are planned for each episode, drawn from its seed')
     parser.add_argument('--cameras', action='append', metavar='NAME', help='camera whose images '
                         'are observed, or description of another camera; may be repeated')
     parser.add_argument('--image-size', type=image_size, metavar='WIDTHxHEIGHT',

@@ -26,6 +26,7 @@ from manip_sim.experiments.processes import run_in_processes
 from manip_sim.experiments.run_folder import read_run, RECORDS, Shard
 from manip_sim.experiments.summary import Row
 from manip_sim.interface.parameter_files import read_parameters
+from manip_sim.models.faults import FaultPlan
 from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
@@ -170,8 +171,10 @@ def _run_one(options: argparse.Namespace, case: dict[str, Any], out: Path
     setting = Setting(
         options.task, options.robot, options.gripper, options.action, options.control_hz,
         latency, tuple(options.cameras or ()), options.image_size,
-        {} if options.randomization is None else {
-            'randomization': Randomization(options.randomization)}, options.noise,
+        {**({} if options.randomization is None else {
+            'randomization': Randomization(options.randomization)}),
+         **({} if options.faults is None else {'faults': FaultPlan(options.faults)})},
+        options.noise,
         {**options.timing, 'time': case['answer']})
     records = out / RECORDS if options.record else None
     experiment = Experiment(setting, options.policy, records, options.policy_limit)

@@ -323,3 +323,14 @@ class GripperGrasp(GripperSetpoint):
 
     max_effort: float = 0.0
     max_velocity: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperSuction(GripperCommand):
+    """
+    Controls for the suction cups of a gripper.
+
+    :ivar controls: in the order of the cups, shape (n,)
+    """
+
+    controls: FloatArray

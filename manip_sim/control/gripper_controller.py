@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.checked_gripper_actions import Formatter
 from manip_sim.control.commands import (
-    Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, Status)
+    Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, GripperSuction, Status)
 from manip_sim.control.gripper_actuators import GripperActuators
 from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.control.gripper_joints import GripperJoints
 from manip_sim.control.law.finger_records import Grip, Gripper, MOVES, TURNED
 from manip_sim.control.ledger import Ledger
+from manip_sim.control.suction import SuctionCups
 from manip_sim.derived import Derived
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
@@ -46,6 +47,7 @@ class GripperController:
     :param part: the gripper
     :param timestep_s: of the physics [s]
     :ivar joints: those that take position commands
+    :ivar cups: the suction cups
     :ivar commands: the command that has not ended, and who took the actuators last
     :raises ModelError: if an actuator or ``format_action`` cannot be used
     """
@@ -58,6 +60,7 @@ class GripperController:
         self._timestep_s = timestep_s
         self._actuators = GripperActuators(physics, part)
         self._force = ForceLimit(physics, self._actuators)
+        self.cups = SuctionCups(physics, part.actuators, part.gripper.cups)
         self._formatter = Formatter(part.gripper, len(part.actuators))
         self.joints = GripperJoints(physics, part.name, self._actuators)
         self._tolerance = _SAME * np.ptp(self._actuators.ranges, axis=1)
@@ -91,7 +94,7 @@ class GripperController:
     @property
     def moving(self) -> bool:
         """Whether :meth:`tick` has to be called; if not, the setpoints stay where they are."""
-        return self._moving or self._centres
+        return self._moving or self._centres or self.cups.draw(self._goal)
 
     @property
     def _centres(self) -> bool:
@@ -142,6 +145,12 @@ class GripperController:
                 goal = self._together(goal)
             self._set_goal(np.where(np.isnan(goal), self._goal, goal), to_end=grasp is not None)
             self._pace[:] = self._pace_of(grasp, data)
+        elif isinstance(command, GripperSuction):
+            self._action, self._in_step = None, False
+            goal = self._goal.copy()
+            goal[self.cups.indices] = command.controls
+            self._set_goal(goal, to_end=False)
+            self._pace[:] = np.inf
         self._moving = True
 
     def _together(self, goal: FloatArray) -> FloatArray:
@@ -199,20 +208,25 @@ class GripperController:
     def begin_run(self, data: mujoco.MjData) -> Gripper:
         """Call ``format_action`` if it is due, and return the gripper for the compiled law."""
         self._call_if_due(data)
-        stopped, flags = self._room
-        flags[:] = (self._moving, self._turned, self._action is not None,
+        goal, stopped, flags = self._room
+        goal[:], sucks = self._goal, self.cups.draw(self._goal)
+        if sucks:
+            self.cups.lead(goal, self._actuators.ranges[:, 0], data)
+        flags[:] = (self._moving or sucks, self._turned, self._action is not None,
                     self._actuators.is_pair)
         return self._derived.made_of(
-            _gripper, self._actuators.fingers(self._tolerance), self._goal, self._to_end,
+            _gripper, self._actuators.fingers(self._tolerance), goal, self._to_end,
             self._pressing, self._pace, stopped, flags)
 
     @property
-    def _room(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Room for what the compiled law says of the fingers."""
-        room: tuple[FloatArray, NDArray[np.bool_]] | None = self._derived.of.get('room')
+    def _room(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Room for the goals of an interval, and for what the compiled law says of the fingers."""
+        room: tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None = (
+            self._derived.of.get('room'))
         if room is None:
+            count = len(self.part.actuators)
             room = self._derived.of['room'] = (
-                np.zeros(len(self.part.actuators)), np.zeros(4, np.bool_))
+                np.zeros(count), np.zeros(count), np.zeros(4, np.bool_))
         return room
 
     def end_run(self, gripper: Gripper) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 import contextlib
 from dataclasses import asdict, dataclass
 import functools
+import json
 from pathlib import Path
 import platform
 import statistics
@@ -180,8 +181,9 @@ class Worker:
                                     answer_s=answers_s[-1] if asks else None)
         except ManipSimError as failure:
             error = one_line(str(failure), 300)
+        faults = episode.simulation.faults.summary()
         row = Row(seed, not error and episode.success, total, episode.periods, episode.digest,
-                  error, time.perf_counter() - begin_s,
+                  error, json.dumps(faults) if faults else '', time.perf_counter() - begin_s,
                   statistics.fmean(answers_s) if answers_s else 0.0, max(answers_s, default=0.0))
         if recorder is not None:
             recorder.end(row.success, row.digest, error)

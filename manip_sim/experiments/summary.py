@@ -29,6 +29,7 @@ class Row:
     :ivar periods: number of its control periods
     :ivar digest: of its final state
     :ivar error: why it ended early, such as what the policy raised; empty if it did not
+    :ivar faults: that were injected, as JSON; empty if none were planned
     :ivar wall_time_s: how long it took, wall time [s]; this and what follows is another one each
         time, so that rows are equal without it
     :ivar answer_mean_s: mean of the wall times of the policy's answers [s]
@@ -41,6 +42,7 @@ class Row:
     periods: int
     digest: str
     error: str = ''
+    faults: str = ''
     wall_time_s: float = field(default=0.0, compare=False)
     answer_mean_s: float = field(default=0.0, compare=False)
     answer_max_s: float = field(default=0.0, compare=False)
@@ -61,7 +63,7 @@ class Row:
         row = cls(**{'returned' if key == 'return' else key: value
                      for key, value in columns.items()})
         for name, kind in (('seed', int), ('success', bool), ('returned', float),
-                           ('periods', int), ('digest', str), ('error', str),
+                           ('periods', int), ('digest', str), ('error', str), ('faults', str),
                            *((name, float) for name in TIMES)):
             if type(getattr(row, name)) is not kind:
                 raise TypeError(f'{name} must be {kind.__name__}')

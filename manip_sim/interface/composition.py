@@ -130,7 +130,7 @@ def _settings(value: Callable[[str], Any]) -> dict[str, Any]:
     noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
     chosen = {'lidars': described_lidars(value('lidars')),
               'initialization_noise': noise if noise['magnitude'] else None,
-              'randomization': value('randomization')}
+              'randomization': value('randomization'), 'faults': value('faults')}
     return {'timestep_s': value('timestep'), 'gravity_compensation': value('gravity_compensation'),
             'seed': value('seed'), 'cameras': described_cameras(value('cameras')),
             **{name: found for name, found in chosen.items() if found}}

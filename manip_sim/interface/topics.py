@@ -314,6 +314,9 @@ SERVICES = (
             'stop all parts of all robots, which reject commands until ~/recover'),
     Service('~/recover', 'std_srvs/Trigger',
             'let all parts take commands again as soon as they rest'),
+    Service('~/inject_fault', 'diagnostic_msgs/AddDiagnostics',
+            'let something of a part fail, as YAML in load_namespace, and tell all faults of the '
+            'episode; an empty text only tells them'),
     Service('~/tare_wrench', 'std_srvs/Trigger', 'let the external wrenches read zero now'),
     Service('~/save_state', 'std_srvs/Trigger', 'save the state; the message is its digest'),
     Service('~/restore_state', 'std_srvs/Trigger',
@@ -324,7 +327,8 @@ ACTIONS = (
     Action('<part>/follow_joint_trajectory', 'control_msgs/FollowJointTrajectory',
            'a trajectory, with tolerances on the way and at the end'),
     Action('<arm>/gripper/gripper_cmd', 'control_msgs/GripperCommand',
-           'a position of the first driven joint, with a largest effort'),
+           'a position of the first driven joint, or the vacuum of suction cups, with a largest '
+           'effort'),
     Action('<arm>/gripper/parallel_gripper_cmd', 'control_msgs/ParallelGripperCommand',
            'the same as a joint state of one joint, with a largest velocity too'),
 )

@@ -16,6 +16,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.bases import create_base, RobotBaseModel
 from manip_sim.models.cameras import Camera
+from manip_sim.models.faults import FaultsLike
 from manip_sim.models.grippers import create_gripper, GripperModel
 from manip_sim.models.lidar_models import LidarLike
 from manip_sim.models.object_creation import Description
@@ -145,7 +146,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
             initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
             cameras: Iterable[Camera] = (), lidars: Iterable[LidarLike] = (), keyframe: str = '',
             randomization: RandomizationLike | None = None, tactile: bool = False,
-            **arena_parameters: Any) -> World:
+            faults: FaultsLike = (), **arena_parameters: Any) -> World:
     """
     Return a world with one robot.
 
@@ -169,6 +170,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :param keyframe: of a file, that joints start from, see :class:`World`
     :param randomization: what is drawn at each reset with a seed, see :class:`World`
     :param tactile: with tactile sensors on the pads of the grippers, see :func:`compose_robot`
+    :param faults: that are planned for each episode, see :class:`World`
     :param arena_parameters: parameters of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
@@ -185,4 +187,4 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                          f'got {", ".join(arena_parameters)}')
     return World([whole], arena, timestep_s, gravity_compensation, objects=objects,
                  initialization_noise=initialization_noise, seed=seed, cameras=cameras,
-                 lidars=lidars, keyframe=keyframe, randomization=randomization)
+                 lidars=lidars, keyframe=keyframe, randomization=randomization, faults=faults)

@@ -16,6 +16,7 @@ from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.binary import to_binary
 from manip_sim.models.cameras import Camera, create_camera
+from manip_sim.models.faults import FaultPlan, FaultsLike
 from manip_sim.models.gravity_compensation import compensate_mounted_robots
 from manip_sim.models.initialization_noise import checked_seed, InitializationNoise
 from manip_sim.models.lidar_models import create_lidar, LidarLike
@@ -79,6 +80,9 @@ class World:
     :ivar keyframe: where joints start
     :param randomization: distributions that are drawn at each reset with a seed, as a YAML file or
         a mapping, see :class:`Randomization`; None for none
+    :param faults: that are planned for each episode, as a YAML file or a list, see
+        :class:`FaultPlan`
+    :ivar faults: the planned faults
     :ivar cameras: those in addition to robots and arena, as :class:`CameraModel`
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
@@ -94,7 +98,8 @@ class World:
                  seed: int | None = None, cameras: Iterable[Camera] = (),
                  lidars: Iterable[LidarLike] = (),
                  keyframe: str = '',
-                 randomization: RandomizationLike | None = None) -> None:
+                 randomization: RandomizationLike | None = None,
+                 faults: FaultsLike = ()) -> None:
         self.robots = _checked_robots(robots)
         self.arena = arena or EmptyArena()
         self.timestep_s = whole_nanoseconds(timestep_s)
@@ -110,6 +115,7 @@ class World:
                 self.arena.placements)
         if self.randomization is not None:
             check_placed(self.randomization.placements, self.objects)
+        self.faults = FaultPlan(faults).faults
         self.noise = (None if initialization_noise is None
                       else InitializationNoise(initialization_noise, seed))
         if self.noise is not None:

@@ -43,6 +43,18 @@ def bodies_in_contact(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[IntAr
     return used, model.geom_bodyid[contact.geom[used]].astype(np.int64).reshape(-1, 2)
 
 
+def pulling_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
+    """
+    Return the ids of the bodies that adhesion holds to what they touch, such as suction cups.
+
+    :param model: the ``mujoco.MjModel``
+    :param data: its ``mujoco.MjData``
+    """
+    pulls = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_BODY)) & (data.actuator_force > 0.0)
+    found: set[int] = set(model.actuator_trnid[pulls, 0].tolist())
+    return found
+
+
 def read_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:
     """
     Return the contacts of geoms at the instant of the last ``mj_forward``, copies.

@@ -54,6 +54,17 @@ class StepLaws(Protocol):
         """Note the wrenches on tools, after a step."""
 
 
+class ModelEdit(Protocol):
+    """What changes the model between control periods, by the present state alone."""
+
+    @property
+    def acts(self) -> bool:
+        """Whether there is anything that may change it."""
+
+    def write(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+        """Change the model, and return whether it was another one."""
+
+
 class PhysicsSteps:
     """
     Runs the steps of control periods, and records the forces on tools.
@@ -64,6 +75,7 @@ class PhysicsSteps:
     :param tools: whose external wrenches are recorded
     :param laws: what changes the model with the velocities
     :param seats: laws that act between the halves of a step, of each robot
+    :param edits: of the model between periods, such as the speeds of belts
     :ivar physics: of the world
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
@@ -76,8 +88,8 @@ class PhysicsSteps:
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
                  tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws] = (),
-                 seats: Sequence[StepLaws] = ()) -> None:
-        self.physics = physics
+                 seats: Sequence[StepLaws] = (), edits: Sequence[ModelEdit] = ()) -> None:
+        self.physics, self._edits = physics, tuple(edits)
         self._clock = clock
         self._efforts = efforts
         self.tools, self._laws, self.seats = tuple(tools), tuple(laws), tuple(seats)
@@ -133,6 +145,7 @@ class PhysicsSteps:
     def compute(self) -> None:
         """Compute all of the present instant."""
         mujoco.mj_getState(self._model, self._data, self.computed_from, PHYSICS)
+        self._edit()
         for laws in self._laws:
             laws.write(self._model, self._data)
         mujoco.mj_forward(self._model, self._data)
@@ -163,11 +176,18 @@ class PhysicsSteps:
     def _compare(self, state: FloatArray) -> None:
         """Find out what of a step has been computed for the present state."""
         self._integrates = self._resumes = False
+        self._edit()
         if self._may_resume:
             self._integrates = state.tobytes() == self.computed_from.tobytes()
             self._resumes = self._integrates or all([
                 state[part].tobytes() == self.computed_from[part].tobytes()
                 for part in self._first_half])
+
+    def _edit(self) -> None:
+        """Let the model be what the present state says; what was computed is of the one before."""
+        for edit in self._edits:
+            if edit.write(self._model, self._data):
+                self._computed = False
 
     # ------------------------------------------------------------------ control periods
 
@@ -189,6 +209,7 @@ class PhysicsSteps:
         :returns: whether a step may go on from what has been computed, if the state is the same
         """
         self._begin_records()
+        self._edit()
         resumes = self._may_resume
         self._computed = self._resumes = False
         return resumes
@@ -313,6 +334,7 @@ class PhysicsSteps:
     def goes_on(self) -> bool:
         """True if laws may run the next period too while nothing is changed or pushes a tool."""
         return (self.lets_laws_step and self._efforts.room is not None and self._touch.may_go_on
+                and not any([edit.acts for edit in self._edits])
                 and all([not tool.is_filtered for tool in self.tools]))
 
     @property

@@ -148,7 +148,8 @@ def _reason(recorded: RecordedEpisode, episode: Episode) -> str:
 #: Objects, or items of a list of parameters, that a record may ask for; an object takes 0.2 MB.
 _MOST_ITEMS = 1000
 #: Parameters with files that are not in the catalogue.
-_FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'task', 'randomization', 'model_path')
+_FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'task', 'randomization', 'faults',
+          'model_path')
 
 
 class _Stop(Exception):

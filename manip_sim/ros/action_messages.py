@@ -16,7 +16,7 @@ from manip_sim.errors import CommandError
 from manip_sim.ros.messages import nanoseconds_of, seconds_of, stamp_of
 from manip_sim.ros.reading import trajectory_fields
 from manip_sim.runtime.action_goals import ActionGoal, GoalCode, GoalError
-from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.runtime.gripper_goal import gripper_goal, GripperRequest
 from manip_sim.runtime.tolerances import JointTolerance
 from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from manip_sim.simulation import SimulatedRobot
@@ -122,19 +122,19 @@ class GripperMessages(ActionMessages):
 
     name = 'gripper_cmd'
 
-    def goal_of(self, request: Any) -> GripperGoal:
+    def goal_of(self, request: Any) -> ActionGoal:
         command = request.command
-        return GripperGoal(self.robot, self.part,
-                           GripperRequest(command.position, command.max_effort))
+        return gripper_goal(self.robot, self.part,
+                            GripperRequest(command.position, command.max_effort))
 
-    def feedback_of(self, goal: GripperGoal) -> Any:
+    def feedback_of(self, goal: ActionGoal) -> Any:
         return self._filled(self.action_type.Feedback(), goal)
 
-    def result_of(self, goal: GripperGoal) -> Any:
+    def result_of(self, goal: ActionGoal) -> Any:
         return self._filled(self.action_type.Result(), goal)
 
     @staticmethod
-    def _filled(message: Any, goal: GripperGoal) -> Any:
+    def _filled(message: Any, goal: ActionGoal) -> Any:
         view = goal.view
         if view is not None:
             message.position, message.effort = view.position, view.effort
@@ -147,7 +147,7 @@ class ParallelGripperMessages(GripperMessages):
 
     name = 'parallel_gripper_cmd'
 
-    def goal_of(self, request: Any) -> GripperGoal:
+    def goal_of(self, request: Any) -> ActionGoal:
         command, numbers = request.command, {}
         for field, fewest in (('name', 0), ('position', 1), ('velocity', 0), ('effort', 0)):
             values = list(getattr(command, field))
@@ -156,18 +156,18 @@ class ParallelGripperMessages(GripperMessages):
                                 f'{"one element" if fewest else "one element or none"}, got '
                                 f'{len(values)}')
             numbers[field] = values
-        return GripperGoal(self.robot, self.part, GripperRequest(
+        return gripper_goal(self.robot, self.part, GripperRequest(
             numbers['position'][0], *numbers['effort'] or (0.0,), *numbers['velocity'] or (0.0,),
             *numbers['name']))
 
-    def result_of(self, goal: GripperGoal) -> Any:
+    def result_of(self, goal: ActionGoal) -> Any:
         message = self._filled(self.action_type.Result(), goal)
         if goal.view is not None:
             message.reached_goal, message.stalled = goal.view.reached, goal.view.stalled
         return message
 
     @staticmethod
-    def _filled(message: Any, goal: GripperGoal) -> Any:
+    def _filled(message: Any, goal: ActionGoal) -> Any:
         view = goal.view
         if view is not None:
             message.state.header.stamp = stamp_of(view.time_ns)

@@ -243,7 +243,7 @@ def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int]
         if part.gripper is None:
             if part.actuators:
                 yield TrajectoryMessages(types.FollowJointTrajectory, robot, name, now_ns)
-        elif robot.grippers[name].joints.names:
+        elif robot.grippers[name].joints.names or robot.grippers[name].cups.names:
             yield GripperMessages(types.GripperCommand, robot, name, now_ns)
             if hasattr(types, 'ParallelGripperCommand'):
                 yield ParallelGripperMessages(types.ParallelGripperCommand, robot, name, now_ns)

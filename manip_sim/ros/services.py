@@ -8,12 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
+import json
 from typing import Any
 
 from std_srvs.srv import SetBool
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.topics import SERVICES
+from manip_sim.models.faults import fault_from_text
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.node_context import NodeContext
 
@@ -27,6 +29,7 @@ class SimulationServices(Feature):
 
     def __init__(self, context: NodeContext) -> None:
         thread = self._thread = context.thread
+        self._simulation, self._logger = context.simulation, context.node.get_logger()
         answers: dict[str, Callable[[Any, Any], Any]] = {
             '~/pause': self._pause,
             '~/step': partial(_answer, thread.step, 'advanced by one control period'),
@@ -37,6 +40,7 @@ class SimulationServices(Feature):
                                         'all robots are in emergency stop'),
             '~/recover': partial(_answer, partial(thread.change, 'recover'),
                                  'all robots take commands again as soon as they rest'),
+            '~/inject_fault': self._inject,
             '~/tare_wrench': partial(_answer, partial(thread.change, 'tare'),
                                      'external wrenches read zero now'),
             '~/save_state': partial(_answer, partial(thread.change, 'save'), ''),
@@ -45,6 +49,20 @@ class SimulationServices(Feature):
             package, _, kind = row.type.partition('/')
             context.node.create_service(getattr(import_module(f'{package}.srv'), kind), row.name,
                                         answers[row.name])
+
+    def _inject(self, request: Any, response: Any) -> Any:
+        return _answer(partial(self._faults, request.load_namespace), '', request, response)
+
+    def _faults(self, text: str) -> str:
+        """Inject the fault of a text, if there is one, and return all of the episode as JSON."""
+        if text:
+            self._thread.change('fault', fault_from_text(text))
+        return json.dumps(self._thread.call(self._simulation.faults.summary))
+
+    def close(self) -> None:
+        """Log what was injected in the last episode."""
+        for fault in self._simulation.faults.summary():
+            self._logger.info(f'fault of this episode: {json.dumps(fault)}')
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         already = 'already ' if self._thread.paused == request.data else ''

@@ -16,6 +16,8 @@ from manip_sim.sensing.delays import Delay, Measurements
 from manip_sim.sensing.sensor_noise import Channel, WrenchChannel
 from manip_sim.sensing.settings import SensingSettings
 
+#: Name of the channel of all joints of a robot.
+JOINTS = 'joints'
 #: Returns exact numbers of the present instant, a copy.
 Read = Callable[[], FloatArray]
 
@@ -94,6 +96,8 @@ class RobotSensing:
         self._external: dict[str, ExternalWrenchChannel] = {}
         self._history: Measurements[Mapping[str, FloatArray]] = Measurements()
         self._recorders: list[weakref.WeakMethod[Callable[[], None]]] = []
+        #: Returns what is measured of the joints while states are at fault, else None.
+        self.faulty: Callable[[], FloatArray | None] = _no_faults
         self.delays = {kind: Delay(f'{name} latency.{kind}', timestep_s)
                        for kind in ('state', 'image', 'command')}
         self._draw()
@@ -166,6 +170,11 @@ class RobotSensing:
 
     def measured(self, name: str) -> FloatArray:
         """Return what is measured at present, a copy."""
+        faulty = self.faulty() if name == JOINTS else None
+        return self.without_faults(name) if faulty is None else faulty.copy()
+
+    def without_faults(self, name: str) -> FloatArray:
+        """Return what would be measured at present if no state was at fault, a copy."""
         if not self.settings.measures:
             channel, read = self._channels[name]
             return read() if channel is None or not channel.is_noisy else self._measure(name)
@@ -286,3 +295,7 @@ class RobotSensing:
             parts.append(b'%d %d' % (count, arrival))
             parts += [name.encode() + value.tobytes() for name, value in measured.items()]
         return b'\n'.join(parts)
+
+
+def _no_faults() -> None:
+    """Return that no state is at fault."""

@@ -227,6 +227,7 @@ class ControlPeriods:
             for robot in self._robots:
                 if robot.sensing.settings.measures:
                     robot.reader.end_period(steps, steps * self._timestep_s)
+                robot.faults.measure()
             self._pulls.release()
         else:
             self._hold(reason)

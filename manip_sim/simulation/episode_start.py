@@ -12,6 +12,7 @@ import numpy as np
 
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.models.world import World
+from manip_sim.physics.belts import Belts
 from manip_sim.physics.free_base import FreeRoots
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
@@ -63,14 +64,15 @@ class EpisodeStart:
     :param physics: of the world
     :param surroundings: which are held where they start
     :param free_roots: of the robots
+    :param belts: which run at their speed at the start
     :ivar positions: of joints, by name [rad or m]
     :ivar seed: that the present episode was drawn from
     :ivar randomized: what was drawn for the present episode
     """
 
     def __init__(self, world: World, physics: Physics, surroundings: Surroundings,
-                 free_roots: FreeRoots) -> None:
-        self.world, self._physics = world, physics
+                 free_roots: FreeRoots, belts: Belts) -> None:
+        self.world, self._physics, self._belts = world, physics, belts
         self._surroundings, self._free_roots = surroundings, free_roots
         self.positions = world.init_qpos()
         self.seed = world.seed
@@ -144,6 +146,7 @@ class EpisodeStart:
         for joint, position in self.positions.items():
             data.joint(joint).qpos[0] = position
             self._surroundings.hold(joint, position)
+        self._belts.begin(data)
         self.randomized.place(data)
         mujoco.mj_forward(model, data)
         self._surroundings.hold_actuators()

@@ -50,7 +50,7 @@ class Operations:
             'stream_interval': self._stream_interval, 'stream_hold': self._stream_hold,
             'wrench_cutoff': self._wrench_cutoff, 'sensing': self._sensing,
             'reflex': self._reflex, 'cartesian': self._cartesian, 'law': self._law,
-            'place': self._place,
+            'place': self._place, 'fault': self._fault,
             'direct_command': self._direct_command, 'target': self._target,
             'pull': self._pull, 'end_pull': self._end_pull, 'answer': lambda: None,
             'spawn': self._spawn, 'delete': self._delete}
@@ -137,6 +137,9 @@ class Operations:
 
     def _law(self, robot: str, part: str, parameter: str, value: float) -> None:
         self._robot(robot).law_parameters(part)[parameter] = value
+
+    def _fault(self, given: Mapping[str, Any]) -> None:
+        self._simulation.faults.inject(given)
 
     def _place(self, name: str, pose: list[list[float]] | None, twist: list[list[float]] | None
                ) -> None:

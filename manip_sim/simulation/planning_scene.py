@@ -15,7 +15,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.models.urdf_writer.link_shapes import (
     collides, geoms_of_body, triangles_of, unit_sphere)
-from manip_sim.physics.contacts import bodies_in_contact
+from manip_sim.physics.contacts import bodies_in_contact, pulling_bodies
 from manip_sim.quaternion import matrix_of, relative_quat_wxyz, wxyz_to_xyzw
 
 BOX, SPHERE, CYLINDER, MESH = 'box', 'sphere', 'cylinder', 'mesh'
@@ -201,12 +201,14 @@ class PlanningScene:
 
 def _is_grasped(model: mujoco.MjModel, data: mujoco.MjData, used: IntArray, pairs: IntArray,
                 body: int, gripper: tuple[int, ...]) -> bool:
-    """Return whether two bodies of a gripper press on a body from opposite sides."""
+    """Return whether bodies of a gripper press on a body from opposite sides, or one sucks it."""
     pressing: dict[int, FloatArray] = {}
-    force = np.empty(6)
+    force, pulling = np.empty(6), pulling_bodies(model, data)
     for index, (one, other) in zip(used.tolist(), pairs.tolist()):
         finger = one if other == body else other if one == body else -1
         if finger in gripper:
+            if finger in pulling:
+                return True
             mujoco.mj_contactForce(model, data, index, force)
             # The normal points from the first to the second of the two.
             normal = data.contact.frame[index, :3] * (force[0] if other == body else -force[0])

@@ -40,6 +40,7 @@ from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.parts import atomic_parts, find_parts, Part
 from manip_sim.physics.physics import Physics
 from manip_sim.simulation.dynamics_description import joint_dynamics, JointDynamics
+from manip_sim.simulation.faults import RobotFaults
 from manip_sim.simulation.robot_reader import RobotReader
 from manip_sim.simulation.robot_state import State
 from manip_sim.validation import positive_number
@@ -120,6 +121,7 @@ class SimulatedRobot:
     :ivar parse_cartesian: parser of Cartesian commands
     :ivar joint_names: all scalar joints, in the order of the states
     :ivar reader: reads joints and grippers
+    :ivar faults: that act, or will
     :ivar indices_of: indices of each part's joints in :attr:`joint_names`, by part
     """
 
@@ -134,6 +136,8 @@ class SimulatedRobot:
         self.reader = RobotReader(physics, self.name, self.parts, efforts, clock)
         self.joint_names, self.indices_of = self.reader.joint_names, self.reader.indices_of
         self.end_effectors, self.sensing = self.reader.end_effectors, self.reader.sensing
+        self.faults = RobotFaults(self.reader, clock)
+        self.sensing.faulty = self.faults.current
         self.joints = JointController(
             physics, {name: p for name, p in self.parts.items() if p.gripper is None},
             [part.name for part in atomic if part.gripper is None],
@@ -195,6 +199,7 @@ class SimulatedRobot:
         """Whether the physics loop has nothing to do for it until the next command."""
         self._physics.interrupt()
         return (self.joints.resting and not self.reflexes.armed and not self._late
+                and not self.faults.scheduled
                 and not self.grippers_move)
 
     def apply(self, *commands: Command, period_s: float | None = None, delay_steps: int = 0
@@ -215,6 +220,8 @@ class SimulatedRobot:
         if period_s is not None and period_s != self._period_s:
             self._period_s = positive_number(period_s, 'period_s', CommandError)
         for command in commands:
+            if self.faults.loses(command):
+                continue
             if self._late or delay_steps or self.sensing.settings.delays_commands:
                 count = self._clock.control_steps + delay_steps
                 self._late.add(
@@ -234,7 +241,8 @@ class SimulatedRobot:
         :returns: False, and nothing has changed, where it has to be applied instead
         """
         self._physics.interrupt()
-        if self._late or self.sensing.settings.delays_commands or self.reflexes.tripped:
+        if (self._late or self.sensing.settings.delays_commands or self.reflexes.tripped
+                or self.faults.scheduled):
             return False
         if not self.joints.renew(command, values, self._clock.control_s):
             return False
@@ -684,7 +692,8 @@ class SimulatedRobot:
         :param command: that was applied, nobody else has it
         :returns: address of the row of the robot; 0 if it has to be given to :meth:`renew`
         """
-        if self.sensing.settings.delays_commands or self.reflexes.tripped or not any(
+        if self.faults.scheduled or self.sensing.settings.delays_commands or (
+                self.reflexes.tripped) or not any(
                 [own is command for own in self.joints.commands.running]):
             return 0
         return int(self._run_room.row.address)

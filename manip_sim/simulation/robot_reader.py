@@ -18,7 +18,7 @@ from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import end_effector, EndEffectorReader, READINGS
 from manip_sim.physics.parts import atomic_parts, find_places, Part
 from manip_sim.physics.physics import Physics
-from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing
+from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, JOINTS, RobotSensing
 from manip_sim.sensing.sensor_noise import JointChannel, WrenchChannel
 from manip_sim.simulation.robot_state import State
 
@@ -71,7 +71,7 @@ class RobotReader:
     def _add_channels(self, name: str) -> None:
         model = self._physics.model
         types = model.jnt_type[model.dof_jntid[self._addresses[None][1]]]
-        self.sensing.add('joints', self.exact, JointChannel(
+        self.sensing.add(JOINTS, self.exact, JointChannel(
             f'{name} joints', types == int(mujoco.mjtJoint.mjJNT_SLIDE)))
         for arm, reader in self.end_effectors.items():
             wrench = WrenchChannel(reader.ft_frame, 6)
@@ -86,9 +86,10 @@ class RobotReader:
 
     def measured(self, part: str | None = None) -> FloatArray:
         """Return what is measured of the joints of a part, as :meth:`SimulatedRobot.measured`."""
-        if part not in self._addresses or not self.sensing.settings.measures:
+        if part not in self._addresses or not (
+                self.sensing.settings.measures or self.sensing.faulty() is not None):
             return self.exact(part)
-        rows = self.sensing.measured('joints')
+        rows = self.sensing.measured(JOINTS)
         return rows if part is None else rows.reshape(3, -1)[:, self.indices_of[part]].ravel()
 
     def exact(self, part: str | None = None) -> FloatArray:
@@ -106,7 +107,7 @@ class RobotReader:
 
         :param read: returns a channel by its name, measured or exactly
         """
-        position, velocity, effort = read('joints').reshape(3, -1)
+        position, velocity, effort = read(JOINTS).reshape(3, -1)
         return State(
             time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
             end_effectors={arm: end_effector(*map(read, _channels_of(arm)))

@@ -173,10 +173,10 @@ class SavedStates:
         for name, content in state.gains.items():
             array = getattr(model, name)
             array.flat[:] = np.frombuffer(content, array.dtype)
+        self.control.replace(control)
         # Commands may have changed controls since the present forces were computed.
         self._steps.compute_from(np.frombuffer(state.computed_from))
         mujoco.mj_setState(model, self._physics.data, np.frombuffer(state.physics), PHYSICS)
-        self.control.replace(control)
         for robot, measured in zip(self._robots.values(), sensing):
             robot.sensing.restore(measured)
 

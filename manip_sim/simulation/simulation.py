@@ -15,6 +15,7 @@ from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
+from manip_sim.physics.belts import Belts
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.entities import Entities
@@ -28,6 +29,7 @@ from manip_sim.simulation.control_period import ControlPeriods
 from manip_sim.simulation.control_state import Content
 from manip_sim.simulation.drawn_randomization import Drawn, Randomized
 from manip_sim.simulation.episode_start import EpisodeStart
+from manip_sim.simulation.faults import Faults
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.present_robots import PresentRobots
 from manip_sim.simulation.robot import SimulatedRobot
@@ -60,6 +62,7 @@ class Simulation:
     :ivar pulls: springs that pull bodies
     :ivar periods: runs control periods
     :ivar episode_start: where resets lead to
+    :ivar faults: of the robots
     :ivar states: what saved states consist of
     :ivar timestep_s: length of a physics step [s]
     :ivar start_defects: what is wrong with the start, a sentence for each defect
@@ -76,13 +79,16 @@ class Simulation:
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self.timestep_s = float(self.model.opt.timestep)
         self._free_roots = FreeRoots(self.physics, [robot.root_body for robot in world.robots])
-        self.episode_start = EpisodeStart(world, self.physics, self.surroundings, self._free_roots)
+        belts = Belts(self.physics)
+        self.episode_start = EpisodeStart(
+            world, self.physics, self.surroundings, self._free_roots, belts)
         self.episode_start.place()
         self._present = PresentRobots(self.physics, self.efforts, self._clock, world.robots)
         self.robots = self._present.by_name
+        self.faults = Faults(self.physics, self._clock, self.robots, world.faults)
         self._steps = PhysicsSteps(
             self.physics, self._clock, self.efforts, self._present.tools, self._present.laws,
-            self._present.seats)
+            self._present.seats, (belts, self.faults))
         self.pulls = Pulls(self.physics, self._clock)
         self.periods = ControlPeriods(
             self._steps, self.robots, self._free_roots, self.pulls, self._clock, self.timestep_s)
@@ -115,6 +121,7 @@ class Simulation:
 
         :param plan: made from :attr:`plan`, by ``plan_with`` or ``plan_without``
         """
+        self.faults.lift()
         _ = self.efforts.values  # They belong to a step of the model before.
         known = self.surroundings.other_actuators
         self.physics.change(plan)
@@ -311,6 +318,7 @@ class Simulation:
         if seed is not None:
             seed = checked_seed(seed)
         self.physics.interrupt()
+        self.faults.lift()
         own = self.seed if seed is None else seed
         positions = self.episode_start.draw(seed)
         if drawn is not None or (seed is not None and self.randomized.draws):
@@ -335,6 +343,7 @@ class Simulation:
         self._clock.control_steps = 0
         for robot in self.robots.values():
             robot.reset()
+        self.faults.begin(self.seed)
         self.periods.diverged = None
         self.pulls.end()
         self._steps.contacts_change = False
@@ -345,6 +354,7 @@ class Simulation:
             tool.reset(self.data)
         for robot in self.robots.values():
             robot.sensing.reset(seed)
+            robot.faults.measure()
 
     def forward(self) -> None:
         """Compute all of the present instant anew, after :attr:`data` was changed by hand."""

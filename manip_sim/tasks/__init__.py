@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from manip_sim.models.sources import names_in_folders
 from manip_sim.tasks import (  # noqa: F401
-    cubes, drawer_opening, handing_over, peg_insertion, reaching, wiping)
+    belt_picking, cubes, drawer_opening, handing_over, peg_insertion, reaching, wiping)
 from manip_sim.tasks.episode import Episode, start
 from manip_sim.tasks.episode_actions import ACTIONS, PoseActions
 from manip_sim.tasks.expert import Expert

@@ -10,7 +10,7 @@ from collections.abc import Collection
 import mujoco
 import numpy as np
 
-from manip_sim.physics.contacts import bodies_in_contact
+from manip_sim.physics.contacts import bodies_in_contact, pulling_bodies
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 
@@ -61,14 +61,18 @@ def pressure(simulation: Simulation, bodies: Collection[int], on: Collection[str
 
 def held_only_by(simulation: Simulation, body: str, robot: SimulatedRobot, arm: str) -> bool:
     """
-    Return whether an arm holds an object: two bodies of its gripper touch it, and nothing else.
+    Return whether an arm holds an object: its gripper touches it, and nothing else does.
+
+    Two bodies of the gripper have to touch it, or one that sucks it.
 
     :param body: of the object
     :param robot: that has the arm
     :param arm: such as ``right``
     """
     touched = touching(simulation, body)
-    return touched <= bodies_of_gripper(simulation, robot, arm) and len(touched) >= 2
+    sucked = touched & pulling_bodies(simulation.model, simulation.data)
+    return touched <= bodies_of_gripper(simulation, robot, arm) and (
+        len(touched) >= 2 or bool(sucked))
 
 
 def speed(simulation: Simulation, body: str) -> float:

@@ -15,6 +15,7 @@ from typing import Any, Union
 
 from manip_sim.errors import ModelError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
+from manip_sim.models.faults import FaultPlan
 from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import shown
 from manip_sim.simulation import Simulation
@@ -76,6 +77,8 @@ class Setting:
         found = dict(self.composition)
         if found.get('randomization') is not None:
             found['randomization'] = Randomization(found['randomization']).given
+        if 'faults' in found:
+            found['faults'] = FaultPlan(found['faults']).given
         return found
 
     def create_task(self) -> Task:

@@ -17,6 +17,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.composing import compose, DEFAULT, Gripper, Grippers, Robot
+from manip_sim.models.faults import FaultPlan
 from manip_sim.models.object_creation import Description
 from manip_sim.models.randomization import Randomization
 from manip_sim.models.registry import Registry
@@ -88,6 +89,8 @@ class Task(ABC):
             # Another process that repeats an episode needs what the file holds.
             composition['randomization'] = Randomization(composition['randomization'])
             self.arguments['randomization'] = composition['randomization'].given
+        if 'faults' in composition:
+            self.arguments['faults'] = FaultPlan(composition['faults']).given
         self.world: World = self.compose(
             robot, self.own_gripper if gripper == DEFAULT else gripper, {
                 'initialization_noise': _NOISE, 'seed': 0, **composition, 'arena': self.arena(),

@@ -69,8 +69,23 @@ def test_a_run_has_the_rows_of_episodes_that_are_run_by_hand(whole):
             episode.step(policy.act(episode.observation))
             total += episode.reward
         assert row == {'seed': row['seed'], 'success': episode.success, 'return': total,
-                       'periods': episode.periods, 'digest': episode.digest, 'error': ''}
+                       'periods': episode.periods, 'digest': episode.digest, 'error': '',
+                       'faults': ''}
     assert [row['seed'] for row in rows(whole)] == list(range(6))
+
+
+@pytest.mark.full
+def test_the_rows_say_which_faults_of_a_plan_were_injected(whole, tmp_path, capsys):
+    plan = tmp_path / 'faults.yaml'
+    plan.write_text('faults:\n- {what: lost_commands, part: arm, from: [0.1, 0.5]}\n')
+    assert run(tmp_path / 'out', '--faults', str(plan), seeds='0:2', worlds='1') == 0
+    injected = [json.loads(row['faults']) for row in rows(tmp_path / 'out')]
+    assert injected[0][0]['from'] != injected[1][0]['from']
+    assert all(fault['lost'] > 0 for fault, in injected)
+    assert [row['faults'] for row in rows(whole)] == [''] * 6
+    plan.write_text('faults:\n- {what: limb, part: arm}\n')
+    assert run(tmp_path / 'other', '--faults', str(plan)) == 1
+    assert "did you mean 'limp'" in capsys.readouterr().err
 
 
 @pytest.mark.full

@@ -208,7 +208,7 @@ def test_asset_folders_hold_one_model_from_primitives_and_say_where_numbers_come
 
 
 #: What a class of the catalogue reads from ``part.yaml``, and no description of a user has.
-OWN_KEYS = {'radius', 'table_placement', 'torso_start', 'action', 'each_action'}
+OWN_KEYS = {'radius', 'table_placement', 'torso_start', 'action', 'each_action', 'cups'}
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,9 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
             ('sensing', name, 'latency.command', 0.02), ('sensing', name, 'latency.state', 0.01),
             ('sensing', name, 'noise.joint_position', 0.001), ('wrench_cutoff', name, 'right', 9.),
             ('reflex', name, 'arm', 'velocity', 0.9), ('stream_hold', name, 'arm', 0.1),
-            ('place', 'cube', [[0.5, 0.1, 1.0], [0.0, 0.0, 0.0, 1.0]], None)):
+            ('place', 'cube', [[0.5, 0.1, 1.0], [0.0, 0.0, 0.0, 1.0]], None),
+            ('fault', {'what': 'limp', 'part': 'arm', 'until': 0.03}),
+            ('fault', {'what': 'lost_commands', 'part': 'arm', 'value': 0.5, 'until': 0.2})):
         thread.change(*operation)
         node.act(5)
     thread.change('mode', name, 'arm', 'position')
@@ -168,13 +170,14 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
     node.close()
     code, lines = verify()
     assert (code, lines[-1]) == (0, '1 of 1 equal')
-    assert lines[0].startswith('158 control periods repeated, with ')
+    assert lines[0].startswith('168 control periods repeated, with ')
 
 
 @pytest.mark.full
 @pytest.mark.parametrize('setting', [
     ('cartesian', 'robot0', 'right', 'twist_timeout', 1.0),
-    ('reflex', 'robot0', 'arm', 'velocity', 0.01)], ids=lambda setting: setting[3])
+    ('reflex', 'robot0', 'arm', 'velocity', 0.01),
+    ('fault', {'what': 'limp', 'part': 'arm', 'from': 0.1, 'until': 0.2})], ids=lambda s: s[0])
 def test_settings_of_before_the_record_act_in_its_repetition(setting, session, verify):
     node = session(robot='UR5e')
     node.thread.change(*setting)

@@ -225,12 +225,12 @@ def test_parallel_gripper_command_that_cannot_be_is_rejected(parallel, command, 
 
 
 @pytest.mark.parametrize('robot', ['Panda', 'Baxter', 'PandaOmron', 'GR1'])
-@pytest.mark.parametrize('gripper', ['default', 'WipingGripper'])
+@pytest.mark.parametrize('gripper', ['default', 'VacuumGripper', 'WipingGripper'])
 def test_a_robot_has_the_actions_of_the_table(robot, gripper):
     simulated = Simulation(compose(robot, gripper=gripper)).robot
     found = [f'{m.part}/{m.name}' for m in messages_of(TYPES, simulated, lambda: 0)]
     assert sorted(found) == sorted(a.name for a in actions_of(simulated.parts))
-    grippers = {'default': 2 * len(simulated.grippers), 'WipingGripper': 0}[gripper]
+    grippers = 0 if gripper == 'WipingGripper' else 2 * len(simulated.grippers)
     assert sum('gripper_cmd' in name for name in found) == grippers
     assert 'arm/follow_joint_trajectory' in found and 'right/follow_joint_trajectory' in found
 

@@ -11,7 +11,7 @@ import sys
 import pytest
 from rclpy.qos import QoSDurabilityPolicy
 
-from manip_sim.interface.topics import ACTIONS
+from manip_sim.interface.topics import ACTIONS, SERVICES
 from manip_sim.ros import planning_scene_publisher, transforms
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,6 +68,7 @@ def test_topics_are_documented_with_their_types(serve, client):
                       if topic not in OF_ROS and '/_action/' not in topic}
     table = documented({'sensor_msgs', 'geometry_msgs', 'std_msgs', 'rosgraph_msgs',
                         'diagnostic_msgs', 'trajectory_msgs', 'nav_msgs', 'visualization_msgs'})
+    table -= {(service.name, service.type) for service in SERVICES}
     frames = documented({'tf2_msgs'})
     assert {name for name, _ in frames} == {'/tf', '/tf_static'}
     if transforms.TFMessage is not None:
@@ -97,8 +98,9 @@ def test_services_are_documented_with_their_types(serve, client):
     client.state()
     services = node.get_service_names_and_types_by_node('manip_sim', '/')
     found = {(general(name), kinds[0].replace('/srv/', '/')) for name, kinds in services
-             if kinds[0].startswith('std_srvs')}
-    assert found == documented({'std_srvs'})
+             if kinds[0].startswith(('std_srvs', 'diagnostic_msgs'))}
+    assert found == {(service.name, service.type) for service in SERVICES} <= documented(
+        {'std_srvs', 'diagnostic_msgs'})
 
 
 def test_actions_are_documented_with_their_types():

@@ -92,7 +92,8 @@ def test_effort_of_a_goal_is_that_of_the_state(panda):
 
 
 @pytest.mark.parametrize('gripper', [
-    name for name in gripper_names() if name not in ('NullGripper', 'WipingGripper')])
+    name for name in gripper_names()
+    if name not in ('NullGripper', 'VacuumGripper', 'WipingGripper')])
 def test_every_gripper_of_the_catalogue_reaches_positions_on_the_way(gripper):
     robot = 'GR1' if gripper.startswith('Fourier') else 'Panda'
     actor = Actor(Simulation(compose(robot, gripper=gripper)))

@@ -115,7 +115,7 @@ def test_each_gripper_and_base_of_the_catalogue_has_an_imu_that_feels_gravity(na
 
 
 @pytest.mark.parametrize('name', [name for name in gripper_names() if name not in (
-    'NullGripper', 'WipingGripper')])
+    'NullGripper', 'VacuumGripper', 'WipingGripper')])
 def test_each_finger_pad_of_the_catalogue_has_a_touch_sensor_that_encloses_it(name):
     simulation = Simulation(compose('Panda', name))
     gripper = simulation.robot.robot_model.grippers['right']

@@ -15,7 +15,8 @@ from manip_sim.simulation import Simulation
 from manip_sim.tasks.setting import Setting
 
 BALL_RADIUS_M, DEPTH_M = 0.03, 0.0006
-WITH_PADS = [name for name in gripper_names() if name not in ('NullGripper', 'WipingGripper')]
+WITH_PADS = [name for name in gripper_names()
+             if name not in ('NullGripper', 'VacuumGripper', 'WipingGripper')]
 FINGER = 'gripper0_finger1_pad'
 
 

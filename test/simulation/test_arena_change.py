@@ -19,7 +19,7 @@ ROOM = Path(__file__).resolve().parents[1] / 'data' / 'files' / 'room.xml'
 def test_a_world_in_another_arena_moves_as_one_that_began_there():
     simulation = Simulation(compose('Panda', arena='table'))
     simulation.advance(100)
-    for name in ('bins', 'drawer', 'empty', 'table'):
+    for name in ('bins', 'conveyor', 'drawer', 'empty', 'table'):
         simulation.change_robots(plan_in_arena(simulation, create_arena(name)))
         simulation.reset()
         new = Simulation(compose('Panda', arena=name))

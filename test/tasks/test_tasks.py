@@ -378,7 +378,7 @@ def test_a_robot_that_does_not_reach_the_table_can_stand_nearer():
 @pytest.mark.full
 @pytest.mark.parametrize('name, robot', [
     ('insert_peg', 'Jaco'), ('reach', 'Jaco'), ('wipe_table', 'PandaOmron'),
-    ('hand_over', 'Baxter')])
+    ('hand_over', 'Baxter'), ('pick_from_belt', 'PandaOmron')])
 def test_experts_of_other_robots_do_tasks(name, robot):
     episode = episode_of(name, robot)
     assert episode.run(episode.task.expert(episode.simulation), 1)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The arenas of the catalogue: an empty floor, a table, a cabinet with a drawer, and bins."""
+"""The arenas of the catalogue: a floor, a table, a cabinet with a drawer, a belt, and bins."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ _LEG_INSET_M = 0.1
 _TABLE_LENGTH_M = 0.8
 #: Height of the table that the cameras in the file look at [m].
 _TABLE_HEIGHT_M = 0.8
+#: Speed of the belt at the start unless another is given [m/s].
+_BELT_SPEED_M_S = 0.1
 #: Height of the bins' floors above the floor in their file [m].
 _BIN_HEIGHT_M = 0.82
 
@@ -94,16 +96,47 @@ def _cube(table_height_m: float) -> ObjectModel:
     return ObjectModel('cube', spec)
 
 
-class DrawerArena(Arena):
-    """A table in front of the robot, and a cabinet with a drawer on it, ``drawer_slide``."""
-
-    arena_name = 'drawer'
+class _LikeTable(Arena, registered=False):
+    """Furniture that is where the table would be."""
 
     def robot_position(self, robot: RobotModel) -> FloatArray:
         """Return the place of a robot in ``world`` [m], shape (3,), by default as at a table."""
         if robot.placement_in(self.arena_name) is not None:
             return super().robot_position(robot)
         return position_at(robot, TableArena.arena_name, _TABLE_LENGTH_M)
+
+
+class DrawerArena(_LikeTable):
+    """A table in front of the robot, and a cabinet with a drawer on it, ``drawer_slide``."""
+
+    arena_name = 'drawer'
+
+
+class ConveyorArena(_LikeTable):
+    """
+    A belt that runs past the robot from its left to its right, and a shelf between both.
+
+    The joint ``belt`` is commanded by the velocity of the belt, and its position is the way of
+    the belt.
+
+    :param belt_speed_m_s: at the start, negative from right to left [m/s]
+    :param friction: sliding friction of the belt
+    :raises ModelError: naming parameter and limits
+    """
+
+    arena_name = 'conveyor'
+    parameters = (
+        ArenaParameter('belt_speed', _BELT_SPEED_M_S, 'speed of the belt at the start', 'm/s',
+                       -1.0, 1.0, 'belt_speed_m_s'),
+        ArenaParameter('friction', 1.0, 'sliding friction of the belt', '', 0.0, 10.0))
+
+    def __init__(self, belt_speed_m_s: float = _BELT_SPEED_M_S, *, friction: float = 1.0) -> None:
+        check_arguments(self.parameters, self.arena_name, belt_speed_m_s=belt_speed_m_s,
+                        friction=friction)
+        super().__init__()
+        self._spec.actuator('belt').userdata = [belt_speed_m_s]
+        self._spec.geom('belt').friction[0] = friction
+        self.refresh()
 
 
 class BinsArena(Arena):

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from manip_sim.models.grippers.catalogue_grippers import (
     FourierLeftHand, FourierRightHand, JacoThreeFingerDexterousGripper, JacoThreeFingerGripper,
     NullGripper, PalGripper, PandaGripper, RethinkGripper, Robotiq140Gripper, Robotiq85Gripper,
-    RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper, SO101Gripper, WipingGripper)
+    RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper, SO101Gripper, VacuumGripper,
+    WipingGripper)
 from manip_sim.models.grippers.gripper_model import GripperModel, GRIPPERS
 from manip_sim.models.registry import import_submodules
 
@@ -49,5 +50,5 @@ __all__ = [
     'FourierLeftHand', 'FourierRightHand', 'GripperModel', 'JacoThreeFingerDexterousGripper',
     'JacoThreeFingerGripper', 'NullGripper', 'PalGripper', 'PandaGripper', 'RethinkGripper',
     'Robotiq140Gripper', 'Robotiq85Gripper', 'RobotiqThreeFingerDexterousGripper',
-    'RobotiqThreeFingerGripper', 'SO101Gripper', 'WipingGripper', 'create_gripper',
-    'gripper_names']
+    'RobotiqThreeFingerGripper', 'SO101Gripper', 'VacuumGripper', 'WipingGripper',
+    'create_gripper', 'gripper_names']

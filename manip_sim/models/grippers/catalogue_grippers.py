@@ -36,6 +36,7 @@ class CatalogueGripper(CatalogueModel, GripperModel, registered=False):
     _kind = 'grippers'
     _important_geoms = FromYaml('fingers', {})
     _start = FromYaml('start', {})
+    _cups = FromYaml('cups', ())
     _action: Any = FromYaml('action', {'steps': False})
     _each_action = FromYaml('each_action', {})
     speed = _Speed()
@@ -136,6 +137,10 @@ class RobotiqThreeFingerDexterousGripper(RobotiqThreeFingerGripper):
 
 class SO101Gripper(CatalogueGripper, folder='so101_gripper'):
     """Jaw of the SO-101 that closes on a fixed one."""
+
+
+class VacuumGripper(CatalogueGripper, folder='vacuum_gripper'):
+    """One suction cup of 40 mm on an OnRobot VGC10, which holds what its whole lip touches."""
 
 
 class WipingGripper(CatalogueGripper, folder='wiping_gripper'):

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import copy
 from os import PathLike
 from typing import Any, TypeVar
@@ -64,6 +64,8 @@ class GripperModel(MujocoXMLModel, ABC):
     _important_geoms: Mapping[str, list[str]] = {
         'left_finger': [], 'right_finger': [], 'left_fingerpad': [], 'right_fingerpad': []}
     _important_sensors: Mapping[str, str] = {'force_ee': 'force_ee', 'torque_ee': 'torque_ee'}
+    #: Actuators that pull what a whole cup touches: of bodies, all of whose geoms are its lip.
+    _cups: Sequence[str] = ()
     #: The body that is the grasp frame.
     _eef_body = 'eef'
 
@@ -121,6 +123,11 @@ class GripperModel(MujocoXMLModel, ABC):
     def important_sensors(self) -> dict[str, str]:
         """Sensors by role; roles that a class does not declare have the standard sensors."""
         return self.correct_naming({**GripperModel._important_sensors, **self._important_sensors})
+
+    @property
+    def cups(self) -> list[str]:
+        """Actuators of suction cups, each of which pulls only while all of its lip touches."""
+        return self.correct_naming(list(self._cups))
 
     def _mount_body(self, spec: mujoco.MjSpec) -> mujoco.MjsBody:
         self._spec = spec
