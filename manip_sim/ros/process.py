@@ -14,7 +14,7 @@ import warnings
 import rclpy
 
 from manip_sim.errors import ManipSimError
-from manip_sim.models import sandbox
+from manip_sim.models import untrusted_models
 from manip_sim.ros import background
 from manip_sim.ros.arguments import start_ros
 from manip_sim.ros.executor import GuardedExecutor
@@ -47,7 +47,7 @@ def run(arguments: Sequence[str]) -> int:
         code = _fail(str(error))
     finally:
         rclpy.try_shutdown()
-    sandbox.give_up()
+    untrusted_models.give_up()
     return leave(code, camera_thread.THREAD_NAME, background.THREAD_NAME)
 
 

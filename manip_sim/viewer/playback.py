@@ -17,7 +17,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError
-from manip_sim.models import sandbox
+from manip_sim.models import untrusted_models
 from manip_sim.models.archive import load_archive
 from manip_sim.startup import EndSignals
 from manip_sim.viewer.page.access import Access
@@ -60,7 +60,7 @@ def show_records(options: argparse.Namespace) -> int:
             player.update(time.monotonic())
     finally:
         close_server(server)
-    sandbox.give_up()
+    untrusted_models.give_up()
     return 0
 
 

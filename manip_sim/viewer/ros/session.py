@@ -21,7 +21,7 @@ from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import Marker
 
 from manip_sim.errors import ManipSimError
-from manip_sim.models import sandbox
+from manip_sim.models import untrusted_models
 from manip_sim.quoting import counted
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros import background
@@ -226,7 +226,7 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    sandbox.give_up()
+    untrusted_models.give_up()
     return leave(0, background.THREAD_NAME)
 
 
