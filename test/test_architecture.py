@@ -53,7 +53,6 @@ MAY_IMPORT = {
     'cli': ({'cli', 'control', 'experiments', 'interface', 'models', 'moveit', 'physics',
              'records', 'sensing', 'simulation', 'rendering', 'tasks'}, PURE | {'PIL', 'tqdm'}),
     'cli/ros_commands.py': (set(), None),
-    'gallery.py': ({'cli', 'models', 'rendering', 'simulation', 'tasks'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: names of topics, how messages and archives are read,
     # what is logged.

@@ -317,8 +317,7 @@ def _add_run(commands: Any) -> None:
         '--out late\n'
         '          manip_sim run pick_cube --policy expert --seeds 0:12 --state-latency '
         '0,0.05,0.1,0.15,0.25,0.4 --out sweep')
-    parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks', "
-                        'or the path of a YAML file that describes one')
+    parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks'")
     parser.add_argument('--policy', required=True, help="'expert'; MODULE:CLASS or FILE.py:CLASS "
                         'with reset(seed) and act(observation); MODULE:FUNCTION of an '
                         'observation; a TorchScript (.pt) or ONNX file; or ros:/NAMESPACE of a '

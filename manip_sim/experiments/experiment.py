@@ -25,7 +25,7 @@ from manip_sim.experiments.policies import (
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
-from manip_sim.tasks import Episode, Latency, read_description, Setting
+from manip_sim.tasks import Episode, Latency, Setting
 from manip_sim.tasks.expert import Expert, Policy
 from manip_sim.tasks.late_answers import AnswerTime
 from manip_sim.tasks.policy_interface import interface_of
@@ -92,9 +92,7 @@ class Experiment:
         answer_time = AnswerTime.of(setting.answer_time)
         assert isinstance(late, Latency)
         read = files_read(self.policy)
-        described = read_description(setting.task) if isinstance(setting.task, str) else None
         return {
-            **({} if described is None else {'description': _plain(described)}),
             'task': setting.task, 'robot': str(setting.robot), 'gripper': _plain(setting.gripper),
             'action': setting.action, 'control_hz': setting.control_hz, 'latency': asdict(late),
             'cameras': [_plain(camera) for camera in setting.cameras],

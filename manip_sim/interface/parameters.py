@@ -51,9 +51,8 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('robots', [''], 'Names of several robots in one world, such as left and '
                       'right. The name is the namespace of the topics of a robot and the prefix '
                       'of its parameters, such as left.robot. Empty: one robot.'),
-        ParameterSpec('task', '', "A task from 'manip_sim list tasks', or the path of a YAML "
-                      'file that describes one. It sets arena and objects, and draws its starts '
-                      'from seed. Empty: no task.'),
+        ParameterSpec('task', '', "A task from 'manip_sim list tasks'. It sets arena and objects, "
+                      'and draws its starts from seed. Empty: no task.'),
         ParameterSpec('arena', 'empty', 'What surrounds the robot.',
                       choices=tuple(arena_names()), kind='arenas'),
         ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '

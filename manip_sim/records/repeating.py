@@ -27,8 +27,7 @@ from manip_sim.records.recorder import physics_state
 from manip_sim.records.untrusted_records import files_of
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import (
-    check_sum, decoded, NumberedHandles, restore_plain)
+from manip_sim.simulation.json_state import check_sum, decoded, NumberedHandles, restore_plain
 from manip_sim.simulation.operations import Operations
 from manip_sim.tasks import create_task, Episode, start
 
@@ -148,7 +147,7 @@ def _reason(recorded: RecordedEpisode, episode: Episode) -> str:
 #: Objects, or items of a list of parameters, that a record may ask for; an object takes 0.2 MB.
 _MOST_ITEMS = 1000
 #: Parameters with files that are not in the catalogue.
-_FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'task', 'randomization', 'model_path')
+_FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'randomization', 'model_path')
 
 
 class _Stop(Exception):

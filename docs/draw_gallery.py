@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pictures of all parts, rendered without a screen: ``python3 -m manip_sim.gallery``."""
+"""Pictures of all parts, rendered without a screen: ``python3 docs/draw_gallery.py``."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         make_gallery(options.output, options.name)
     except ManipSimError as error:
-        print(f'gallery: {error}', file=sys.stderr)
+        print(f'draw_gallery: {error}', file=sys.stderr)
         return 1
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog='python3 -m manip_sim.gallery',
+        prog='python3 docs/draw_gallery.py',
         description='Render each robot with its default gripper, open, and base, each gripper and '
                     'each base from two sides, and each task with a Panda at its start and when '
                     'it is done, to NAME.png, grippers/NAME.png, bases/NAME.png and '
