@@ -61,7 +61,7 @@ nitpick_ignore_regex = [
                         r'|Shard|Base|PictureThreads'
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
                         r'|ControlState|ElementMap|Operations|Part|RobotJoints|Targets'
-                        r'|SeatState|Surroundings)'),
+                        r'|SeatState|Surroundings|Hardware)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.

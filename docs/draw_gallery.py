@@ -12,9 +12,8 @@ from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
-from manip_sim.cli.framing import View
 from manip_sim.cli.output import write_whole
-from manip_sim.cli.rendering import picture_of_part, picture_of_state, picture_of_world
+from manip_sim.cli.rendering import picture_of_part, picture_of_state, picture_of_world, View
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.rendering.gl import cannot_render
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.cli.command_line import KINDS
 from manip_sim.cli.composing_options import arena_parameters
-from manip_sim.cli.tables import number, table, terminal_width
+from manip_sim.cli.output import number, table, terminal_width
 from manip_sim.errors import ModelError
 from manip_sim.models import arena_names, create_arena
 from manip_sim.models.bases import base_names, create_base, MobileBaseModel

@@ -8,19 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings, FRAMES
-from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.modes import default_mode, MODES
+from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import ParameterError
-from manip_sim.interface.given_parameters import SPAWNED
-from manip_sim.interface.parameter_spec import ParameterSpec
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.parameter_spec import ParameterSpec, SPAWNED
+from manip_sim.interface.topics import Scope
 from manip_sim.models.arenas import arena_names, arena_parameters
 from manip_sim.models.arenas.arena import ArenaParameter
 from manip_sim.models.bases import base_names
 from manip_sim.models.cameras import ImageSettings, MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.initialization_noise import TYPES
+from manip_sim.models.placements import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.physics.parts import Part

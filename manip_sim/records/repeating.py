@@ -18,7 +18,7 @@ import numpy as np
 from manip_sim.control.commands import Command, GripperCommand, NoCommand, Status
 from manip_sim.errors import CommandError, DivergenceError, ManipSimError, ModelError, RecordError
 from manip_sim.interface.composition import compose_world, Composition
-from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.sources import is_of_others, is_path
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import counted, one_line, quoted

@@ -233,8 +233,9 @@ def usable_arms(robot: Any, with_fingers: bool) -> list[str]:
 def create_task(name: str, robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                 **composition: Any) -> Task:
     """
-    Create a task by its name, such as ``pick_cube``.
+    Create a task.
 
+    :param name: of the task, such as ``pick_cube``
     :param robot: as for ``compose``
     :param gripper: as for ``compose``; ``default`` is the robot's own, unless the task needs
         another one

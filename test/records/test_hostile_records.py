@@ -28,7 +28,7 @@ from mcap.records import Message  # noqa: E402
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import RecordError  # noqa: E402
 from manip_sim.records import converting  # noqa: E402
-from manip_sim.records.definitions import definition  # noqa: E402
+from manip_sim.records.record_file import definition  # noqa: E402
 from manip_sim.records.record_file import RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.viewer.shown_records import entries_in  # noqa: E402

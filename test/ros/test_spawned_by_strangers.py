@@ -31,9 +31,8 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
-from manip_sim.ros.background import begin, in_background, THREAD_NAME
-from manip_sim.ros.spawned_robots import RequestedRobot
-from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.ros.executor import begin, in_background, THREAD_NAME
+from manip_sim.ros.spawning_services import RequestedRobot, SpawningServices
 from manip_sim.ros.standard_answers import StandardTypes
 from manip_sim.startup import leave
 

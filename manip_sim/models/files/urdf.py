@@ -15,8 +15,8 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.files.link_masses import make_physical
+from manip_sim.models.files.package_folders import find_meshes
 from manip_sim.models.files.urdf_joints import check_joints, complete_joints
-from manip_sim.models.files.urdf_meshes import find_meshes
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files, OneText
