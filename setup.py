@@ -71,7 +71,8 @@ setup(
     # A new major version of those with an upper bound may change what is used here, as NumPy 2
     # and pydantic 2 did; for viser, the names of its handles.
     install_requires=['setuptools', 'mujoco>=3.17.0,<5', 'numba>=0.58,<1', 'numpy<3',
-                      'pillow>=10.1', 'pydantic>=2,<3', 'pyyaml'],
+                      'pillow>=10.1', 'pydantic>=2,<3', 'pyyaml',
+                      'rich>=12'],
     extras_require={
         # What `make bench` draws with.
         'bench': ['matplotlib'],

@@ -123,7 +123,7 @@ class Calls:
 def calls_to_a_world() -> int:
     """Return how many functions composing the world of a node with a Panda calls."""
     from manip_sim.interface.composition import compose_world
-    from manip_sim.interface.given_parameters import GivenParameters
+    from manip_sim.interface.parameter_spec import GivenParameters
     calls = Calls()
     calls.recording = True
     sys.setprofile(calls)

@@ -62,7 +62,7 @@ nitpick_ignore_regex = [
                         r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
                         r'|FaultsLike|FaultPlan|_LikeTable'
                         r'|ControlState|ElementMap|Operations|Part|RobotJoints|Targets'
-                        r'|SeatState|Surroundings)'),
+                        r'|SeatState|Surroundings|Hardware)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.

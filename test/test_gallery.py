@@ -17,10 +17,11 @@ SOURCE = Path(__file__).resolve().parent.parent
 
 
 def run_gallery(*arguments, **environment):
-    """Run ``python3 -m manip_sim.gallery`` and return the finished process."""
+    """Run ``python3 docs/draw_gallery.py`` and return the finished process."""
     return subprocess.run(
-        [sys.executable, '-m', 'manip_sim.gallery', *map(str, arguments)], text=True,
-        env={**os.environ, 'PYTHONPATH': str(SOURCE), **environment}, capture_output=True,
+        [sys.executable, str(SOURCE / 'docs' / 'draw_gallery.py'), *map(str, arguments)],
+        text=True, capture_output=True,
+        env={**os.environ, 'PYTHONPATH': str(SOURCE), **environment},
         timeout=120)
 
 
@@ -111,7 +112,8 @@ def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, wi
 
 
 def test_robots_are_shown_with_open_hands(monkeypatch):
-    from manip_sim.gallery import _pictures
+    monkeypatch.syspath_prepend(SOURCE / 'docs')
+    from draw_gallery import _pictures
     shown = []
     monkeypatch.setattr('manip_sim.cli.rendering.picture_of_state',
                         lambda model, data, *_: shown.append(data))

@@ -8,9 +8,8 @@ from pathlib import Path
 import re
 
 from manip_sim.interface.composition import declare_parts
-from manip_sim.interface.given_parameters import GivenParameters
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import BY_NAME, PUBLISHED, SERVICES, SUBSCRIBED, TOPICS
+from manip_sim.interface.parameter_spec import GivenParameters
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, SERVICES, SUBSCRIBED, TOPICS
 from manip_sim.interface.world_topics import topics_of
 
 REFERENCE = Path(__file__).resolve().parents[1] / 'docs' / 'reference'

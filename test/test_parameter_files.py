@@ -6,7 +6,7 @@
 import pytest
 
 from manip_sim.errors import ManipSimError
-from manip_sim.interface.parameter_files import read_parameters
+from manip_sim.interface.parameter_spec import read_parameters
 
 
 def test_sections_of_nodes_in_namespaces_are_left_out(written):

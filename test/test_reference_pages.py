@@ -11,7 +11,7 @@ from manip_sim.interface.parameters import (
     composition_parameters, keyframe_parameter, mode_parameters, MODEL_PATH, node_parameters,
     place_parameters, reflex_parameters, sensing_parameters, speed_parameter, stream_parameters,
     timeout_parameters, wrench_parameters)
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.models.cameras import ImageSettings
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,10 +12,11 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-from manip_sim.simulation import Simulation
 from targets.figures import Figure, Settings
 from targets.physics import Bare, panda
 from targets.robots import rate
+
+from manip_sim.simulation import Simulation
 
 STEPS = 5
 _ROUND_S = 0.3
@@ -65,7 +66,7 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
         import rclpy
     except ImportError:
         return None
-    from manip_sim.interface.scope import Scope
+    from manip_sim.interface.topics import Scope
     from manip_sim.ros.channel_publishers import robot_states
     from manip_sim.ros.rejection_log import RejectionLog
     rclpy.init()

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import Topic
+from manip_sim.interface.topics import Scope, Topic
 from manip_sim.interface.world_topics import truths
 from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation import Simulation
@@ -75,7 +74,7 @@ class Channel:
         """
         Fill a new message of the present instant by the sensor of another package.
 
-        :param message: of ROS, or of ``manip_sim.records.definitions``
+        :param message: of ROS, or of ``manip_sim.records.record_file``
         :returns: the message; None if there is nothing to publish
         :raises Exception: anything
         """

@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+import io
 import sys
 from typing import Any
 
@@ -19,8 +20,25 @@ from manip_sim.channels.channel import Fields
 from manip_sim.channels.contents import point_cloud
 from manip_sim.interface.topics import Topic
 from manip_sim.interface.world_topics import topics_of_cameras
-from manip_sim.rendering.intrinsics import Intrinsics
-from manip_sim.rendering.jpeg import JPEG_FORMAT, jpeg_of
+from manip_sim.rendering.offscreen import Intrinsics
+
+#: ``format`` of the messages as image_transport writes it, whatever the order of colours inside.
+JPEG_FORMAT = 'rgb8; jpeg compressed bgr8'
+#: The default of image_transport_plugins.
+_QUALITY = 95
+
+
+def jpeg_of(rgb: NDArray[np.uint8]) -> bytes:
+    """
+    Return an image as JPEG.
+
+    :param rgb: shape (h, w, 3), the top row first
+    """
+    from PIL.Image import fromarray
+    stream = io.BytesIO()
+    fromarray(rgb).save(stream, 'JPEG', quality=_QUALITY)
+    return stream.getvalue()
+
 
 _PLUMB_BOB = 'plumb_bob'
 #: Of images, by the kind of their numbers.

@@ -16,9 +16,8 @@ import textwrap
 from typing import Any, NoReturn
 
 from manip_sim.cli.offered_verbs import GROUP, OfferedVerb
-from manip_sim.cli.option_types import (
-    assignment, count, image_size, number, numbers, positive, whole)
-from manip_sim.cli.ros_options import add_verbs, COMMANDS
+from manip_sim.cli.options import (
+    add_verbs, assignment, COMMANDS, count, image_size, number, numbers, positive, whole)
 from manip_sim.entry_points import offers
 from manip_sim.errors import ModelError
 from manip_sim.resources import package_version
@@ -317,8 +316,7 @@ def _add_run(commands: Any) -> None:
         '--out late\n'
         '          manip_sim run pick_cube --policy expert --seeds 0:12 --state-latency '
         '0,0.05,0.1,0.15,0.25,0.4 --out sweep')
-    parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks', "
-                        'or the path of a YAML file that describes one')
+    parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks'")
     parser.add_argument('--policy', required=True, help="'expert'; MODULE:CLASS or FILE.py:CLASS "
                         'with reset(seed) and act(observation); MODULE:FUNCTION of an '
                         'observation; a TorchScript (.pt) or ONNX file; or ros:/NAMESPACE of a '
@@ -430,7 +428,7 @@ def _add_compare(commands: Any) -> None:
 def _add_ros(commands: Any) -> None:
     for name, (summary, verbs) in COMMANDS.items():
         parser = _command(
-            commands, name, 'ros_options', summary,
+            commands, name, 'options', summary,
             f'Type manip_sim {name} VERB --help for its options. It needs ROS, but not ros2.',
             f'verbs: {", ".join(verbs)}')
         add_verbs(parser, name)

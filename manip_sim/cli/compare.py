@@ -9,9 +9,8 @@ import argparse
 import json
 import sys
 
-from manip_sim.cli.output import UsageError
+from manip_sim.cli.output import table, terminal_width, UsageError
 from manip_sim.cli.run import run_seeds
-from manip_sim.cli.tables import table, terminal_width
 from manip_sim.errors import ManipSimError, RecordError
 from manip_sim.experiments import Experiment, wilson_interval
 from manip_sim.experiments.comparison import (
@@ -19,7 +18,7 @@ from manip_sim.experiments.comparison import (
 from manip_sim.experiments.policies import policy_content
 from manip_sim.experiments.run_folder import read_run, StoredRun
 from manip_sim.quoting import counted
-from manip_sim.records.side_by_side import write_side_by_side
+from manip_sim.records.video import write_side_by_side
 
 _INTERRUPTED = 130
 #: Seeds that differ and are listed, and shown in videos; of more, only the number is told.

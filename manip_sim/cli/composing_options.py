@@ -13,8 +13,7 @@ from typing import Any
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.interface.composition import (
     compose_arena, compose_world, Composition, declare_node, declare_parts)
-from manip_sim.interface.given_parameters import GivenParameters
-from manip_sim.interface.parameter_files import read_parameters
+from manip_sim.interface.parameter_spec import GivenParameters, read_parameters
 from manip_sim.models import arenas
 from manip_sim.models.arenas import Arena
 from manip_sim.physics.parts import find_parts

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from manip_sim.cli.progress import ProgressBar
+from manip_sim.cli.output import ProgressBar
 from manip_sim.quoting import counted
 from manip_sim.records.converting import convert, records_in
 

@@ -16,12 +16,11 @@ import mujoco
 from manip_sim.cli.composing_options import compose_from, Composed
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
+from manip_sim.interface.offered_sensors import SensorSettings
 from manip_sim.interface.parameters import commanded_parts
-from manip_sim.interface.ros2_control import hardware_of, remapped
-from manip_sim.interface.sensor_settings import SensorSettings
-from manip_sim.interface.world_topics import topics_of_instruments
+from manip_sim.interface.world_topics import hardware_of, remapped, topics_of_instruments
 from manip_sim.models import World
-from manip_sim.models.binary import said_of_text
+from manip_sim.models.archive import said_of_text
 from manip_sim.models.urdf_writer import choose_robot, Hardware, urdf_of
 from manip_sim.simulation import Simulation
 

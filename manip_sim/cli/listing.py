@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.cli.command_line import KINDS
 from manip_sim.cli.composing_options import arena_parameters
-from manip_sim.cli.tables import number, table, terminal_width
+from manip_sim.cli.output import number, table, terminal_width
 from manip_sim.errors import ModelError
 from manip_sim.models import arena_names, create_arena
 from manip_sim.models.bases import base_names, create_base, MobileBaseModel
@@ -26,7 +26,7 @@ from manip_sim.models.object_model import SIZES
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 from manip_sim.quoting import one_line
 from manip_sim.resources import PACKAGE, share_directory
-from manip_sim.tasks import create_task, Task, task_names
+from manip_sim.tasks import task_names
 from manip_sim.tasks.task import TASKS
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -161,15 +161,14 @@ def _free_bodies_of_arenas() -> Iterator[Row]:
 
 def _tasks() -> dict[str, list[Row]]:
     def row(name: str) -> Row:
-        file = TASKS.find_file(name)
         try:
-            task = TASKS.get(name) if file is None else create_task(file)
+            task = TASKS.get(name)
         except ModelError as error:
             return {'name': name, 'error': one_line(str(error))}
         arms = max(task.arms_needed, task.arms_in_all)
         return {'name': name, 'instruction': task.instruction, 'arms': arms,
-                'horizon s': task.horizon_s, 'not for': [*task.unable], 'from': (
-                    f'file {file}' if isinstance(task, Task) else _package(task, 'tasks'))}
+                'horizon s': task.horizon_s, 'not for': [*task.unable],
+                'from': _package(task, 'tasks')}
     return {'tasks': [row(name) for name in task_names()]}
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from manip_sim.cli.progress import ProgressBar
+from manip_sim.cli.output import ProgressBar
 from manip_sim.errors import RecordError
 from manip_sim.ros_environment import check_ros_environment, missing_module
 

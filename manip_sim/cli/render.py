@@ -9,9 +9,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from manip_sim.cli.framing import TWO_SIDES, TWO_SIDES_OF_ARENAS, View
 from manip_sim.cli.output import check_folder, write_whole
-from manip_sim.cli.rendering import picture_of_part, picture_of_world
+from manip_sim.cli.rendering import (
+    picture_of_part, picture_of_world, TWO_SIDES, TWO_SIDES_OF_ARENAS, View)
 from manip_sim.errors import ManipSimError
 from manip_sim.rendering.gl import cannot_render
 

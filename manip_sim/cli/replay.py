@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from manip_sim.cli.progress import ProgressBar
+from manip_sim.cli.output import ProgressBar
 from manip_sim.errors import RecordError
 from manip_sim.quoting import counted
 from manip_sim.records.converting import records_in

@@ -16,16 +16,14 @@ import signal
 import sys
 from typing import Any
 
-from manip_sim.cli.tables import table, terminal_width
+from manip_sim.cli.output import table, terminal_width
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
-from manip_sim.experiments import (
-    Experiment, parse_seeds, parse_shard, RunFolder, Worker)
-from manip_sim.experiments.on_ray import run_on_ray
+from manip_sim.experiments import Experiment, parse_seeds, parse_shard, RunFolder, Worker
 from manip_sim.experiments.policies import ROS
-from manip_sim.experiments.processes import run_in_processes
+from manip_sim.experiments.processes import run_in_processes, run_on_ray
 from manip_sim.experiments.run_folder import read_run, RECORDS, Shard
 from manip_sim.experiments.summary import Row
-from manip_sim.interface.parameter_files import read_parameters
+from manip_sim.interface.parameter_spec import read_parameters
 from manip_sim.models.faults import FaultPlan
 from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import quoted

@@ -16,7 +16,7 @@ from manip_sim.env.task_vector_env import TaskVectorEnv
 from manip_sim.resources import PACKAGE
 from manip_sim.tasks import task_names
 
-#: The environment of any task, which it takes as ``task``, such as a YAML file.
+#: The environment of any task, which it takes as ``task``, such as one of your own.
 DESCRIBED = f'{PACKAGE}/Task-v0'
 
 

@@ -20,7 +20,7 @@ from manip_sim.env.task_env import (
     action_space, check_keywords, check_options, observation_space, SEEDS)
 from manip_sim.errors import CommandError, describe_choices, ModelError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
-from manip_sim.models.initialization_noise import checked_seed
+from manip_sim.models.placements import checked_seed
 from manip_sim.quoting import quoted, shown
 from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.late_answers import AnswerTimeLike, NO_ANSWER_TIME

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A run, which is a setting and a policy, and its worker, which runs the episode of a seed."""
+"""A run, which is a setting and a policy, its seeds, and the worker that runs an episode."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import functools
 import json
 from pathlib import Path
 import platform
+import re
 import statistics
 import time
 from typing import Any
@@ -24,12 +25,59 @@ from manip_sim.experiments.policies import (
     failing_as, files_read, LIMIT_S, load_policy, LOCAL_LIMIT_S, policy_content, PolicyFailure,
     ROS)
 from manip_sim.experiments.summary import Row
-from manip_sim.quoting import one_line
+from manip_sim.quoting import one_line, quoted
 from manip_sim.resources import package_version
-from manip_sim.tasks import Episode, Latency, read_description, Setting
+from manip_sim.tasks import Episode, Latency, Setting
 from manip_sim.tasks.expert import Expert, Policy
 from manip_sim.tasks.late_answers import AnswerTime
 from manip_sim.tasks.policy_interface import interface_of
+
+#: More seeds than anybody runs: most likely a mistake.
+MOST = 10_000_000
+_PIECE = re.compile(r'(\d{1,18})(?::(\d{1,18})(?::(\d{1,18}))?)?', re.ASCII)
+_SHARD = re.compile(r'(\d{1,9})/(\d{1,9})', re.ASCII)
+
+
+def parse_seeds(text: str) -> list[int]:
+    """
+    Return the seeds that a text stands for, in its order.
+
+    :param text: such as ``7``, ``0:1000``, which is 0 to 999, ``0:1000:10`` or ``1,5,10:20``
+    :raises ModelError: if it is none of these, or empty, or has a seed twice
+    """
+    seeds: list[int] = []
+    for piece in text.split(','):
+        match = _PIECE.fullmatch(piece.strip())
+        if match is None:
+            raise ModelError(f'seeds {quoted(text)}: {quoted(piece)} must be like 7, 0:1000 or '
+                             '0:1000:10, of whole numbers from 0')
+        first, stop, step = (None if group is None else int(group) for group in match.groups())
+        assert first is not None
+        found = range(first, first + 1 if stop is None else stop, 1 if step is None else step or 1)
+        if not found or step == 0:
+            raise ModelError(f'seeds {quoted(text)}: {quoted(piece)} has no seed; 0:1000 is 0 to '
+                             '999')
+        if len(seeds) + len(found) > MOST:
+            raise ModelError(f'seeds {quoted(text)}: more than {MOST} seeds')
+        seeds += found
+    if len(set(seeds)) != len(seeds):
+        raise ModelError(f'seeds {quoted(text)}: a seed appears twice')
+    return seeds
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """
+    Return number and count of a shard.
+
+    :param text: from ``1/4`` to ``4/4``
+    :raises ModelError: if it is not like that
+    """
+    match = _SHARD.fullmatch(text.strip())
+    number, count = (int(group) for group in match.groups()) if match else (0, 0)
+    if not 1 <= number <= count:
+        fits = f'from 1/{count} to {count}/{count}' if count else 'like 1/4'
+        raise ModelError(f'shard {quoted(text)} must be {fits}')
+    return number, count
 
 
 @dataclass(frozen=True)
@@ -93,9 +141,7 @@ class Experiment:
         answer_time = AnswerTime.of(setting.answer_time)
         assert isinstance(late, Latency)
         read = files_read(self.policy)
-        described = read_description(setting.task) if isinstance(setting.task, str) else None
         return {
-            **({} if described is None else {'description': _plain(described)}),
             'task': setting.task, 'robot': str(setting.robot), 'gripper': _plain(setting.gripper),
             'action': setting.action, 'control_hz': setting.control_hz, 'latency': asdict(late),
             'cameras': [_plain(camera) for camera in setting.cameras],

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.experiments.seeds import parse_seeds
+from manip_sim.experiments.experiment import parse_seeds
 from manip_sim.experiments.summary import Row, summarize, TIMES
 from manip_sim.quoting import shown
 

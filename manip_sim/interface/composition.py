@@ -14,17 +14,16 @@ import mujoco
 
 from manip_sim.control.modes import MODES
 from manip_sim.errors import ModelError, ParameterError
-from manip_sim.interface.given_parameters import ParameterSource
+from manip_sim.interface.parameter_spec import ParameterSource
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
     composition_parameters, keyframe_parameter, law_parameters, mode_parameters, MODEL_PATH,
     node_parameters, periods_per_image, place_parameters, reflex_parameters, sensing_parameters,
     speed_parameter, steps_per_period, stream_parameters, timeout_parameters, wrench_parameters)
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
-from manip_sim.models.camera_choice import (
-    chosen_cameras, described_cameras, described_lidars)
+from manip_sim.models.camera_choice import chosen_cameras, described_cameras, described_lidars
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import RobotModel

@@ -1,20 +1,101 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One parameter of the node: its type, its limits, and what is wrong with a value."""
+"""Parameters of the node: types, limits, checks, files, and values given without a node."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
-from typing import Any
+from pathlib import Path
+import re
+from typing import Any, Protocol
 
-from manip_sim.errors import describe_choices, ModelError
-from manip_sim.interface.scope import Scope
+from manip_sim.errors import describe_choices, ModelError, ParameterError
+from manip_sim.interface.topics import Scope
 from manip_sim.models.composing import read_gripper
+from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.models.sources import find_source, is_path
-from manip_sim.quoting import quoted
+from manip_sim.models.strict_yaml import read_yaml, StrictLoader
+from manip_sim.quoting import quoted, quoted_names
+
+#: The node's name with its namespace, unless it is started in another one.
+NODE = '/manip_sim'
+_PARAMETERS = 'ros__parameters'
+
+
+class _Loader(StrictLoader):
+    """Resolves the types of plain scalars as rcl_yaml_param_parser does."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}
+
+
+_Loader.add_implicit_resolver('tag:yaml.org,2002:bool', re.compile(
+    r'(?:y|Y|yes|Yes|YES|n|N|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF)\Z'),
+    list('yYnNtTfFoO'))
+_Loader.add_implicit_resolver('tag:yaml.org,2002:int', re.compile(
+    r'[-+]?(?:0x[0-9a-fA-F]+|[0-9]+)\Z'), list('-+0123456789'))
+_Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(
+    r'[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|\.?inf|\.?nan)\Z',
+    re.IGNORECASE), list('-+.0123456789iInN'))
+_Loader.add_constructor('tag:yaml.org,2002:bool', lambda loader, node: (
+    loader.construct_scalar(node)[0] in 'yYtT' or node.value.lower() == 'on'))
+_Loader.add_constructor('tag:yaml.org,2002:float', lambda loader, node: float(
+    loader.construct_scalar(node).lower().replace('.inf', 'inf').replace('.nan', 'nan')))
+
+
+def read_parameters(file: Path) -> dict[str, Any]:
+    """
+    Return the parameters that a file has for the node, by name with dots.
+
+    Where several sections are for it, later ones override earlier ones.
+
+    :raises ModelError: if the file cannot be read, or is not plain YAML
+    :raises ParameterError: if nothing in it is for the node, or a section is no mapping
+    """
+    sections = list(sections_of(read_yaml(file, _Loader)))
+    if not any(matches(node, NODE) for node, _ in sections):
+        has = f'is for {quoted_names([node for node, _ in sections])}' if sections else (
+            f"has no key '{_PARAMETERS}' below the name of a node")
+        raise ParameterError(f'{file} has no parameters for {NODE}, it {has}')
+    found: dict[str, Any] = {}
+    for node, parameters in sections:
+        if matches(node, NODE):
+            if not isinstance(parameters, dict):
+                raise ParameterError(f'{file}: {quoted(node)}: {_PARAMETERS} must hold names and '
+                                     'values')
+            found.update(_flat(parameters))
+    return found
+
+
+def _flat(parameters: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in parameters.items():
+        if isinstance(value, dict):
+            yield from ((f'{name}.{below}', item) for below, item in _flat(value))
+        else:
+            yield name, value
+
+
+def sections_of(content: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the node names and patterns of a parameters file, and what is below each."""
+    def walk(content: Any, keys: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+        if isinstance(content, dict):
+            for key, below in content.items():
+                if key == _PARAMETERS:
+                    yield '/'.join(keys), below
+                else:
+                    yield from walk(below, (*keys, str(key).strip('/')))
+    yield from walk(content, ())
+
+
+def matches(pattern: str, node_name: str) -> bool:
+    """Return whether a node name, or a pattern with ``*`` and ``**``, stands for a node."""
+    tokens = [token for token in pattern.split('/') if token]
+    expression = ''.join('(/[^/]+)*' if token == '**'
+                         else '/' + re.escape(token).replace(r'\*', '[^/]*') for token in tokens)
+    return re.fullmatch(expression, node_name) is not None
+
 
 _TYPES = {bool: 'bool', int: 'integer', float: 'double', str: 'string'}
 
@@ -138,3 +219,93 @@ class ParameterSpec:
             return (f"parameter '{self.name}' must be from {low} to "
                     f'{high}{self.unit and " " + self.unit}, got {got}')
         return None
+
+
+#: Parameters that every rclpy node knows.
+_OF_RCLPY = ('use_sim_time', 'start_type_description_service')
+#: Name of the parameter that a robot has, after its namespace, if it came while the node ran.
+SPAWNED = 'spawned'
+
+
+class ParameterSource(Protocol):
+    """A declarer of parameters that returns their values: a node or :class:`GivenParameters`."""
+
+    def declare(self, specs: Sequence[ParameterSpec]) -> None:
+        """Declare parameters; ParameterError if a given value cannot be used."""
+
+    def value(self, name: str) -> Any:
+        """Return the value of a declared parameter."""
+
+
+class GivenParameters:
+    """
+    Parameters from a file or a command line.
+
+    :param given: values by name
+    :ivar given: the same, a copy
+    :ivar specs: what was declared, by name
+    """
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        self.given = dict(given)
+        self._values: dict[str, Any] = {}
+        self.specs: dict[str, ParameterSpec] = {}
+
+    def declare(self, specs: Sequence[ParameterSpec]) -> None:
+        """
+        Declare parameters and read what was given for them.
+
+        :raises ParameterError: if a value cannot be used
+        """
+        for spec in specs:
+            self.specs[spec.name] = spec
+            self._values[spec.name] = spec.default
+            if spec.name in self.given:
+                value = spec.as_declared(self.given[spec.name])
+                problem = spec.type_problem(type_name(value), value) or spec.problem_with(value)
+                if problem:
+                    raise ParameterError(problem)
+                self._values[spec.name] = value
+
+    def value(self, name: str) -> Any:
+        """Return the value of a declared parameter."""
+        return self._values[name]
+
+    def check_names(self) -> None:
+        """
+        Reject what was given and nobody declared; forget what is of spawned robots.
+
+        :raises ParameterError: naming the nearest parameters
+        """
+        forget_spawned(self.given, self.specs)
+        check_names(self.given, self.specs)
+
+
+def forget_spawned(given: dict[str, Any], known: Iterable[str]) -> None:
+    """
+    Remove the parameters of spawned robots, which the dump of a node has.
+
+    :param given: parameters by name; changed
+    :param known: names of those that were declared; a robot that has some of them stays
+    """
+    spawned = {name.partition('.')[0] for name in given if name.partition('.')[2] == SPAWNED}
+    spawned -= {name.partition('.')[0] for name in known}
+    for name in [name for name in given if name.partition('.')[0] in spawned]:
+        del given[name]
+
+
+def check_names(given: Iterable[str], known: Iterable[str]) -> None:
+    """
+    Reject names of parameters that are not known, but for those that every node has.
+
+    :raises ParameterError: naming the nearest parameters
+    """
+    known = list(known)
+    for name in given:
+        if name in known or name in _OF_RCLPY or name.startswith('qos_overrides.'):
+            continue
+        missing = [f'this robot has no {part}, ' for part in name.split('.')
+                   if part in SUBSYSTEMS and not any(
+                       other.endswith(f'control_mode.{part}') for other in known)]
+        raise ParameterError(f"unknown parameter {quoted(name, 200)}: {''.join(missing)}"
+                             f'{describe_choices(name, known)}')

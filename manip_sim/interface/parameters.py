@@ -8,19 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings, FRAMES
-from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.modes import default_mode, MODES
+from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import ParameterError
-from manip_sim.interface.given_parameters import SPAWNED
-from manip_sim.interface.parameter_spec import ParameterSpec
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.parameter_spec import ParameterSpec, SPAWNED
+from manip_sim.interface.topics import Scope
 from manip_sim.models.arenas import arena_names, arena_parameters
 from manip_sim.models.arenas.arena import ArenaParameter
 from manip_sim.models.bases import base_names
 from manip_sim.models.cameras import ImageSettings, MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.initialization_noise import TYPES
+from manip_sim.models.placements import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.physics.parts import Part
@@ -51,9 +50,8 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('robots', [''], 'Names of several robots in one world, such as left and '
                       'right. The name is the namespace of the topics of a robot and the prefix '
                       'of its parameters, such as left.robot. Empty: one robot.'),
-        ParameterSpec('task', '', "A task from 'manip_sim list tasks', or the path of a YAML "
-                      'file that describes one. It sets arena and objects, and draws its starts '
-                      'from seed. Empty: no task.'),
+        ParameterSpec('task', '', "A task from 'manip_sim list tasks'. It sets arena and objects, "
+                      'and draws its starts from seed. Empty: no task.'),
         ParameterSpec('arena', 'empty', 'What surrounds the robot.',
                       choices=tuple(arena_names()), kind='arenas'),
         ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '

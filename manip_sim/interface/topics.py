@@ -19,6 +19,26 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 import re
 
+
+@dataclass(frozen=True)
+class Scope:
+    """
+    The namespace of a robot within the node.
+
+    :ivar name: of the robot; empty for the only robot of a node, whose names have no namespace
+    """
+
+    name: str = ''
+
+    def topic(self, name: str) -> str:
+        """Return the name of a topic; one that is absolute or private is not the robot's."""
+        return f'{self.name}/{name}' if self.name and not name.startswith(('/', '~')) else name
+
+    def parameter(self, name: str) -> str:
+        """Return the name of a parameter of the robot."""
+        return f'{self.name}.{name}' if self.name else name
+
+
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
 PART, ARM, OBJECT, CAMERA, SENSOR, LIDAR = (
     '<part>', '<arm>', '<name>', '<camera>', '<sensor>', '<lidar>')

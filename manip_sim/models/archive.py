@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A model and the files that it refers to as a zip archive that loads on any machine."""
+"""A model and its files as a zip archive that loads anywhere, or as MuJoCo's exact binary."""
 
 from __future__ import annotations
 
@@ -12,21 +12,67 @@ import io
 from pathlib import Path, PurePosixPath
 import re
 import struct
-import tempfile
 from xml.etree import ElementTree
 import zipfile
 import zlib
 
 import mujoco
+import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MAX_ASSET_BYTES
-from manip_sim.models.loading import compile_spec, load_spec
-from manip_sim.models.regular_files import read_file
-from manip_sim.models.sandbox import compile_held, try_to_do
-from manip_sim.models.xml_check import check_xml
-from manip_sim.models.xml_limits import product
+from manip_sim.models.loading import compile_spec, spec_from_string
+from manip_sim.models.regular_files import OneText, read_file
+from manip_sim.models.untrusted_models import compile_held, LIGHT, try_to_do
+from manip_sim.models.xml_check import Budget, product, XmlModel
 from manip_sim.quoting import quoted
+
+
+def to_binary(model: mujoco.MjModel) -> bytes:
+    """
+    Return a model as MuJoCo writes it in a file ``.mjb``, exact to the last bit.
+
+    Only the same release of MuJoCo reads it.
+    """
+    buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
+def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> dict[str, float]:
+    """
+    Return the greatest differences of two models by field, in its unit, the greatest first.
+
+    :param other: of the same world, such as one loaded from its MJCF
+    """
+    found = {}
+    for field in dir(model):
+        if field.startswith('_'):
+            continue
+        ours, theirs = getattr(model, field), getattr(other, field)
+        if not isinstance(ours, np.ndarray) or ours.dtype.kind != 'f' or not ours.size:
+            continue
+        if ours.shape != theirs.shape:
+            found[field] = np.inf
+        elif not np.array_equal(ours, theirs, equal_nan=True):
+            found[field] = float(np.nanmax(np.abs(ours - theirs)))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
+    """
+    Return a sentence on what the text of MJCF changes.
+
+    :param model: the ``mujoco.MjModel`` that was written
+    :param other: what was read again
+    """
+    found = roundings(model, other)
+    if not found:
+        return 'the text of MJCF gives this model to the last bit'
+    worst = ', '.join(f'{field} by {most:.1e}' for field, most in list(found.items())[:3])
+    return (f'the text of MJCF changes {len(found)} fields of the model, at most {worst}; '
+            '.mjb is exact to the last bit')
+
 
 #: Largest archive, and size of all that it unpacks to [bytes].
 MAX_ARCHIVE_BYTES, _MAX_UNPACKED_BYTES = 2**26, 2**27
@@ -39,12 +85,10 @@ _MAX_ELEMENTS, _MAX_DEPTH = 200_000, 100
 #: CPU time that a model may take to compile [s]; robots with large meshes take seconds.
 _MAX_CPU_S = 10
 #: Elements, their number and pixels of a texture that compile within 0.1 s for sure.
-_LIGHT = frozenset((
-    'mujoco', 'compiler', 'option', 'flag', 'size', 'visual', 'global', 'headlight', 'default',
-    'asset', 'texture', 'material', 'worldbody', 'body', 'frame', 'geom', 'joint', 'freejoint',
-    'inertial', 'site', 'camera', 'light', 'contact', 'exclude', 'equality', 'actuator', 'general',
-    'motor', 'position', 'velocity', 'sensor', 'force', 'torque', 'accelerometer', 'gyro',
-    'framequat', 'touch'))
+_LIGHT = LIGHT | {
+    'size', 'visual', 'global', 'headlight', 'texture', 'equality', 'actuator', 'general', 'motor',
+    'position', 'velocity', 'sensor', 'force', 'torque', 'accelerometer', 'gyro', 'framequat',
+    'touch'}
 _MAX_LIGHT_ELEMENTS, _MAX_LIGHT_PIXELS = 5000, 2**20
 #: The record at the end of an archive: signature, list of files and length of the comment.
 _END = struct.Struct('<4s4H2LH')
@@ -144,17 +188,12 @@ def load_archive(data: bytes) -> mujoco.MjModel:
     if _MODEL not in contents:
         raise ModelError(f'the archive has no {_MODEL}')
     contents[_MODEL], is_light = _checked_xml(contents[_MODEL], contents)
-    with tempfile.TemporaryDirectory(prefix='manip_sim_') as folder:
-        for name, content in contents.items():
-            file = Path(folder, name)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content)
-        if not is_light:
-            check_xml(Path(folder, _MODEL))
-            xml = contents.pop(_MODEL).decode()
-            try_to_do('the model of the archive', compile_held, xml, {}, contents,
-                      max_cpu_s=_MAX_CPU_S)
-        return compile_spec(load_spec(Path(folder, _MODEL)), 'the model of the archive')
+    xml, name = contents.pop(_MODEL).decode(), 'the model of the archive'
+    text = OneText(xml, name)
+    XmlModel(text.file, Budget(), files=text)
+    if not is_light:
+        try_to_do(name, compile_held, xml, {}, contents, max_cpu_s=_MAX_CPU_S)
+    return compile_spec(spec_from_string(xml, Path(name), {}, contents), name)
 
 
 def unpacked_file(data: bytes, name: str, max_bytes: int) -> bytes:

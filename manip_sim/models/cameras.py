@@ -1,12 +1,12 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cameras that are added to a world, besides those of its parts; rendering is elsewhere."""
+"""Cameras and lidars that are added to a world; rendering is elsewhere."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TYPE_CHECKING, Union
 
 import mujoco
@@ -14,14 +14,88 @@ import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
+from manip_sim.errors import ModelError
 from manip_sim.models.spec_edits import body_for
 from manip_sim.quaternion import NO_TURN
+from manip_sim.sensing.lidars import Rays
+
+if TYPE_CHECKING:
+    from manip_sim.models.placed_descriptions import CameraDescription
+
+
+#: Rays of one lidar at most, as many as the densest ones on the market have: 128 rings of 2048.
+MAX_RAYS = 128 * 2048
+MAX_RINGS, MAX_RANGE_M, MAX_NOISE_M = 128, 1000.0, 10.0
+#: Of the site that marks the lidar [m].
+_SITE_SIZE_M = 0.01
+#: No viewer shows sites of this group by default.
+_SITE_GROUP = 5
+
+
+@dataclass(frozen=True)
+class LidarModel:
+    """
+    A lidar that is fixed to a body.
+
+    :ivar name: of the lidar, its site, its frame and its topics
+    :ivar body: name of that body in the composed world; ``world`` for none
+    :ivar position: in the frame of the body [m], shape (3,)
+    :ivar quat_wxyz: of its frame, with x ahead and z up, shape (4,)
+    :ivar rate_hz: scans per second of simulation time [Hz]
+    :ivar noise: standard deviation of the white noise on distances [m]
+    """
+
+    name: str
+    body: str = 'world'
+    position: FloatArray = field(default_factory=lambda: np.zeros(3))
+    quat_wxyz: FloatArray = field(default_factory=lambda: np.array(NO_TURN))
+    rays: Rays = Rays()
+    rate_hz: float = 10.0
+    noise: float = 0.0
+
+    def attach(self, spec: mujoco.MjSpec) -> None:
+        """Add the site of the lidar to the spec of a world."""
+        body = body_for(spec, f"lidar '{self.name}'", self.name, self.body,
+                        {'site': '', 'camera': '', 'body': ''})
+        body.add_site(name=self.name, pos=self.position, quat=self.quat_wxyz,
+                      size=[_SITE_SIZE_M] * 3, group=_SITE_GROUP)
+
+
+LidarLike = Union[LidarModel, Mapping[str, Any]]
+
+
+def create_lidar(description: LidarLike) -> LidarModel:
+    """
+    Create a lidar.
+
+    :param description: the keys of :class:`LidarDescription`; a lidar is returned as it is
+    :raises ModelError: if something is wrong with it, on one line with lidar and key
+    """
+    if isinstance(description, LidarModel):
+        return description
+    # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
+    from manip_sim.models.placed_descriptions import LidarDescription, read_mounted
+    found, where = read_mounted(LidarDescription, 'lidar', description)
+    given = found.model_dump(exclude_none=True)
+    rays = Rays(**{key: value for key, value in given.items() if key in Rays.__annotations__})
+    for low, high in (('angle_min', 'angle_max'), ('elevation_min', 'elevation_max'),
+                      ('range_min', 'range_max')):
+        if getattr(rays, low) >= getattr(rays, high):
+            raise ModelError(f"{where}: '{low}' must be less than '{high}', got "
+                             f'{getattr(rays, low):g} and {getattr(rays, high):g}')
+    if rays.samples * rays.rings > MAX_RAYS:
+        raise ModelError(f"{where}: 'samples' times 'rings' must be at most {MAX_RAYS}, got "
+                         f'{rays.samples * rays.rings}')
+    quat_wxyz = found.quat_wxyz
+    return LidarModel(found.name, found.body or 'world',
+                      np.array(found.position or [0.0, 0.0, 0.0], dtype=float),
+                      np.array(NO_TURN) if quat_wxyz is None else quat_wxyz, rays, found.rate,
+                      found.noise)
+
 
 MAX_PIXELS = 4096
 MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 10_000.0
 MIN_FOVY_DEG, MAX_FOVY_DEG = 1.0, 170.0
-if TYPE_CHECKING:
-    from manip_sim.models.placed_descriptions import CameraDescription
 
 #: From a frame that looks along x with z up to MuJoCo's camera, which looks along -z with y up.
 _TO_MUJOCO = np.array([0.5, 0.5, -0.5, -0.5])

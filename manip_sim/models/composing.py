@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.bases import create_base, RobotBaseModel
-from manip_sim.models.cameras import Camera
+from manip_sim.models.cameras import Camera, LidarLike
 from manip_sim.models.faults import FaultsLike
 from manip_sim.models.grippers import create_gripper, GripperModel
-from manip_sim.models.lidar_models import LidarLike
 from manip_sim.models.object_creation import Description
 from manip_sim.models.randomization import RandomizationLike
 from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel

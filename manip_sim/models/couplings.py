@@ -1,16 +1,76 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which joints move together because an equality constraint of the model ties them."""
+"""Laws of the joints of a compiled model: couplings to others, declared limits, friction."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+import math
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class FrictionLaw:
+    """
+    How friction and torque limit of a joint depend on its velocity; infinite velocities: not.
+
+    Friction is ``coulomb + (static - coulomb) / (1 + (v / stribeck_velocity)^2)`` (D. P. Hess and
+    A. Soom, Journal of Tribology 112(1), 1990). The torque limit in the direction of motion falls
+    linearly from all of it at ``knee`` to nothing at ``no_load``.
+
+    :ivar coulomb: dry friction at speed [N m or N]
+    :ivar static: dry friction at rest [N m or N]
+    :ivar stribeck_velocity: at which half of the difference is left [rad/s or m/s]
+    :ivar knee: [rad/s or m/s]
+    :ivar no_load: [rad/s or m/s]
+    """
+
+    coulomb: float = 0.0
+    static: float = 0.0
+    stribeck_velocity: float = math.inf
+    knee: float = math.inf
+    no_load: float = math.inf
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything depends on the velocity."""
+        return math.isfinite(self.stribeck_velocity) or math.isfinite(self.no_load)
+
+
+def declared_velocity(model: mujoco.MjModel, joints: ArrayLike) -> FloatArray:
+    """
+    Return the velocity limits of joints, from ``user[0]``, infinite where none is declared.
+
+    :param joints: ids of joints, of any shape
+    :returns: limits [rad/s or m/s], of that shape
+    """
+    joints = np.asarray(joints, dtype=int)
+    if not model.nuser_jnt:
+        return np.full(joints.shape, np.inf)
+    declared = model.jnt_user[joints, 0]
+    return np.where(declared > 0.0, declared, np.inf)
+
+
+def velocity_of_servos(model: mujoco.MjModel, actuators: ArrayLike) -> FloatArray:
+    """
+    Return the highest velocities that velocity servos take, infinite for other actuators.
+
+    :param actuators: their ids, of any shape
+    :returns: at the joints [rad/s or m/s], of that shape
+    """
+    ids = np.asarray(actuators, dtype=int)
+    limited = ((model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0.0)
+               & (model.actuator_ctrllimited[ids] != 0))
+    highest = np.abs(model.actuator_ctrlrange[ids]).min(axis=-1)
+    return np.where(limited, highest / np.abs(model.actuator_gear[ids, 0]), np.inf)
+
 
 #: Number of positions in a joint's range at which velocity ratios are computed.
 _PLACES = 5

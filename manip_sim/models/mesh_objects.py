@@ -16,12 +16,11 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
-from manip_sim.models.asset_files import (
-    check_content, check_image, MAX_ASSET_BYTES, MAX_FILE_BYTES)
+from manip_sim.models.asset_files import check_image, MAX_ASSET_BYTES
 from manip_sim.models.loading import compile_spec, spec_from_string
 from manip_sim.models.object_model import SHAPE_GEOM
 from manip_sim.models.regular_files import check_file, Files
-from manip_sim.models.untrusted_models import HeldModel, held_name
+from manip_sim.models.untrusted_models import HeldModel
 from manip_sim.quoting import counted, quoted
 from manip_sim.resources import cache_folder, keep_in_cache
 
@@ -100,19 +99,14 @@ def _read(description: MeshDescription, folder: Path, where: str, files: Files |
 
 def _file(kind: str, file: Path, where: str, files: Files | None, held: HeldModel) -> str:
     """Return the name of a file in MJCF, after checks."""
-    suffix = file.suffix.lower()
-    if suffix not in _SUFFIXES[kind]:
+    if file.suffix.lower() not in _SUFFIXES[kind]:
         raise ModelError(f'{where}: the {kind} {quoted(str(file), 200)} must be '
                          f'{" or ".join(_SUFFIXES[kind])}')
     if files is None:
         check_file(file, f'{kind} file', MAX_ASSET_BYTES)
         check_image(file, kind)
         return file.resolve().as_posix()
-    content = files.read(file, f'{kind} file', MAX_FILE_BYTES)
-    check_content(kind, suffix, content, str(file))
-    name = held_name(file, content)
-    held.assets[name] = content
-    return name
+    return held.hold_file(kind, file, files)
 
 
 def _parts_of(compiled: mujoco.MjModel) -> list[tuple[FloatArray, FloatArray]] | None:

@@ -1,20 +1,25 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tell what a model lacks because its files are missing or cannot be read."""
+"""Tell and leave out what a model lacks because its files are missing or cannot be read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
 from manip_sim.quoting import counted, quoted
 
-if TYPE_CHECKING:  # It reads models that say what they lost.
+if TYPE_CHECKING:
     from manip_sim.models.robots import RobotModel
     from manip_sim.models.world import World
+
 
 #: What a file holds in a clone of a repository whose large files were not fetched.
 _POINTER = b'version https://git-lfs'
@@ -112,3 +117,121 @@ def lost_shapes(world: World, robot: RobotModel | None = None) -> list[str]:
     """
     return [f'{name}: {sentence}' for name, sentences in inferred_by_model(world, robot)
             for sentence in sentences if isinstance(sentence, LostShape)]
+
+
+#: Of a link whose shape is missing: density [kg/m^3], thickness over length, the range of its
+#: length, and its length where nothing is known of it [m].
+_DENSITY, _SLENDERNESS, _LENGTHS_M, _LENGTH_M = 1000.0, 0.25, (0.01, 1.0), 0.1
+_NAMED_MASSES = 3
+
+#: Why files are missing, by kind of the file and name of the element that names it.
+Missing = Mapping[tuple[str, str], MissingMeshError]
+
+
+def skip_missing(spec: mujoco.MjSpec, missing: Missing, file: Path) -> list[str]:
+    """
+    Delete shapes, textures, height fields and skins whose files are missing.
+
+    A body whose mass follows from nothing else has that of a box of water, as long as the body is
+    to its farthest child, and a quarter as thick.
+
+    :returns: a :class:`LostShape` for each kind and cause, and for the masses
+    """
+    if not missing:
+        return []
+    infer_inertias_once(spec)
+    geoms = [(geom, error) for geom in spec.geoms if (error := _error_of(geom, missing))]
+    masses = [_give_mass(body, [geom for geom, _ in geoms if geom.parent == body])
+              for body in spec.bodies[1:] if _lacks_mass(body, geoms)]
+    lost = [Lost(f'{"collision" if geom.contype or geom.conaffinity else "visual"} shape',
+                 geom.meshname or geom.hfieldname, f'body {quoted(geom.parent.name)}', error)
+            for geom, error in geoms]
+    _delete_geoms(spec, [geom for geom, _ in geoms])
+    for kind, elements in (('mesh', spec.meshes), ('height field', spec.hfields),
+                           ('texture', spec.textures), ('skin', spec.skins)):
+        for element in list(elements):
+            error = missing.get((kind, element.name))
+            if error is None:
+                continue
+            if kind in ('texture', 'skin'):
+                lost.append(Lost(kind, element.name, 'the model', error))
+            if kind == 'texture':
+                _take_off(spec, element.name)
+            spec.delete(element)
+    return [*map(LostShape, warnings_of(lost, file)), *_mass_notes(masses, file)]
+
+
+def infer_inertias_once(spec: mujoco.MjSpec) -> None:
+    """
+    Let masses come from shapes where a file says so for all bodies, whatever else it says of them.
+
+    With ``inertiafromgeom`` true, MuJoCo compiles no model whose visual shapes are left out.
+    """
+    if int(spec.compiler.inertiafromgeom) == int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE):
+        for body in spec.bodies:
+            body.explicitinertial, body.ipos = False, [np.nan] * 3
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
+def _error_of(geom: Any, missing: Missing) -> MissingMeshError | None:
+    return missing.get(('mesh', geom.meshname)) or missing.get(('height field', geom.hfieldname))
+
+
+def _lacks_mass(body: Any, lost: list[tuple[Any, MissingMeshError]]) -> bool:
+    """Return whether the mass of a body follows from lost shapes only."""
+    own = [geom for geom, _ in lost if geom.parent == body and _weighs(geom)]
+    left = [geom for geom in body.geoms if _weighs(geom)]
+    return bool(own) and len(own) == len(left) and not body.explicitinertial
+
+
+def _weighs(geom: Any) -> bool:
+    return bool(geom.mass != 0.0 and geom.density != 0.0)
+
+
+def _give_mass(body: Any, lost: list[Any]) -> tuple[str, float]:
+    """Give a body a mass, and return its name and the mass [kg]."""
+    ends: list[FloatArray] = [np.array(child.pos) for child in body.bodies]
+    end = max(ends, key=lambda pos: float(np.linalg.norm(pos)), default=np.zeros(3))
+    length = float(np.linalg.norm(end)) or float(np.linalg.norm(body.pos)) or _LENGTH_M
+    length = float(np.clip(length, *_LENGTHS_M))
+    given = [geom.mass for geom in lost if geom.mass > 0.0]
+    mass = float(sum(given)) or _DENSITY * length * (_SLENDERNESS * length)**2
+    body.mass, body.ipos = mass, end / 2.0
+    body.inertia = [mass * length**2 / 12.0] * 3
+    body.explicitinertial = True
+    return str(body.name), mass
+
+
+def _mass_notes(masses: list[tuple[str, float]], file: Path) -> list[str]:
+    """Return which bodies have a guessed mass, in a sentence."""
+    if not masses:
+        return []
+    named = ', '.join(f'{quoted(name)} {mass:.3g} kg' for name, mass in masses[:_NAMED_MASSES])
+    more = f' and {len(masses) - _NAMED_MASSES} more' if len(masses) > _NAMED_MASSES else ''
+    return [LostShape(
+        f'guessed: the mass of {counted(len(masses), "body")} of {file} from the distance to the '
+        f'next one, as it followed from missing meshes: {named}{more}; put the meshes there, or '
+        'give these bodies an <inertial>')]
+
+
+def _delete_geoms(spec: mujoco.MjSpec, geoms: list[Any]) -> None:
+    """Delete geoms, and the contact pairs and sensors that name them."""
+    names = {geom.name for geom in geoms if geom.name}
+    for pair in list(spec.pairs):
+        if names & {pair.geomname1, pair.geomname2}:
+            spec.delete(pair)
+    kind = int(mujoco.mjtObj.mjOBJ_GEOM)
+    for sensor in list(spec.sensors):
+        if ((int(sensor.objtype) == kind and sensor.objname in names)
+                or (int(sensor.reftype) == kind and sensor.refname in names)):
+            spec.delete(sensor)
+    for geom in geoms:
+        spec.delete(geom)
+
+
+def _take_off(spec: mujoco.MjSpec, texture: str) -> None:
+    """Let materials have their own colour in place of a texture."""
+    for material in spec.materials:
+        for role, name in enumerate(list(material.textures)):
+            if name == texture:
+                material.textures[role] = ''

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import compile_spec, name_unnamed_elements
-from manip_sim.models.naming import NAMED_ELEMENTS, TakenNames
-from manip_sim.models.spec_edits import attach_as_is, rename_body, soften_contacts
+from manip_sim.models.spec_edits import (
+    attach_as_is, NAMED_ELEMENTS, rename_body, soften_contacts, TakenNames)
 from manip_sim.quoting import quoted
 
 MIN_MASS_KG, MAX_MASS_KG = 1e-5, 1e5

@@ -15,10 +15,9 @@ from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices
 from manip_sim.models.cameras import (
-    MAX_FOVY_DEG, MAX_PIXELS, MAX_RATE_HZ, MIN_FOVY_DEG, MIN_RATE_HZ)
-from manip_sim.models.lidar_models import MAX_NOISE_M, MAX_RANGE_M, MAX_RAYS, MAX_RINGS
-from manip_sim.models.object_model import (
-    check_object_name, MAX_MASS_KG, MIN_MASS_KG, SIZES)
+    MAX_FOVY_DEG, MAX_NOISE_M, MAX_PIXELS, MAX_RANGE_M, MAX_RATE_HZ, MAX_RAYS, MAX_RINGS,
+    MIN_FOVY_DEG, MIN_RATE_HZ)
+from manip_sim.models.object_model import check_object_name, MAX_MASS_KG, MIN_MASS_KG, SIZES
 from manip_sim.models.strict_descriptions import (
     BeforeValidator, checked, ConfigDict, Field, model_validator, Number, Strict, StrictBool,
     StrictInt)

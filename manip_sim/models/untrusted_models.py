@@ -2,33 +2,48 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Models that somebody names or sends who must not read every file of the user who runs the process.
+The door for models that somebody names or sends who must not read every file of the user.
 
 All files are read here, through a :class:`Files` that says which ones may be, and checked. MuJoCo
-gets their contents under other names, so it opens no file by itself.
+gets their contents under other names, so it opens no file by itself. As it cannot be interrupted,
+a model is first loaded in a process of its own, which has little time and memory, can open no
+file, and can be given up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+import gc
 import hashlib
+import os
 from pathlib import Path, PurePosixPath
+import pickle
 import re
+import resource
+import signal
+import subprocess
+import sys
+from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES, places, references
-from manip_sim.models.loading import spec_from_string
+from manip_sim.models.loading import compile_spec, spec_from_string
 from manip_sim.models.mjcf_versions import Origins
 from manip_sim.models.regular_files import Files
-from manip_sim.models.sandbox import compile_held, try_to_do
-from manip_sim.models.xml_check import AssetFolders, XmlModel
-from manip_sim.models.xml_limits import Budget, Limits
+from manip_sim.models.xml_check import AssetFolders, Budget, Limits, XmlModel
 from manip_sim.quoting import one_line, quoted
+from manip_sim.startup import spare_garbage
 
+#: Limits of the process: CPU time [s], wall time [s] and address space [bytes].
+MAX_CPU_S, MAX_WALL_S, MAX_MEMORY_BYTES = 3, 60.0, 4 * 1024**3
+_REMEMBERED = 1000
+
+_passed: dict[bytes, None] = {}
+_running: set[subprocess.Popen[bytes]] = set()
 #: What a model may consist of; all its files together have at most so many bytes.
 LIMITS = Limits(bytes=1_000_000, files=50, depth=10, made=1000, elements=1000, nested=100)
 #: What a robot may consist of.
@@ -39,11 +54,8 @@ _NAMES_A_FILE = re.compile(r'file.*', re.IGNORECASE)
 _NAN = re.compile(r'(?:.*\s)?[+-]?nan(?:[\s(].*)?', re.IGNORECASE | re.DOTALL)
 #: Attributes of files; MuJoCo gets all files by names without a folder and with a known suffix.
 _OF_FILES = ('meshdir', 'texturedir', 'assetdir', 'strippath')
-#: What has no meaning in a part of a world, but may ask for any amount of memory.
-_LEFT_OUT = ('size', 'keyframe')
-_LEFT_OUT_OF_ROBOTS = ('size',)
 #: Elements of a model that compiles so quickly that it need not be tried before.
-_LIGHT = frozenset((
+LIGHT = frozenset((
     'mujoco', 'compiler', 'option', 'flag', 'default', 'asset', 'material', 'worldbody', 'body',
     'frame', 'geom', 'joint', 'freejoint', 'inertial', 'site', 'camera', 'light', 'contact',
     'exclude'))
@@ -94,97 +106,84 @@ class HeldModel:
                                  f'{quoted(reference.element_name)} names a file')
         return spec
 
+    def hold(self, model: XmlModel, files: Files, as_robot: bool) -> str:
+        """Read all that a model names, and return the model that names what is held."""
+        return self.hold_tree(model.tree, model.models, model.folders[0], files, as_robot)
 
-def hold_model(file: Path, files: Files) -> HeldModel:
+    def hold_tree(self, root: ElementTree.Element, models: Mapping[str, XmlModel],
+                  folders: AssetFolders, files: Files, as_robot: bool) -> str:
+        """
+        Read all that the elements of a model name, as :meth:`hold` does.
+
+        :param root: changed in place
+        """
+        # They have no meaning in a part of a world, but may ask for any amount of memory.
+        left_out = ('size',) if as_robot else ('size', 'keyframe')
+        for section in [child for child in root if child.tag in left_out]:
+            root.remove(section)
+        for element in root.iter():
+            self.is_light = self.is_light and element.tag in LIGHT
+            if element.tag == 'plugin':
+                raise ModelError(f'{one_line(self.name)}: what is spawned cannot have plugins')
+            for attribute in _OF_FILES if element.tag == 'compiler' else ('content_type',):
+                element.attrib.pop(attribute, None)
+            for attribute, name in element.items():
+                if attribute != 'name' and _NAN.fullmatch(name):
+                    raise ModelError(f'{one_line(self.name)}: {attribute[:60]} of '
+                                     f'<{element.tag[:60]}> must be a number, got {quoted(name)}')
+                if _NAMES_A_FILE.fullmatch(attribute) and name:
+                    element.set(attribute, self._hold_attached(models[name], files, as_robot)
+                                if element.tag == 'model' else self._hold_asset(
+                                    element.tag, name, folders, root.tag == 'robot', files))
+        return ElementTree.tostring(root, encoding='unicode')
+
+    def _hold_attached(self, model: XmlModel, files: Files, as_robot: bool) -> str:
+        content = self.hold(model, files, as_robot).encode()
+        name = f'{_digest(content)}.xml'
+        self.models[name], self.origins[name] = content, model.origins_in_order
+        return name
+
+    def _hold_asset(self, tag: str, name: str, folders: AssetFolders, is_urdf: bool, files: Files
+                    ) -> str:
+        if tag not in ('mesh', 'texture'):
+            raise ModelError(f'{one_line(self.name)}: <{tag[:60]}> names the file '
+                             f'{quoted(name, 200)}, which what is spawned cannot have')
+        names = [name, PurePosixPath(name).name] if is_urdf else [name]
+        file = files.first([place for each in names for place in places(tag, each, folders)])
+        held = self.hold_file(tag, file, files)
+        if sum(map(len, self.assets.values())) > _MAX_ASSET_BYTES:
+            raise ModelError(f'{one_line(self.name)} names files of more than '
+                             f'{_MAX_ASSET_BYTES / 1e6:.0f} MB')
+        return held
+
+    def hold_file(self, kind: str, file: Path, files: Files) -> str:
+        """
+        Read a mesh or texture, and return its name in the model.
+
+        :raises ModelError: if it is not what its suffix says, or too large
+        """
+        content = files.read(file, f'{kind} file', MAX_FILE_BYTES)
+        check_content(kind, file.suffix.lower(), content, str(file))
+        name = held_name(file, content)
+        self.assets[name] = content
+        return name
+
+
+def hold_model(file: Path, files: Files, as_robot: bool = False) -> HeldModel:
     """
     Read a model and all that it names.
 
     :param file: MJCF or URDF
+    :param as_robot: keep the keyframes, and take more elements
     :raises ModelError: if a file must not be or cannot be read, is not what its suffix says, or
         something is too large
     """
-    model = XmlModel(file, Budget(LIMITS), files=files, traced=True)
-    held = HeldModel(str(file))
-    held.xml = _hold(model, held, files, _LEFT_OUT)
+    model = XmlModel(file, Budget(ROBOT_LIMITS if as_robot else LIMITS), files=files, traced=True)
+    held = HeldModel(str(file), is_light=not as_robot)
+    held.xml = held.hold(model, files, as_robot)
     held.origins[''] = model.origins_in_order
     held.is_light = held.is_light and not held.assets and model.elements <= _MAX_LIGHT_ELEMENTS
     return held
-
-
-def hold_robot(file: Path, files: Files) -> HeldModel:
-    """
-    Read the MJCF file of a robot and all that it names, as :func:`hold_model` does.
-
-    It keeps its keyframes, and may have more elements.
-    """
-    held = HeldModel(str(file), is_light=False)
-    model = XmlModel(file, Budget(ROBOT_LIMITS), files=files, traced=True)
-    held.xml = _hold(model, held, files, _LEFT_OUT_OF_ROBOTS)
-    held.origins[''] = model.origins_in_order
-    return held
-
-
-def hold_tree(root: ElementTree.Element, file: Path, files: Files) -> HeldModel:
-    """
-    Read all that a URDF names.
-
-    :param root: of its elements, changed in place
-    """
-    held = HeldModel(str(file), is_light=False)
-    held.xml = _hold_tree(root, {}, AssetFolders(file.parent), held, files, _LEFT_OUT_OF_ROBOTS)
-    return held
-
-
-def _hold(model: XmlModel, held: HeldModel, files: Files, left_out: Collection[str]) -> str:
-    """Add the files of a model to what is held, and return the model that names them."""
-    return _hold_tree(model.tree, model.models, model.folders[0], held, files, left_out)
-
-
-def _hold_tree(root: ElementTree.Element, models: Mapping[str, XmlModel], own: AssetFolders,
-               held: HeldModel, files: Files, left_out: Collection[str]) -> str:
-    for section in [child for child in root if child.tag in left_out]:
-        root.remove(section)
-    for element in root.iter():
-        held.is_light = held.is_light and element.tag in _LIGHT
-        if element.tag == 'plugin':
-            raise ModelError(f'{one_line(held.name)}: what is spawned cannot have plugins')
-        for attribute in _OF_FILES if element.tag == 'compiler' else ('content_type',):
-            element.attrib.pop(attribute, None)
-        for attribute, name in element.items():
-            if attribute != 'name' and _NAN.fullmatch(name):
-                raise ModelError(f'{one_line(held.name)}: {attribute[:60]} of '
-                                 f'<{element.tag[:60]}> must be a number, got {quoted(name)}')
-            if _NAMES_A_FILE.fullmatch(attribute) and name:
-                element.set(attribute, _content(models[name], held, files, left_out)
-                            if element.tag == 'model' else _name_of_held(
-                                element, name, own, root.tag == 'robot', held, files))
-    return ElementTree.tostring(root, encoding='unicode')
-
-
-def _content(model: XmlModel, held: HeldModel, files: Files, left_out: Collection[str]) -> str:
-    content = _hold(model, held, files, left_out).encode()
-    name = f'{_digest(content)}.xml'
-    held.models[name] = content
-    held.origins[name] = model.origins_in_order
-    return name
-
-
-def _name_of_held(element: ElementTree.Element, name: str, own: AssetFolders, is_urdf: bool,
-                  held: HeldModel, files: Files) -> str:
-    if element.tag not in ('mesh', 'texture'):
-        raise ModelError(f'{one_line(held.name)}: <{element.tag[:60]}> names the file '
-                         f'{quoted(name, 200)}, which what is spawned cannot have')
-    names = [name, PurePosixPath(name).name] if is_urdf else [name]
-    found = files.first([place for each in names for place in places(element.tag, each, own)])
-    content = files.read(found, f'{element.tag} file', MAX_FILE_BYTES)
-    suffix = found.suffix.lower()
-    check_content(element.tag, suffix, content, str(found))
-    short = held_name(found, content)
-    held.assets[short] = content
-    if sum(map(len, held.assets.values())) > _MAX_ASSET_BYTES:
-        raise ModelError(f'{one_line(held.name)} names files of more than '
-                         f'{_MAX_ASSET_BYTES / 1e6:.0f} MB')
-    return short
 
 
 def held_name(file: Path, content: bytes) -> str:
@@ -195,3 +194,84 @@ def held_name(file: Path, content: bytes) -> str:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
+
+
+def compile_held(xml: str, models: Mapping[str, bytes], assets: Mapping[str, bytes]) -> None:
+    """Compile a model."""
+    compile_spec(spec_from_string(xml, Path('it'), models, assets), 'it')
+
+
+def try_to_do(name: str, function: Callable[..., Any], *arguments: Any,
+              max_cpu_s: int | None = None) -> None:
+    """
+    Call a function in another process; return if that can be done here, too.
+
+    What passed once is not tried again.
+
+    :param function: of a module; imports nothing when it is called
+    :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`
+    :raises ModelError: if the function does, or does not end within the limits
+    """
+    cpu_s = max_cpu_s or MAX_CPU_S
+    work = pickle.dumps((cpu_s, MAX_MEMORY_BYTES, function, arguments))
+    digest = hashlib.sha256(work).digest()
+    if digest in _passed:
+        return
+    problem = _tried(work, cpu_s)
+    if problem:
+        raise ModelError(f'{one_line(name)} {problem}')
+    if len(_passed) >= _REMEMBERED:
+        del _passed[next(iter(_passed))]
+    _passed[digest] = None
+
+
+def _tried(work: bytes, cpu_s: int) -> str:
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path)),
+                   'OPENBLAS_NUM_THREADS': '1', 'MUJOCO_GL': 'disable'}  # It renders nothing.
+    program = f'from {__name__} import main; main()'
+    with subprocess.Popen([sys.executable, '-c', program], env=environment, cwd='/',
+                          stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                          stderr=subprocess.DEVNULL) as process:
+        _running.add(process)
+        try:
+            problem, _ = process.communicate(work, timeout=MAX_WALL_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+        finally:
+            _running.discard(process)
+    if process.returncode == 0:
+        return problem.decode()
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return f'takes more than {cpu_s} s to load, which is the limit'
+    return (f'cannot be compiled: MuJoCo crashes, or needs more than '
+            f'{MAX_MEMORY_BYTES / 1e9:.0f} GB')
+
+
+def give_up() -> None:
+    """End the processes in which models are compiled: this one is ending."""
+    for process in list(_running):
+        process.kill()
+
+
+def main() -> None:
+    """Do what is on standard input, and write what is wrong to standard output."""
+    gc.disable()  # It is too short for it.
+    # No file can be opened later, and numpy imports this only when it is used.
+    import numpy.random  # noqa: F401
+    # By the function above, so that it can be trusted.
+    cpu_s, memory, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301
+    descriptions = sys.modules.get('manip_sim.models.strict_descriptions')
+    if descriptions is not None:  # The function may read some.
+        descriptions.compile_descriptions()
+    os.nice(5)
+    for limit, value in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0),
+                         (resource.RLIMIT_FSIZE, 0), (resource.RLIMIT_NOFILE, 0)):
+        resource.setrlimit(limit, (value, value))
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
+    try:
+        function(*arguments)
+    except ModelError as error:
+        sys.stdout.write(str(error).removeprefix('it '))
+    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
+        sys.stdout.write(f'cannot be loaded: {type(error).__name__}: {one_line(str(error), 200)}')
+    spare_garbage()

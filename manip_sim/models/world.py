@@ -12,19 +12,16 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.archive import pack
+from manip_sim.models.archive import pack, to_binary
 from manip_sim.models.arenas import Arena, EmptyArena
-from manip_sim.models.binary import to_binary
-from manip_sim.models.cameras import Camera, create_camera
+from manip_sim.models.cameras import Camera, create_camera, create_lidar, LidarLike
 from manip_sim.models.faults import FaultPlan, FaultsLike
 from manip_sim.models.gravity_compensation import compensate_mounted_robots
-from manip_sim.models.initialization_noise import checked_seed, InitializationNoise
-from manip_sim.models.lidar_models import create_lidar, LidarLike
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_creation import (
     check_object_names, create_objects, Description, ObjectModel)
-from manip_sim.models.placements import check_placed
+from manip_sim.models.placements import check_placed, checked_seed, InitializationNoise
 from manip_sim.models.randomization import Randomization, RandomizationLike
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.spec_edits import soften_contacts, stiffen_couplings

@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
-from manip_sim.models.declared_limits import declared_velocity, velocity_of_servos
+from manip_sim.models.couplings import declared_velocity, velocity_of_servos
 from manip_sim.models.setpoint_activation import position_servos
 
 #: Lag of a position servo whose gains are derived [s]: damping over stiffness.

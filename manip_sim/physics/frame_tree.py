@@ -11,7 +11,7 @@ one; and those that the caller places in the root, ``world``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -25,6 +25,66 @@ from manip_sim.models.urdf_writer.kinematic_tree import (
     build_tree, Joint, joints_of_body, KinematicTree)
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quaternion import wxyz_to_xyzw
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """
+    The pose and the twist of a base at one instant.
+
+    :ivar position: in the frame of the odometry [m], shape (3,)
+    :ivar quat_xyzw: orientation in that frame, shape (4,)
+    :ivar linear: velocity in the base's own axes [m/s], shape (3,)
+    :ivar angular: velocity in the base's own axes [rad/s], shape (3,)
+    """
+
+    position: FloatArray
+    quat_xyzw: FloatArray
+    linear: FloatArray
+    angular: FloatArray
+
+
+class OdometryReader:
+    """
+    A reader of a mobile base's odometry; the odometry frame is fixed in ``world``.
+
+    It coincides with the frame of the base when the joints of the base are at zero.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param joints: that move the base, such as ``SimulatedRobot.twist_joints``
+    :ivar base: name of the body that moves
+    :ivar origin: pose of the frame of the odometry in ``world``
+    """
+
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[str]) -> None:
+        moved_by = [model.joint(name) for name in joints]
+        # Bodies come after their parents.
+        body = max(int(joint.bodyid[0]) for joint in moved_by)
+        self.base: str = model.body(body).name
+        data = mujoco.MjData(model)
+        for joint in moved_by:
+            data.qpos[joint.qposadr[0]] = 0.0
+        mujoco.mj_kinematics(model, data)
+        self._position = data.xpos[body].copy()
+        self._quat_wxyz = data.xquat[body].copy()
+        self.origin = Pose(self._position, wxyz_to_xyzw(self._quat_wxyz))
+
+    def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> Odometry:
+        """
+        Return the state of the base at the instant of the last ``mj_forward``.
+
+        :param model: the ``mujoco.MjModel``, in which the robot is unchanged
+        :param data: its ``mujoco.MjData``
+        """
+        body = int(model.body(self.base).id)
+        inverse, quat_wxyz = np.empty(4), np.empty(4)
+        position, velocity = np.empty(3), np.empty(6)
+        mujoco.mju_negQuat(inverse, self._quat_wxyz)
+        mujoco.mju_rotVecQuat(position, data.xpos[body] - self._position, inverse)
+        mujoco.mju_mulQuat(quat_wxyz, inverse, data.xquat[body])
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
+        return Odometry(position, wxyz_to_xyzw(quat_wxyz), velocity[3:], velocity[:3])
+
 
 #: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
 #: along z with y down: half a turn about x, as w, x, y, z.

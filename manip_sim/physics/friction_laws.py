@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
-from manip_sim.models.friction_law import FrictionLaw
+from manip_sim.models.couplings import FrictionLaw
 from manip_sim.physics.physics import Physics
 
 

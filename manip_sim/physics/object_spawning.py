@@ -19,8 +19,8 @@ import mujoco
 
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.loading import compile_spec
-from manip_sim.models.naming import TakenNames
 from manip_sim.models.object_creation import check_object_names, ObjectModel
+from manip_sim.models.spec_edits import TakenNames
 from manip_sim.physics.state_transfer import carry_data, carry_edits, ElementMap
 
 

@@ -21,7 +21,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
 from manip_sim.models.regular_files import opened
 from manip_sim.quoting import one_line, quoted
-from manip_sim.records.definitions import decoder, full_name
+from manip_sim.records.record_file import decoder, full_name
 from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE, TAKEN
 from manip_sim.records.untrusted_records import (
     BoundedFile, check_about, check_name, check_topic, CutOff, MAX_BYTES, MAX_RECORD,

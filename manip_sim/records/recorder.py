@@ -23,17 +23,14 @@ from manip_sim.cdr_patching import PatchedBytes
 from manip_sim.channels.channel import Channel, Fields, stamp_fields
 from manip_sim.channels.contents import multi_array
 from manip_sim.channels.images import compressed_image
-from manip_sim.channels.kinds import (
-    clock_channel, object_channel, offered_channel, robot_channels)
+from manip_sim.channels.kinds import clock_channel, object_channel, offered_channel, robot_channels
 from manip_sim.errors import ManipSimError, RecordError
 from manip_sim.frame_names import FrameNames, OPTICAL
 from manip_sim.interface.offered_sensors import offered_topics
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import BY_NAME
+from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.interface.world_topics import topics_of_world
-from manip_sim.records.definitions import (
-    definition, encoded, encoder, full_name, new_message)
-from manip_sim.records.record_file import RecordFile
+from manip_sim.records.record_file import (
+    definition, encoded, encoder, full_name, new_message, RecordFile)
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import Episode

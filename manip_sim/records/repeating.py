@@ -18,7 +18,7 @@ import numpy as np
 from manip_sim.control.commands import Command, GripperCommand, NoCommand, Status
 from manip_sim.errors import CommandError, DivergenceError, ManipSimError, ModelError, RecordError
 from manip_sim.interface.composition import compose_world, Composition
-from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.sources import is_of_others, is_path
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import counted, one_line, quoted
@@ -27,8 +27,7 @@ from manip_sim.records.recorder import physics_state
 from manip_sim.records.untrusted_records import files_of
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import (
-    check_sum, decoded, NumberedHandles, restore_plain)
+from manip_sim.simulation.json_state import check_sum, decoded, NumberedHandles, restore_plain
 from manip_sim.simulation.operations import Operations
 from manip_sim.tasks import create_task, Episode, start
 
@@ -148,8 +147,7 @@ def _reason(recorded: RecordedEpisode, episode: Episode) -> str:
 #: Objects, or items of a list of parameters, that a record may ask for; an object takes 0.2 MB.
 _MOST_ITEMS = 1000
 #: Parameters with files that are not in the catalogue.
-_FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'task', 'randomization', 'faults',
-          'model_path')
+_FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'randomization', 'faults', 'model_path')
 
 
 class _Stop(Exception):

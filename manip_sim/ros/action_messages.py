@@ -14,11 +14,10 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.ros.messages import nanoseconds_of, seconds_of, stamp_of
-from manip_sim.ros.reading import trajectory_fields
-from manip_sim.runtime.action_goals import ActionGoal, GoalCode, GoalError
-from manip_sim.runtime.gripper_goal import gripper_goal, GripperRequest
-from manip_sim.runtime.tolerances import JointTolerance
-from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
+from manip_sim.ros.serialization import trajectory_fields
+from manip_sim.runtime.action_goals import (
+    ActionGoal, gripper_goal, GoalCode, GoalError, GripperRequest)
+from manip_sim.runtime.trajectory_goal import JointTolerance, TrajectoryGoal, TrajectoryRequest
 from manip_sim.simulation import SimulatedRobot
 
 

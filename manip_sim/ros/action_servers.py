@@ -17,17 +17,15 @@ from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
 
 from manip_sim.errors import SimulationEnded
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
-from manip_sim.ros.background import RESULT_ROUNDS, Rounds
 from manip_sim.ros.command_subscribers import CommandSubscribers, RobotCommands
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.optional_packages import import_optional
+from manip_sim.ros.executor import RESULT_ROUNDS, Rounds
+from manip_sim.ros.feature import Feature, NodeContext
+from manip_sim.ros.messages import import_optional
 from manip_sim.ros.rejection_log import kind_of
-from manip_sim.runtime.action_goals import Ending, ActionGoal, GoalError
-from manip_sim.runtime.goal_tracker import GoalTracker
+from manip_sim.runtime.action_goals import ActionGoal, Ending, GoalError, GoalTracker
 from manip_sim.simulation import SimulatedRobot
 
 ACTION_TYPES = import_optional('control_msgs.action')

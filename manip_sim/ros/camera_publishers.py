@@ -24,12 +24,9 @@ from manip_sim.interface.topics import BY_NAME, Topic
 from manip_sim.interface.world_topics import truths
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.rendering.gl import choose_gl
-from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
-from manip_sim.rendering.offscreen import BACKGROUND, Picture
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.lazy_publishers import create_publisher, Output
+from manip_sim.rendering.offscreen import BACKGROUND, Intrinsics, intrinsics_of, Picture
+from manip_sim.ros.feature import create_publisher, Feature, NodeContext, Output
 from manip_sim.ros.messages import message_of
-from manip_sim.ros.node_context import NodeContext
 from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
 from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import Simulation

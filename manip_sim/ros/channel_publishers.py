@@ -18,18 +18,15 @@ from manip_sim.channels.channel import Channel
 from manip_sim.channels.kinds import (
     instrument_channels, lidar_channel, object_channels, offered_channel, robot_channels)
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.interface.offered_sensors import Offered, offered_topics
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.sensor_settings import SensorSettings
+from manip_sim.interface.offered_sensors import Offered, offered_topics, SensorSettings
+from manip_sim.interface.topics import Scope
 from manip_sim.interface.world_topics import topics_of_instruments
-from manip_sim.models.lidar_models import LidarModel
+from manip_sim.models.cameras import LidarModel
 from manip_sim.quoting import one_line
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.lazy_publishers import create_output
+from manip_sim.ros.feature import create_output, Feature, NodeContext
 from manip_sim.ros.messages import (
     checked, CONTROLLER_TYPE, message_class, message_of, nanoseconds_of)
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.serialized import SerializedMessage
+from manip_sim.ros.serialization import SerializedMessage
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: Robots by the scope of their topics.

@@ -23,17 +23,14 @@ from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.control.commands import Command, JointTrajectory as TrajectoryCommand, NoCommand
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import SUBSCRIBED, Topic
+from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.lazy_publishers import qos_options
+from manip_sim.ros.feature import Feature, NodeContext, qos_options
 from manip_sim.ros.messages import message_class, nanoseconds_of, numbers_of
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.reading import read_command, trajectory_fields
 from manip_sim.ros.rejection_log import kind_of
+from manip_sim.ros.serialization import read_command, trajectory_fields
 from manip_sim.simulation import SimulatedRobot
 
 #: How many commands of a topic may wait to be taken.

@@ -18,10 +18,9 @@ from rclpy.parameter import Parameter
 from manip_sim.control.modes import MODES
 from manip_sim.control.reflexes import ReflexLimits
 from manip_sim.errors import ParameterError
-from manip_sim.interface.given_parameters import check_names, forget_spawned
-from manip_sim.interface.parameter_spec import ParameterSpec
+from manip_sim.interface.parameter_spec import check_names, forget_spawned, ParameterSpec
 from manip_sim.interface.parameters import default_timeout
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.physics.parts import Part
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 

@@ -20,12 +20,10 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import one_line
 from manip_sim.ros.camera_publishers import Cameras
-from manip_sim.ros.command_subscribers import (
-    CommandStatistics, CommandSubscribers, RobotCommands)
-from manip_sim.ros.feature import Feature
+from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscribers, RobotCommands
+from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
-from manip_sim.ros.node_context import NodeContext
 from manip_sim.ros.surroundings_commands import SurroundingsCommands
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot

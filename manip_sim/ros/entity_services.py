@@ -15,13 +15,11 @@ import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from manip_sim.errors import CommandError
-from manip_sim.physics.bounds import Box, Sphere
-from manip_sim.physics.entities import EntityState
+from manip_sim.physics.entities import Box, EntityState, Sphere
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import one_line, quoted
-from manip_sim.ros.messages import filled, numbers_of, stamp_of, WORLD
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.optional_packages import import_optional
+from manip_sim.ros.feature import NodeContext
+from manip_sim.ros.messages import filled, import_optional, numbers_of, stamp_of, WORLD
 from manip_sim.ros.standard_answers import (
     answering, BoundsType, Category, change_unless_diverged, Rejection, ResultCode, SetEntityCode,
     StandardTypes, TagsMode)

@@ -16,9 +16,7 @@ from std_msgs.msg import String
 
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.resources import package_version
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.lazy_publishers import create_output, create_publisher
-from manip_sim.ros.node_context import NodeContext
+from manip_sim.ros.feature import create_output, create_publisher, Feature, NodeContext
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import start, Task
 
@@ -139,8 +137,8 @@ class JournalPublisher(Feature):
     """
     The publisher of ``~/journal``: JSON with the keys ``number``, from 0, and ``entries``.
 
-    The entries are those of :class:`manip_sim.runtime.journal.Journal`. It begins, with the
-    present state, for each new subscriber, and ends when the last one has gone.
+    The entries are those of :class:`~manip_sim.runtime.pending_changes.Journal`. It begins, with
+    the present state, for each new subscriber, and ends when the last one has gone.
 
     :param context: with all parameters declared
     :param task: that is served, or None

@@ -1,16 +1,111 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The base class of the features of a node."""
+"""Features of a node: their base class, what they share, and publishers that pay for readers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from queue import SimpleQueue
+import threading
+from typing import Any
 
+from rclpy.duration import Duration
+from rclpy.exceptions import InvalidHandle
+from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import serialize_message
 
-from manip_sim.interface.scope import Scope
-from manip_sim.simulation import SimulatedRobot
+from manip_sim.interface.topics import Scope, Topic
+from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
+from manip_sim.ros.command_inbox import CommandInbox
+from manip_sim.ros.declared_parameters import Parameters
+from manip_sim.ros.messages import message_class
+from manip_sim.ros.rejection_log import RejectionLog
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import SimulatedRobot, Simulation
+
+#: Period at which who waits checks whether the thread still runs [s].
+_WATCH_S = 0.5
+
+
+class PublishingThread:
+    """
+    A thread that publishes messages in the order in which they are added.
+
+    What is published, and in which order, is as without it. rclpy would keep Python's global lock
+    while it publishes; :func:`manip_sim.rclpy_internals.publish_bytes` does not.
+
+    :param most: publications that may wait, from 2; who adds more has to wait for earlier ones
+    """
+
+    def __init__(self, most: int) -> None:
+        self._half = most // 2
+        self._waiting: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name='publishing')
+        self._begun = self._ended = False
+        self._lock = threading.Lock()
+        #: How many were added, and what is set when those up to the last multiple of half are out.
+        self._count = 0
+        self._published = threading.Event()
+        self._published.set()
+
+    def add(self, publish: Callable[[], object]) -> None:
+        """
+        Let the thread publish; any thread may call this.
+
+        :param publish: publishes one message, and raises nothing
+        """
+        if not self._begun:
+            with self._lock:
+                if not (self._begun or self._ended):
+                    self._thread.start()
+                    self._begun = True
+        if self._ended:
+            publish()
+            return
+        self._waiting.put(publish)
+        self._count += 1
+        if self._count % self._half == 0:
+            before, self._published = self._published, self._mark()
+            self._wait(before)
+
+    def _mark(self) -> threading.Event:
+        """Return what is set when all that was added before has been published."""
+        done = threading.Event()
+        self._waiting.put(done.set)
+        return done
+
+    def _wait(self, done: threading.Event) -> None:
+        while not done.wait(_WATCH_S) and self.is_alive:
+            pass
+
+    def flush(self) -> None:
+        """Wait until all that was added before has been published."""
+        if self._begun and not self._ended and threading.current_thread() is not self._thread:
+            self._wait(self._mark())
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the thread has not ended unexpectedly."""
+        return not self._begun or self._ended or self._thread.is_alive()
+
+    def stop(self) -> None:
+        """Publish what waits, and end; what is added later is published by the caller."""
+        with self._lock:
+            begun, self._ended = self._begun and not self._ended, True
+        if begun:
+            self._waiting.put(None)
+            self._thread.join()
+
+    def _run(self) -> None:
+        while (publish := self._waiting.get()) is not None:
+            publish()
 
 
 class Feature:
@@ -48,3 +143,149 @@ class Feature:
 
     def close(self) -> None:
         """End, after the simulation's thread has ended."""
+
+
+@dataclass
+class NodeContext:
+    """
+    The objects that the features of a node share.
+
+    :ivar node: creates publishers, subscriptions, services and timers
+    :ivar simulation: used by ``thread`` alone while it runs
+    :ivar thread: the simulation's thread
+    :ivar robots: by the scope of their topics and parameters
+    :ivar parameters: of the node, declared
+    :ivar log: rejected messages and failures
+    :ivar frame_prefix: start of all frame names in messages
+    :ivar inbox: takes the messages of commands; None: the executor does
+    :ivar publishing: the thread that publishes; None: publishers do so themselves
+    :ivar table: the rows of the table of topics for this world
+    :ivar notes: sentences for the user, logged after the start
+    :ivar missing: by a ROS package that is not installed, what does not exist without it
+    :ivar features: of the node, in order
+    :ivar is_built: true once everything is declared that belongs to the start
+    """
+
+    node: Node
+    simulation: Simulation
+    thread: SimulationThread
+    robots: dict[Scope, SimulatedRobot]
+    parameters: Parameters
+    log: RejectionLog
+    frame_prefix: str
+    inbox: CommandInbox | None
+    publishing: PublishingThread | None
+    table: list[Topic]
+    notes: list[str] = field(default_factory=list)
+    missing: dict[str, str] = field(default_factory=dict)
+    features: list[Feature] = field(default_factory=list)
+    is_built: bool = False
+
+    def world_changed(self) -> None:
+        """Let all features follow robots or objects that have come or gone."""
+        for feature in self.features:
+            feature.world_changed()
+
+
+class Output:
+    """
+    A publisher that never stops the simulation.
+
+    With history ``keep_all`` a reader that does not acknowledge fills the history. Publishing then
+    waits (100 ms with Fast DDS) and fails. Until all messages are acknowledged or the reader is
+    gone, further messages are dropped and counted without waiting.
+
+    :param thread: publishes the messages; None: :meth:`publish` does so itself
+    """
+
+    def __init__(self, publisher: Publisher, log: RejectionLog,
+                 thread: PublishingThread | None = None) -> None:
+        self._publisher = publisher
+        self._thread = thread
+        self._log = log
+        self._stalled = False
+        self._closed = False
+
+    @property
+    def subscribers(self) -> int:
+        try:
+            return 0 if self._closed else int(self._publisher.get_subscription_count())
+        except InvalidHandle:  # It is being closed in another thread.
+            return 0
+
+    @property
+    def has_subscribers(self) -> bool:
+        return self.subscribers > 0
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there are subscribers and the next message can be published."""
+        return self.has_subscribers and not self._drops()
+
+    def _drops(self) -> bool:
+        """Return whether the next message is dropped, and count it if so."""
+        if self._stalled:
+            self._stalled = not self._publisher.wait_for_all_acked(Duration())
+            if self._stalled:
+                topic = self._publisher.topic_name
+                self._log.failed['publications'] += 1
+                self._log.warn(topic, 'stalled', f'{topic}: a reader does not acknowledge, '
+                               'messages are dropped until it does or is gone')
+        return self._stalled
+
+    def close(self, node: Node) -> None:
+        """Destroy the publisher; no messages are wanted from now on."""
+        self._closed = True
+        node.destroy_publisher(self._publisher)
+
+    def publish(self, message: Any) -> None:
+        """Publish a message or its serialized bytes, or count it as dropped."""
+        if self._thread is None:
+            self._publish(self._publisher.publish, message)
+            return
+        content = message if isinstance(message, bytes) else serialize_message(message)
+        self._thread.add(partial(
+            self._publish, partial(publish_bytes, self._publisher), content))
+
+    def _publish(self, publish: Callable[[Any], None], message: Any) -> None:
+        try:
+            if not (self._stalled and self._drops()):
+                publish(message)
+        except InvalidHandle:  # It is being closed in another thread.
+            pass
+        except RCLError as error:
+            self._stalled = True
+            self._log.failure('publications', self._publisher.topic_name, error)
+
+
+def qos_options(context: NodeContext, topic: str) -> dict[str, Any]:
+    """
+    Return the arguments with which parameters override the QoS of a topic that is created now.
+
+    Topics that come while the node runs have no such parameters, unless they were given: a dump
+    has to start a node in which the topics are not there yet.
+    """
+    begin = f'qos_overrides.{context.node.resolve_topic_name(topic)}.'
+    if context.is_built and not any(
+            name.startswith(begin) for name in parameter_overrides(context.node)):
+        return {}
+    return {'qos_overriding_options': QoSOverridingOptions.with_default_policies()}
+
+
+def create_publisher(context: NodeContext, row: Topic, message_type: Any = None) -> Publisher:
+    """Create the publisher of a row of the table, or of another message type."""
+    message_type = message_type or message_class(row.type)
+    if row.latched:
+        return context.node.create_publisher(message_type, row.name, QoSProfile(
+            depth=row.depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
+    return context.node.create_publisher(
+        message_type, row.name, QoSProfile(depth=row.depth), **qos_options(context, row.name))
+
+
+def create_output(context: NodeContext, row: Topic, message_type: Any = None) -> Output:
+    """
+    Create the output of a row of the table; at the start, parameters override its QoS.
+
+    :param message_type: instead of that of the row
+    """
+    return Output(create_publisher(context, row, message_type), context.log, context.publishing)

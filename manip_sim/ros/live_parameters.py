@@ -15,9 +15,8 @@ from rclpy.parameter import Parameter
 from manip_sim.control.cartesian.cartesian_settings import IMPEDANCE
 from manip_sim.errors import SimulationEnded
 from manip_sim.interface.parameters import law_parameters
-from manip_sim.interface.scope import Scope
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.node_context import NodeContext
+from manip_sim.interface.topics import Scope
+from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot
 

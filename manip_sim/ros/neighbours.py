@@ -15,7 +15,7 @@ from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.quoting import one_line, quoted, quoted_names
 from manip_sim.rclpy_internals import describe_unheard, endpoint_counts, is_unheard
 

@@ -15,12 +15,9 @@ from rclpy.node import Node
 from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import BY_NAME
-from manip_sim.ros.lazy_publishers import create_output
-from manip_sim.ros.messages import filled, stamp_of, WORLD
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.optional_packages import import_optional
+from manip_sim.interface.topics import BY_NAME, Scope
+from manip_sim.ros.feature import create_output, NodeContext
+from manip_sim.ros.messages import filled, import_optional, stamp_of, WORLD
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.planning_scene import (
     BOX, CYLINDER, HeldObject, MESH, Obstacle, PlanningScene, Solid, SPHERE)

@@ -14,11 +14,10 @@ import warnings
 import rclpy
 
 from manip_sim.errors import ManipSimError
-from manip_sim.models import sandbox
-from manip_sim.ros import background
-from manip_sim.ros.arguments import start_ros
+from manip_sim.models import untrusted_models
+from manip_sim.ros import executor
+from manip_sim.ros.arguments import for_other_nodes, start_ros
 from manip_sim.ros.executor import GuardedExecutor
-from manip_sim.ros.overrides import for_other_nodes
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals, leave
@@ -47,8 +46,8 @@ def run(arguments: Sequence[str]) -> int:
         code = _fail(str(error))
     finally:
         rclpy.try_shutdown()
-    sandbox.give_up()
-    return leave(code, camera_thread.THREAD_NAME, background.THREAD_NAME)
+    untrusted_models.give_up()
+    return leave(code, camera_thread.THREAD_NAME, executor.THREAD_NAME)
 
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:

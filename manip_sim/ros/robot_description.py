@@ -13,15 +13,12 @@ import json
 from rclpy.publisher import Publisher
 from std_msgs.msg import String, UInt8MultiArray
 
-from manip_sim.interface.ros2_control import hardware_of
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import BY_NAME
+from manip_sim.interface.topics import BY_NAME, Scope
+from manip_sim.interface.world_topics import hardware_of
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
 from manip_sim.ros.channel_publishers import InstrumentPublishers
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.lazy_publishers import create_publisher
-from manip_sim.ros.node_context import NodeContext
+from manip_sim.ros.feature import create_publisher, Feature, NodeContext
 from manip_sim.simulation import SimulatedRobot
 
 

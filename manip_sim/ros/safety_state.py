@@ -12,9 +12,7 @@ from std_msgs.msg import String
 from manip_sim.control.cartesian.reports import Contact
 from manip_sim.control.reflexes import RUNNING, SAFETY_STATES
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.lazy_publishers import create_publisher
-from manip_sim.ros.node_context import NodeContext
+from manip_sim.ros.feature import create_publisher, Feature, NodeContext
 from manip_sim.simulation import Simulation
 
 

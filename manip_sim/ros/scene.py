@@ -5,28 +5,199 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, TransformStamped
+import numpy as np
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from manip_sim.arrays import FloatArray
 from manip_sim.channels.channel import Channel
 from manip_sim.channels.kinds import odometry_channel
 from manip_sim.errors import ParameterError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import BY_NAME, Scope
+from manip_sim.physics.contacts import read_contacts
 from manip_sim.physics.end_effectors import EndEffectorReader
-from manip_sim.physics.frame_tree import FrameTree
-from manip_sim.physics.odometry import OdometryReader
+from manip_sim.physics.frame_tree import FrameTree, OdometryReader, TreeFrame
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted
+from manip_sim.ros import messages
 from manip_sim.ros.channel_publishers import ChannelPublishers
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.markers import MarkerPublisher
-from manip_sim.ros.node_context import NodeContext
+from manip_sim.ros.feature import create_output, Feature, NodeContext, Output
+from manip_sim.ros.messages import filled, import_optional, stamp_of
 from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
-from manip_sim.ros.transforms import offer_transforms, TransformPublisher
+from manip_sim.ros.serialization import SerializedMessage
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
+
+#: Length of the arrow of a force [m/N].
+FORCE_SCALE = 0.01
+#: Length of the arrow of a torque [m/(N m)].
+TORQUE_SCALE = 0.1
+#: Diameters of points, shafts and heads of arrows [m].
+_POINT_M, _SHAFT_M, _HEAD_M = 0.008, 0.006, 0.012
+#: Shorter arrows are left out, as their direction cannot be seen [m].
+_SHORTEST_M = 1e-6
+_ORANGE, _YELLOW = (1.0, 0.55, 0.0), (1.0, 0.9, 0.1)
+_RED, _BLUE = (0.9, 0.15, 0.15), (0.25, 0.45, 1.0)
+
+
+class MarkerPublisher:
+    """
+    A publisher of markers in ``world``; each message replaces the markers of the one before.
+
+    Arrows show contact forces, on the body that can move, and external wrenches; an arrow of a
+    torque points along its axis.
+
+    :param end_effectors: readers of wrenches, by the beginning of the namespace of their markers
+    """
+
+    def __init__(self, context: NodeContext, end_effectors: Mapping[str, EndEffectorReader]
+                 ) -> None:
+        self._end_effectors = end_effectors
+        self._output = create_output(context, BY_NAME['~/markers'])
+        self._header = Header(frame_id=context.frame_prefix + messages.WORLD)
+        self._all_gone = Marker(header=self._header, action=Marker.DELETEALL)
+        self._points = self._marker('contact_points', 0, Marker.SPHERE_LIST, _ORANGE,
+                                    (_POINT_M, _POINT_M, _POINT_M))
+        self._arrows: dict[tuple[str, int], Marker] = {}
+
+    def _marker(self, namespace: str, number: int, kind: int, color: tuple[float, ...],
+                scale: tuple[float, ...]) -> Marker:
+        marker = Marker(header=self._header, ns=namespace, id=number, type=kind,
+                        color=ColorRGBA(r=color[0], g=color[1], b=color[2], a=0.9))
+        marker.scale.x, marker.scale.y, marker.scale.z = scale
+        return marker
+
+    def look(self) -> bool:
+        return self._output.has_subscribers
+
+    def publish(self, simulation: Simulation) -> None:
+        self._header.stamp = messages.stamp_of(simulation.time_ns)
+        markers = [self._all_gone]
+        contacts = read_contacts(simulation.model, simulation.data)
+        if len(contacts.position):
+            self._points.points = [_point(at) for at in contacts.position]
+            markers.append(self._points)
+        markers += self._arrows_of('contact_forces', _YELLOW, contacts.position,
+                                   FORCE_SCALE * contacts.force)
+        for name, reader in self._end_effectors.items():
+            markers += self._wrench(simulation.data, name, reader)
+        self._output.publish(MarkerArray(markers=markers))
+
+    def _wrench(self, data: Any, name: str, reader: EndEffectorReader) -> list[Marker]:
+        site = data.site(reader.ft_frame)
+        wrench, to_world = reader.read(data).external_wrench, site.xmat.reshape(3, 3)
+        return [marker for what, color, vector in (
+            ('force', _RED, FORCE_SCALE * wrench.force),
+            ('torque', _BLUE, TORQUE_SCALE * wrench.torque))
+            for marker in self._arrows_of(f'{name}/external_{what}', color, [site.xpos],
+                                          [to_world @ vector])]
+
+    def _arrows_of(self, namespace: str, color: tuple[float, ...],
+                   starts: Iterable[FloatArray], vectors: Iterable[FloatArray]) -> list[Marker]:
+        markers: list[Marker] = []
+        for start, vector in zip(starts, vectors):
+            if not np.linalg.norm(vector) > _SHORTEST_M:
+                continue
+            key = namespace, len(markers)
+            if key not in self._arrows:
+                self._arrows[key] = self._marker(*key, Marker.ARROW, color,
+                                                 (_SHAFT_M, _HEAD_M, 0.0))
+            self._arrows[key].points = [_point(start), _point(start + vector)]
+            markers.append(self._arrows[key])
+        return markers
+
+
+def _point(position: FloatArray) -> Point:
+    x, y, z = position.tolist()
+    return Point(x=x, y=y, z=z)
+
+
+TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)
+
+
+def offer_transforms(context: NodeContext, frames: Callable[[Simulation], FrameTree]
+                     ) -> TransformPublisher | None:
+    """
+    Create the publisher of ``/tf`` and ``/tf_static``; note if ``tf2_msgs`` is missing.
+
+    :param frames: returns the tree of a simulation
+    :returns: None without ``tf2_msgs``
+    """
+    if TFMessage is None:
+        context.missing['tf2_msgs'] = '/tf and /tf_static'
+        return None
+    return TransformPublisher(context, frames)
+
+
+def create_outputs(context: NodeContext) -> tuple[Output, Output]:
+    return (create_output(context, BY_NAME['/tf'], TFMessage),
+            create_output(context, BY_NAME['/tf_static'], TFMessage))
+
+
+class TransformPublisher:
+    """
+    A publisher of the transforms of frames; frames may come and go with objects.
+
+    :param frames: returns the tree of a simulation
+    """
+
+    def __init__(self, context: NodeContext, frames: Callable[[Simulation], FrameTree]) -> None:
+        self._moving, self._static = create_outputs(context)
+        self._frames, self._prefix = frames, context.frame_prefix
+        self._present: tuple[FrameTree, SerializedMessage] | None = None
+
+    def follow(self, simulation: Simulation) -> None:
+        """
+        Publish all frames that do not move, and from now on those that do.
+
+        To be called in the thread that spins the node, or before it spins.
+
+        :param simulation: whose objects may have come or gone
+        """
+        tree = self._frames(simulation)
+        # Assigned at once, because the simulation's thread needs a tree with its own message.
+        self._present = tree, SerializedMessage(
+            partial(transforms, tree.moving, self._prefix), 7 * len(tree.moving))
+        self._static.publish(transforms(
+            tree.static, self._prefix, stamp_of(simulation.time_ns), tree.static_poses))
+
+    def look(self) -> bool:
+        return self._moving.has_subscribers
+
+    def publish(self, simulation: Simulation) -> None:
+        if self._present is None:
+            return
+        tree, message = self._present
+        if tree.model is simulation.model:  # Else follow() is about to be called.
+            self._moving.publish(message.at(
+                simulation.time_ns, tree.moving_poses(simulation.data).ravel()))
+
+
+def transforms(frames: Sequence[TreeFrame], prefix: str, stamp: Time, numbers: FloatArray) -> Any:
+    """
+    Return a message with the poses of frames in their parents.
+
+    :param frames: n of them
+    :param prefix: prefix of the names of all frames
+    :param numbers: position [m] and quaternion x, y, z, w of each, shape (7 n,) or (n, 7)
+    """
+    message, found = TFMessage(), []
+    for frame, row in zip(frames, numbers.reshape(-1, 7)):
+        transform = TransformStamped(child_frame_id=prefix + frame.name)
+        transform.header.frame_id = prefix + frame.parent
+        transform.header.stamp = stamp
+        found.append(filled(transform, row))
+    message.transforms = found
+    return message
+
 
 #: The frame in which a mobile base has its odometry (REP 105), after the robot's prefix.
 ODOM = 'odom'

@@ -16,8 +16,7 @@ from std_srvs.srv import SetBool
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.topics import SERVICES
 from manip_sim.models.faults import fault_from_text
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.node_context import NodeContext
+from manip_sim.ros.feature import Feature, NodeContext
 
 
 class SimulationServices(Feature):

@@ -23,13 +23,13 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
     compose_world, Composition, declare_cameras, declare_parts, spawn_files)
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED, Topic
+from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of_surroundings, topics_of_world
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, offer_actions
+from manip_sim.ros.arguments import check_qos_names, check_qos_values
 from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.channel_publishers import (
     ChannelPublishers, InstrumentPublishers, lidar_scans, object_states, OfferedSensors,
@@ -38,16 +38,11 @@ from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
-from manip_sim.ros.episode_publishers import (
-    EpisodePublisher, JournalPublisher, TaskPublisher)
-from manip_sim.ros.feature import Feature
+from manip_sim.ros.episode_publishers import EpisodePublisher, JournalPublisher, TaskPublisher
+from manip_sim.ros.feature import Feature, NodeContext, PublishingThread
 from manip_sim.ros.live_parameters import LiveParameters
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.overrides import check_qos_names, check_qos_values
-from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
-from manip_sim.ros.robot_description import (
-    DescriptionPublisher, DynamicsPublisher, ModelPublisher)
+from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher, ModelPublisher
 from manip_sim.ros.safety_state import ContactPublisher, SafetyStatePublisher
 from manip_sim.ros.scene import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.services import SimulationServices

@@ -5,15 +5,348 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+import inspect
+from typing import Any
+
+import mujoco
+import numpy as np
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models import arena_names, create_arena
+from manip_sim.models.arenas.arena import ARENAS
+from manip_sim.models.camera_choice import chosen_cameras
 from manip_sim.models.regular_files import FilesBelow
-from manip_sim.ros.entity_services import EntityServices
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.optional_packages import import_optional
-from manip_sim.ros.spawning_services import SpawningServices
-from manip_sim.ros.standard_answers import StandardTypes
-from manip_sim.ros.standard_simulation import SimulationInterfaces
-from manip_sim.ros.world_services import WorldServices
+from manip_sim.models.robots import robot_names
+from manip_sim.quaternion import wxyz_to_xyzw
+from manip_sim.quoting import quoted
+from manip_sim.ros.entity_services import EntityServices, has_tags
+from manip_sim.ros.executor import in_background, Rounds
+from manip_sim.ros.feature import Feature, NodeContext
+from manip_sim.ros.messages import filled, import_optional
+from manip_sim.ros.spawning_services import (
+    FORMATS, RequestedRobot, SpawnedRobots, SpawningServices, SUFFIXES)
+from manip_sim.ros.standard_answers import (
+    answering, answering_later, FeatureCode, LoadCode, NEEDED, reject_if_diverged, Rejection,
+    resource_of, result_filled, ResultCode, ScopeCode, SetStateCode, StandardTypes, StateCode,
+    WorldCode)
+from manip_sim.simulation.robot_spawning import plan_in_arena, RobotsPlan
+
+_ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation time; scope ALL '
+          'of a reset restarts simulation time, scope STATE lets it go on.')
+
+
+class _Canceled(CommandError):
+    """A client has cancelled a goal."""
+
+
+class SimulationInterfaces:
+    """
+    The services of the standard for simulation state, steps and reset.
+
+    A step is one control period. Scope ``ALL`` of a reset, and the state ``STOPPED``, restart
+    simulation time; scope ``STATE`` lets it go on, as ``~/reset`` does.
+
+    :param types: those of the package
+    :ivar no_world: whether the world has been unloaded
+    """
+
+    def __init__(self, context: NodeContext, types: StandardTypes) -> None:
+        self._context, self._simulation, self._thread = context, context.simulation, context.thread
+        self._types = types
+        self._stopped = False
+        self.no_world = False
+        # A request for many steps takes long, so it does not hold up the others.
+        groups = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        types.offer(context.node, {'StepSimulation': answering_later(self._step)}, groups[0])
+        types.offer(context.node, {
+            'GetSimulatorFeatures': self._features,
+            'GetSimulationState': answering(self._get_state),
+            'SetSimulationState': answering(self._set_state),
+            'ResetSimulation': answering(self._reset)}, groups[1])
+        self._has_goal = False
+        self._server = None
+        if types.has('SimulateSteps'):
+            self._server = ActionServer(
+                context.node, types.actions.SimulateSteps, '~/simulate_steps', self._simulate,
+                goal_callback=self._accept, cancel_callback=lambda _: CancelResponse.ACCEPT,
+                callback_group=groups[1])
+
+    def close(self) -> None:
+        """Destroy the server of the action, which rclpy does not with its node."""
+        if self._server is not None:
+            self._server.destroy()
+
+    def _features(self, _: Any, response: Any) -> Any:
+        response.features.features = [int(feature) for feature in FeatureCode if self._types.has(
+            NEEDED.get(feature, 'GetSimulatorFeatures'))]
+        response.features.spawn_formats = list(FORMATS)
+        response.features.custom_info = _ABOUT
+        return response
+
+    def _state(self) -> int:
+        if not self._thread.paused:
+            return int(StateCode.STATE_PLAYING)
+        if self.no_world:
+            return int(StateCode.STATE_NO_WORLD)
+        if self._stopped and self._thread.at_start:
+            return int(StateCode.STATE_STOPPED)
+        return int(StateCode.STATE_PAUSED)
+
+    def stop(self) -> None:
+        """Stop the simulation at the start of a world that has been loaded."""
+        self._thread.pause(True)
+        self._thread.reset(restart_time=True)
+        self._stopped, self.no_world = True, False
+
+    def _reject_without_world(self) -> None:
+        if self.no_world and self._thread.paused:
+            raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
+                            'no world is loaded: load one first')
+
+    def _get_state(self, _: Any, response: Any) -> None:
+        response.state.state = self._state()
+
+    def _set_state(self, request: Any, response: Any) -> None:
+        target = request.state.state
+        self._reject_without_world()
+        if target not in list(StateCode)[:3]:
+            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
+                            f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
+                            'PAUSED (2); SIGTERM ends the simulator')
+        if target == self._state():
+            raise Rejection(SetStateCode.ALREADY_IN_TARGET_STATE,
+                            'the simulation is in this state already')
+        if target == StateCode.STATE_PLAYING:
+            reject_if_diverged(self._simulation, SetStateCode.STATE_TRANSITION_ERROR)
+        self._thread.pause(target != StateCode.STATE_PLAYING)
+        if target == StateCode.STATE_STOPPED:
+            self._thread.reset(restart_time=True)
+        self._stopped = target == StateCode.STATE_STOPPED
+
+    async def _step(self, request: Any, _: Any) -> None:
+        await self._make(request.steps, lambda done: None)
+
+    async def _make(self, steps: int, after: Callable[[int], None]) -> None:
+        """
+        Make control periods while the simulation is paused.
+
+        :param after: is called with the number of those that are made
+        :raises CommandError: if one cannot be made
+        """
+        if steps == 0:
+            raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
+        self._reject_without_world()
+        if self._state() == StateCode.STATE_STOPPED:
+            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
+                            'the simulation is stopped: pause it first')
+        for done in range(steps):
+            try:
+                self._thread.step()
+            except CommandError as error:
+                made = f' (after {done} of {steps} steps)' if done else ''
+                raise CommandError(f'{error}{made}') from error
+            after(done + 1)
+            await Rounds(self._context.node)
+
+    def _accept(self, _: Any) -> GoalResponse:
+        if self._has_goal:
+            self._context.log.warn('~/simulate_steps', 'second', 'rejected a goal of '
+                                   '~/simulate_steps: another one is running')
+            return GoalResponse.REJECT
+        self._has_goal = True
+        return GoalResponse.ACCEPT
+
+    async def _simulate(self, goal_handle: Any) -> Any:
+        """Make the steps of a goal, with feedback after each, until it is cancelled."""
+        kind, steps = self._types.actions.SimulateSteps, goal_handle.request.steps
+        result = kind.Result()
+
+        def report(done: int) -> None:
+            goal_handle.publish_feedback(kind.Feedback(
+                completed_steps=done, remaining_steps=steps - done))
+            if goal_handle.is_cancel_requested and done < steps:
+                raise _Canceled(f'canceled after {done} of {steps} steps')
+        try:
+            with result_filled(result.result):
+                await self._make(steps, report)
+        finally:
+            self._has_goal = False
+        if result.result.result == ResultCode.RESULT_OK:
+            goal_handle.succeed()
+        elif goal_handle.is_cancel_requested:
+            goal_handle.canceled()
+        else:
+            goal_handle.abort()
+        return result
+
+    def _reset(self, request: Any, response: Any) -> None:
+        self._reject_without_world()
+        scope = request.scope
+        everything = scope in (ScopeCode.SCOPE_DEFAULT, ScopeCode.SCOPE_ALL)
+        known = ScopeCode.SCOPE_TIME | ScopeCode.SCOPE_STATE
+        if not everything and (scope & ~known or not scope & ScopeCode.SCOPE_STATE):
+            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
+                            f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
+                            'STATE with TIME (3)')
+        self._thread.reset(
+            restart_time=everything or bool(scope & ScopeCode.SCOPE_TIME))
+
+
+#: Scheme of the uris of arenas.
+_SCHEME = 'arena:'
+#: Most files that an answer names.
+_MOST_FILES = 1000
+
+
+class WorldServices:
+    """
+    The services that list, load and unload worlds, and what is there to spawn and where.
+
+    A world is an arena. Loading one deletes all objects and the robots that were spawned; those of
+    the start stay where their parameters put them.
+
+    :param states: whose state is STOPPED after a world was loaded, and NO_WORLD after one was
+        unloaded
+    :param files: those that a request may name
+    :param types: those of the package
+    :param group: of the services that spawn, because each plan is made from the one before
+    """
+
+    def __init__(self, context: NodeContext, states: SimulationInterfaces, files: FilesBelow,
+                 types: StandardTypes, group: CallbackGroup) -> None:
+        self._context, self._simulation, self._thread = context, context.simulation, context.thread
+        self._states, self._files, self._types = states, files, types
+        self._robots = SpawnedRobots(context)
+        types.offer(context.node, {
+            'LoadWorld': answering_later(self._load),
+            'UnloadWorld': answering_later(self._unload)}, group)
+        types.offer(context.node, {
+            'GetCurrentWorld': answering(self._get_current),
+            'GetAvailableWorlds': answering(self._get_available),
+            'GetNamedPoses': answering(self._get_poses),
+            'GetNamedPoseBounds': answering(self._get_pose_bounds),
+            'GetSpawnables': answering(self._get_spawnables)}, MutuallyExclusiveCallbackGroup())
+
+    async def _load(self, request: Any, response: Any) -> None:
+        resource = resource_of(request, 'world_resource')
+        if not resource.uri:
+            if resource.resource_string:
+                raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
+                                'a world cannot be loaded from a text, give a uri')
+            raise Rejection(LoadCode.NO_RESOURCE, 'give the uri of a world')
+        if not resource.uri.startswith(_SCHEME):
+            raise Rejection(LoadCode.UNSUPPORTED_FORMAT, f'uri {quoted(resource.uri)}: only '
+                            f'arenas can be loaded, such as {_SCHEME}table; those of files are '
+                            'found in the folders of the parameter model_path')
+        name = resource.uri.removeprefix(_SCHEME)
+        if name not in arena_names():
+            raise UnknownNameError('arena', name, arena_names())
+        await self._enter(name)
+        self._fill(response.world, name)
+
+    async def _unload(self, _: Any, __: Any) -> None:
+        if self._states.no_world:
+            raise Rejection(WorldCode.NO_WORLD_LOADED, 'no world is loaded')
+        await self._enter('empty')
+        self._states.no_world = True
+
+    async def _enter(self, name: str) -> None:
+        """Replace the arena, and stop the simulation at the start."""
+        reject_if_diverged(self._simulation)
+        if self._context.parameters.value('task'):
+            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
+                            'the world belongs to a task, which needs it')
+        # A world that cannot be used is rejected before anything goes.
+        await in_background(self._context.node, lambda: self._plan(name))
+        for robot in self._robots.names:
+            await self._robots.remove(robot)
+        plan = await in_background(self._context.node, lambda: self._plan(name))
+        self._thread.change_robots(plan, 'the arena was replaced')
+        self._states.stop()
+        self._context.world_changed()
+
+    def _plan(self, name: str) -> RobotsPlan:
+        simulation = self._simulation
+        return plan_in_arena(simulation, create_arena(name), chosen_cameras(
+            self._context.parameters.value('cameras'), simulation.world, simulation.model))
+
+    def _get_current(self, _: Any, response: Any) -> None:
+        if self._states.no_world:
+            raise Rejection(WorldCode.NO_WORLD_LOADED, 'no world is loaded')
+        self._fill(response.world, self._simulation.world.arena.arena_name)
+
+    def _get_available(self, request: Any, response: Any) -> None:
+        if request.filter.tags:
+            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'worlds have no tags')
+        if request.additional_sources:
+            unknown = (f'cannot search {", ".join(map(quoted, request.additional_sources))}: name '
+                       'the folders of files of arenas in the parameter model_path')
+            if not request.continue_on_error:
+                raise Rejection(ResultCode.RESULT_OPERATION_FAILED, unknown)
+            response.result.error_message = unknown
+        response.worlds = [self._fill(self._types.messages.WorldResource(), name)
+                           for name in arena_names()]
+
+    @staticmethod
+    def _fill(world: Any, name: str) -> Any:
+        world.name, world.world_resource.uri = name, f'{_SCHEME}{name}'
+        if ARENAS.find_file(name) is None and name in ARENAS.names():
+            world.description = (inspect.getdoc(ARENAS.get(name)) or '').partition('\n')[0]
+        return world
+
+    def _sites(self) -> dict[str, int]:
+        """Return the sites of the arena, which are its named poses, by name."""
+        model = self._simulation.model
+        there = {site.name for site in self._simulation.world.arena.compose().sites if site.name}
+        return {model.site(site).name: site for site in range(model.nsite)
+                if model.site(site).name in there}
+
+    def _get_poses(self, request: Any, response: Any) -> None:
+        poses, simulation = [], self._simulation
+        passes = has_tags((), request.tags)
+
+        def read() -> list[tuple[str, list[float]]]:
+            found = []
+            for name, site in self._sites().items():
+                quat = np.empty(4)
+                mujoco.mju_mat2Quat(quat, simulation.data.site_xmat[site])
+                found.append((name, [*simulation.data.site_xpos[site], *wxyz_to_xyzw(quat)]))
+            return found
+        for name, numbers in self._thread.call(read):
+            if passes:
+                message = self._types.messages.NamedPose(name=name)
+                message.description = 'a site of the arena'
+                filled(message.pose, np.array(numbers))
+                poses.append(message)
+        response.poses = poses
+
+    def _get_pose_bounds(self, request: Any, _: Any) -> None:
+        """Answer with empty bounds: the standard's word for what has none."""
+        sites = self._thread.call(self._sites)
+        if request.name not in sites:
+            raise UnknownNameError('named pose', request.name, sites)
+
+    def _get_spawnables(self, request: Any, response: Any) -> None:
+        unknown = [source for source in request.sources
+                   if not any(map(self._files.is_folder, self._files.places(source)))]
+        if unknown:
+            response.result.error_message = (
+                f'not below spawn_roots: {", ".join(map(quoted, unknown))}')
+        spawnables = []
+        for file in self._files.found(SUFFIXES, _MOST_FILES):
+            spawnables.append(self._types.messages.Spawnable(description='a file'))
+            resource_of(spawnables[-1], 'entity_resource').uri = file.as_uri()
+        for name in robot_names():
+            spawnable = self._types.messages.Spawnable(description=f'the robot {name}')
+            resource = resource_of(spawnable, 'entity_resource')
+            if hasattr(resource, 'resource_string'):  # In version 1 there are uris only.
+                resource.resource_string = f'{{{RequestedRobot.KEY}: {name}}}'
+                spawnables.append(spawnable)
+        response.spawnables = spawnables
+
 
 TYPES = StandardTypes(*(import_optional(f'simulation_interfaces.{kind}')
                         for kind in ('srv', 'msg', 'action')))

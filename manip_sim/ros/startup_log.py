@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from manip_sim.control.modes import MODES, POSITION
-from manip_sim.interface.ros2_control import STALLS
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
+from manip_sim.interface.world_topics import STALLS
 from manip_sim.models import World
 from manip_sim.models.missing_meshes import inferred_by_model, lost_shapes, LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import missing_for_publishing
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.optional_packages import missing_note
+from manip_sim.ros.feature import NodeContext
+from manip_sim.ros.messages import missing_note
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 Value = Callable[[str], Any]

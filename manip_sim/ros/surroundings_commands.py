@@ -22,10 +22,9 @@ from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscription
-from manip_sim.ros.feature import Feature
-from manip_sim.ros.node_context import NodeContext
-from manip_sim.ros.reading import read_command
+from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.rejection_log import kind_of
+from manip_sim.ros.serialization import read_command
 
 #: What the message of a pull holds: two points, and no pose of its own.
 _ENDS, _NOWHERE = 2, PoseMessage()

@@ -78,11 +78,6 @@ class InTransit(Generic[Sent]):
         self._queue.append((arrival, value))
 
     @property
-    def first_arrival(self) -> int | None:
-        """When what was sent first arrives; None if nothing is on its way."""
-        return self._queue[0][0] if self._queue else None
-
-    @property
     def last(self) -> Sent | None:
         """What was sent last."""
         return self._queue[-1][1] if self._queue else None

@@ -18,8 +18,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.control.controlled_joints import ControlledJoints
-from manip_sim.models.declared_limits import declared_velocity
-from manip_sim.models.friction_law import FrictionLaw
+from manip_sim.models.couplings import declared_velocity, FrictionLaw
 
 
 @dataclass(frozen=True)

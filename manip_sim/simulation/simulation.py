@@ -12,7 +12,7 @@ import mujoco
 
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.errors import CommandError, ModelError
-from manip_sim.models.initialization_noise import checked_seed
+from manip_sim.models.placements import checked_seed
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
 from manip_sim.physics.belts import Belts

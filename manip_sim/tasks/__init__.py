@@ -9,7 +9,6 @@ The modules of tasks are imported, which registers them.
 
 from __future__ import annotations
 
-from manip_sim.models.sources import names_in_folders
 from manip_sim.tasks import (  # noqa: F401
     belt_picking, cubes, drawer_opening, handing_over, peg_insertion, reaching, wiping)
 from manip_sim.tasks.episode import Episode, start
@@ -19,14 +18,13 @@ from manip_sim.tasks.late_answers import AnswerTime, LateAnswers
 from manip_sim.tasks.latency import Latency
 from manip_sim.tasks.policy_interface import interface_of
 from manip_sim.tasks.setting import Setting
-from manip_sim.tasks.task import create_task, read_description, Task, TASKS
+from manip_sim.tasks.task import create_task, Task, TASKS
 
 
 def task_names() -> list[str]:
-    """Return the names that :func:`create_task` takes, also of other packages and folders."""
-    return sorted({*TASKS.names(), *names_in_folders('tasks')})
+    """Return the names that :func:`create_task` takes, also of other packages."""
+    return TASKS.names()
 
 
 __all__ = ['ACTIONS', 'AnswerTime', 'Episode', 'Expert', 'LateAnswers', 'Latency', 'PoseActions',
-           'Setting', 'Task', 'create_task', 'interface_of', 'read_description', 'start',
-           'task_names']
+           'Setting', 'Task', 'create_task', 'interface_of', 'start', 'task_names']

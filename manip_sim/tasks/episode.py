@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.errors import CommandError, ModelError
-from manip_sim.models.initialization_noise import checked_seed
+from manip_sim.models.placements import checked_seed
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.drawn_randomization import Drawn
 from manip_sim.tasks.episode_actions import create_actions

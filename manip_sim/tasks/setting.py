@@ -20,8 +20,7 @@ from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import shown
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.episode import Episode
-from manip_sim.tasks.late_answers import (
-    AnswerTime, AnswerTimeLike, LateAnswers, NO_ANSWER_TIME)
+from manip_sim.tasks.late_answers import AnswerTime, AnswerTimeLike, LateAnswers, NO_ANSWER_TIME
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.pictures import (
     CameraLike, checked_kinds, descriptions, Pictures, PictureThreads, views_of)
@@ -34,7 +33,7 @@ class Setting:
     """
     What episodes are made of.
 
-    :ivar task: its name, a YAML file, or an instance
+    :ivar task: its name, or an instance
     :ivar robot: as for ``compose``; a task that is an instance has its own
     :ivar gripper: as for ``compose``
     :ivar action: what actions mean, one of ``manip_sim.tasks.ACTIONS``

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from os import PathLike
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -22,7 +21,6 @@ from manip_sim.models.object_creation import Description
 from manip_sim.models.randomization import Randomization
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
-from manip_sim.models.strict_yaml import read_yaml
 from manip_sim.models.world import World
 from manip_sim.quoting import counted
 from manip_sim.simulation import Simulation
@@ -77,10 +75,9 @@ class Task(ABC):
     own_gripper: ClassVar[str] = DEFAULT
     unable: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
-    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
+    def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if registered:
-            TASKS.register(cls)
+        TASKS.register(cls)
 
     def __init__(self, robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                  **composition: Any) -> None:
@@ -236,43 +233,17 @@ def usable_arms(robot: Any, with_fingers: bool) -> list[str]:
             and (robot.grippers[arm].dof > 0 or not with_fingers)]
 
 
-def create_task(name: str | PathLike[str], robot: Robot = 'Panda',
-                gripper: Gripper | Grippers = DEFAULT, *,
-                description: Mapping[str, Any] | None = None, **composition: Any) -> Task:
+def create_task(name: str, robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
+                **composition: Any) -> Task:
     """
-    Create a task by its name, such as ``pick_cube``, or from a YAML file.
+    Create a task.
 
-    :param name: of the task, or path of a YAML file that describes one
+    :param name: of the task, such as ``pick_cube``
     :param robot: as for ``compose``
     :param gripper: as for ``compose``; ``default`` is the robot's own, unless the task needs
         another one
-    :param description: what a YAML file would hold, in place of one; ``name`` is for messages then
     :param composition: what else ``compose`` takes, such as ``cameras`` or ``timestep_s``
     :raises UnknownNameError: if there is no such task or part, naming the nearest ones
-    :raises ModelError: if the robot cannot do the task, naming those that can, or something is
-        wrong with a description, on one line
+    :raises ModelError: if the robot cannot do the task, naming those that can
     """
-    values = read_description(name) if description is None else description
-    if values is None:
-        return TASKS.create(str(name), robot=robot, gripper=gripper, **composition)
-    # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.tasks.described_task import DescribedTask
-    from manip_sim.tasks.task_description import Described
-    where = f'task {name}' if description is not None else str(name)
-    return DescribedTask(Described(values, where), robot, gripper, **composition)
-
-
-def read_description(name: str | PathLike[str]) -> dict[str, Any] | None:
-    """
-    Return what the YAML file of a task holds, with the paths in it absolute.
-
-    :param name: as for :func:`create_task`
-    :returns: None if the task is a class
-    :raises ModelError: if something is wrong with the file, on one line
-    """
-    file = TASKS.find_file(name)
-    if file is None:
-        return None
-    from manip_sim.tasks.task_description import Described
-    values = read_yaml(file)
-    return Described(values, str(file), file.parent, file.stem).values
+    return TASKS.create(name, robot=robot, gripper=gripper, **composition)

@@ -26,9 +26,8 @@ from manip_sim.errors import ManipSimError, UnknownNameError
 from manip_sim.rclpy_internals import describe_unheard, is_unheard, start_rclpy
 from manip_sim.ros_environment import check_ros_environment
 from manip_sim.testing.controllers import Controllers
-from manip_sim.testing.evidence import save_evidence
-from manip_sim.testing.recorded_topics import (
-    joint_history, JointHistory, RecordedTopics, wrench_history, WrenchHistory)
+from manip_sim.testing.evidence import (
+    joint_history, JointHistory, RecordedTopics, save_evidence, wrench_history, WrenchHistory)
 from manip_sim.testing.served_node import NodeInProcess, NodeProcess, ServedNode
 
 #: How many control periods pass at once: fewer than the messages that a publisher keeps.

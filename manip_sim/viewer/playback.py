@@ -17,16 +17,15 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError
-from manip_sim.models import sandbox
+from manip_sim.models import untrusted_models
 from manip_sim.models.archive import load_archive
 from manip_sim.startup import EndSignals
-from manip_sim.viewer.page.access import Access
-from manip_sim.viewer.page.aiming import Aiming
 from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.model_scene import Scene
 from manip_sim.viewer.page.page_commands import Events
 from manip_sim.viewer.page.plain_text import Line, plain, PlainText
-from manip_sim.viewer.page.server import close_server, open_server, page_address, set_theme
+from manip_sim.viewer.page.pointer import Aiming
+from manip_sim.viewer.page.server import Access, close_server, open_server, page_address, set_theme
 from manip_sim.viewer.page.timeline import Timeline
 from manip_sim.viewer.shown_records import described, entries_in, Entry, Plotted, Shown
 
@@ -60,7 +59,7 @@ def show_records(options: argparse.Namespace) -> int:
             player.update(time.monotonic())
     finally:
         close_server(server)
-    sandbox.give_up()
+    untrusted_models.give_up()
     return 0
 
 

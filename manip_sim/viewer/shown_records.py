@@ -20,7 +20,7 @@ from manip_sim.errors import RecordError
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import counted
 from manip_sim.records.converting import records_in
-from manip_sim.records.definitions import full_name
+from manip_sim.records.record_file import full_name
 from manip_sim.records.recorded import Record, Recorded, RecordedEpisode, RecordedWorld
 from manip_sim.records.recorder import ACTION, GOAL, REWARD, STATE_PARTS
 from manip_sim.records.untrusted_records import image

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from manip_sim.arrays import BoolArray, IntArray
 from manip_sim.errors import (
     CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
-from manip_sim.models.initialization_noise import checked_seed
+from manip_sim.models.placements import checked_seed
 from manip_sim.models.world import World
 from manip_sim.physics.physics import BECAME, ENDED, WENT_ON
 from manip_sim.simulation import Simulation, SimulationState

@@ -12,7 +12,7 @@ import pytest
 from manip_sim.channels.contents import OF_INSTRUMENTS
 from manip_sim.channels.kinds import (
     clock_channel, instrument_channels, object_channels, robot_channels)
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.models import compose, compose_robot, create_arena, World
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with, plan_without

@@ -13,8 +13,8 @@ import pytest
 
 from manip_sim.cli.main import main
 from manip_sim.interface.composition import Composition, declare_node
-from manip_sim.interface.given_parameters import GivenParameters
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.parameter_spec import GivenParameters
+from manip_sim.interface.topics import Scope
 from manip_sim.models.world import World
 
 SOURCE = Path(__file__).resolve().parents[2]

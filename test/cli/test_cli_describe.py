@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from manip_sim.cli.composition_description import _servo_type, camera_rows
+from manip_sim.cli.describe import _servo_type, camera_rows
 from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED
 from manip_sim.models import compose, load_robot
 from manip_sim.models.robots import robot_names
@@ -156,7 +156,7 @@ def test_a_tendon_drives_all_its_joints(fingers_sim):
     fingers_sim('<position name="pull" tendon="t" kp="900" kv="9" ctrlrange="0 0.04"/>',
                 '<tendon><fixed name="t"><joint joint="left" coef="1"/><joint joint="right" '
                 'coef="1"/></fixed></tendon>', coupled=False, before=made.append)
-    from manip_sim.cli.composition_description import actuator_rows
+    from manip_sim.cli.describe import actuator_rows
     from manip_sim.models.mechanism import actuated_joints
     model = made[0].compile()
     row, = actuator_rows(model, {'gripper0_pull': 'right/gripper'})

@@ -13,7 +13,7 @@ import pytest
 
 from manip_sim.cli.output import write_whole
 from manip_sim.models import compose
-from manip_sim.models.binary import roundings
+from manip_sim.models.archive import roundings
 
 SOURCE = Path(__file__).resolve().parents[2]
 

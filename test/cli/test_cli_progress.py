@@ -7,8 +7,8 @@ import io
 
 import pytest
 
-from manip_sim.cli import progress
-from manip_sim.cli.progress import ProgressBar
+from manip_sim.cli import output
+from manip_sim.cli.output import ProgressBar
 
 
 class Screen(io.StringIO):
@@ -23,7 +23,7 @@ class Screen(io.StringIO):
 def test_a_terminal_shows_five_numbers_a_second_and_nothing_at_the_end(terminal, monkeypatch):
     screen, now_s = Screen(terminal), [100.0]
     monkeypatch.setattr('sys.stderr', screen)
-    monkeypatch.setattr(progress.time, 'monotonic', lambda: now_s[0])
+    monkeypatch.setattr(output.time, 'monotonic', lambda: now_s[0])
     with ProgressBar('episodes') as shown:
         for done in range(21):
             shown.show(done, ', well')

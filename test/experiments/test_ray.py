@@ -15,7 +15,7 @@ from ray.cluster_utils import Cluster  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.experiments import Experiment  # noqa: E402
-from manip_sim.experiments.on_ray import run_on_ray  # noqa: E402
+from manip_sim.experiments.processes import run_on_ray  # noqa: E402
 from manip_sim.experiments.processes import run_in_processes  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
 

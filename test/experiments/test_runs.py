@@ -25,7 +25,7 @@ from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
 from manip_sim.experiments import (  # noqa: E402
     Experiment, parse_seeds, parse_shard, wilson_interval, Worker)
-from manip_sim.experiments import on_ray, processes  # noqa: E402
+from manip_sim.experiments import processes  # noqa: E402
 from manip_sim.experiments.policies import flat, load_policy, policy_content  # noqa: E402
 from manip_sim.experiments.run_folder import spans  # noqa: E402
 from manip_sim.experiments.summary import TIMES  # noqa: E402
@@ -824,10 +824,10 @@ def test_ray_is_given_the_processors_only_of_a_cluster_that_it_starts(
 
     monkeypatch.setitem(sys.modules, 'ray', SimpleNamespace(
         init=init, is_initialized=lambda: False))
-    monkeypatch.setattr(on_ray, 'processors', lambda: 3)
+    monkeypatch.setattr(processes, 'processors', lambda: 3)
     monkeypatch.delenv('RAY_ADDRESS', raising=False)
     if ray_address is not None:
         monkeypatch.setenv('RAY_ADDRESS', ray_address)
     with pytest.raises(ManipSimError, match='Ray: no cluster'):
-        list(on_ray.run_on_ray(Experiment(Setting('reach'), 'expert'), [0], address, count))
+        list(processes.run_on_ray(Experiment(Setting('reach'), 'expert'), [0], address, count))
     assert given == [expected]

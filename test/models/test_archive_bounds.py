@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import archive as archives
-from manip_sim.models import compose, robots, sandbox
+from manip_sim.models import archive as archives, compose, robots, untrusted_models
 from manip_sim.models.archive import load_archive
 
 XML = '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody></mujoco>'
@@ -69,15 +68,15 @@ def test_a_model_that_takes_too_long_is_rejected(monkeypatch):
 
 @pytest.mark.full
 def test_a_model_that_takes_too_much_memory_is_rejected(monkeypatch):
-    monkeypatch.setattr(sandbox, 'MAX_MEMORY_BYTES', 1_000_000_000)
+    monkeypatch.setattr(untrusted_models, 'MAX_MEMORY_BYTES', 1_000_000_000)
     rejected(of_xml(f'<mujoco><size memory="2G"/>{XML[8:]}'),
              '^the model of the archive (does not compile|cannot be compiled)')
 
 
 @pytest.fixture
 def untried(monkeypatch):
-    monkeypatch.setattr(sandbox, '_passed', {})
-    monkeypatch.setattr(sandbox, '_tried', lambda *_: 'was tried')
+    monkeypatch.setattr(untrusted_models, '_passed', {})
+    monkeypatch.setattr(untrusted_models, '_tried', lambda *_: 'was tried')
 
 
 @pytest.mark.parametrize('robot', robots.robot_names())

@@ -13,7 +13,7 @@ from manip_sim.models.arenas import TableArena
 from manip_sim.models.files.file_base import FileMobileBase, FileMount
 from manip_sim.models.files.file_gripper import FileGripper
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot
-from manip_sim.models.files.own_hand import OwnHand
+from manip_sim.models.files.hand_model import OwnHand
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import Panda
 

@@ -24,7 +24,7 @@ from manip_sim.models.files import load_robot, requested_robot
 from manip_sim.models.files.requested_robot import load_requested
 from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.regular_files import FilesBelow, KeptFiles, OneText
-from manip_sim.models.urdf_writer.writer import urdf_of
+from manip_sim.models.urdf_writer import urdf_of
 
 DATA = Path(__file__).resolve().parents[1] / 'data/files'
 ROBOTS = sorted(file.name for file in DATA.iterdir() if file.suffix in ('.xml', '.urdf')

@@ -16,7 +16,7 @@ from opened_files import OpenedFiles
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import untrusted_models, sandbox, World
+from manip_sim.models import untrusted_models, World
 from manip_sim.models.asset_files import check_content
 from manip_sim.models.object_creation import create_object, object_from_model
 from manip_sim.models.regular_files import Files, FilesBelow, OneText, read_file
@@ -443,7 +443,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.2))
     (below[0] / 'o.xml').write_text(mjcf('<asset><mesh file="m.stl"/></asset>'))
     hold_model(below[0] / 'o.xml', below[1]).load()
-    monkeypatch.setattr(sandbox, '_tried', lambda *_: 'was tried again')
+    monkeypatch.setattr(untrusted_models, '_tried', lambda *_: 'was tried again')
     hold_model(below[0] / 'o.xml', below[1]).load()
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.3))
     with pytest.raises(ModelError, match='o.xml was tried again'):
@@ -451,7 +451,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
 
 
 def try_it(text):
-    sandbox.try_to_do('it', sandbox.compile_held, text, {}, {})
+    untrusted_models.try_to_do('it', untrusted_models.compile_held, text, {}, {})
 
 
 def test_a_trial_tells_what_mujoco_says():
@@ -468,6 +468,6 @@ def test_a_trial_opens_no_file(secret):
 
 
 def test_a_trial_has_little_memory(monkeypatch):
-    monkeypatch.setattr(sandbox, 'MAX_MEMORY_BYTES', 1_000_000_000)
+    monkeypatch.setattr(untrusted_models, 'MAX_MEMORY_BYTES', 1_000_000_000)
     with pytest.raises(ModelError, match='^it (does not compile|cannot be compiled)'):
         try_it('<mujoco><size memory="2G"/></mujoco>')

@@ -9,8 +9,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.untrusted_models import hold_model
-from manip_sim.models.xml_check import XmlModel
-from manip_sim.models.xml_limits import Budget, excess, Limits, product
+from manip_sim.models.xml_check import Budget, excess, Limits, product, XmlModel
 
 USERS = [f'nuser_{kind}' for kind in (
     'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')]

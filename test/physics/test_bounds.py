@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from manip_sim.models import compose
-from manip_sim.physics.bounds import Box, box_around, Sphere
+from manip_sim.physics.entities import Box, box_around, Sphere
 from manip_sim.simulation import Simulation
 
 CORNERS = [(0, 0, 0), (0.4, 0, 0), (0, 0.2, 0), (0, 0, 0.1)]

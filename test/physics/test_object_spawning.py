@@ -392,7 +392,7 @@ def test_an_object_to_be_seen_comes_again_after_it_was_deleted(live):
 
 def test_names_are_collected_once(live, monkeypatch):
     item = box('third')
-    monkeypatch.delattr('manip_sim.models.naming.TakenNames.__init__')
+    monkeypatch.delattr('manip_sim.models.spec_edits.TakenNames.__init__')
     grown = plan_with(live.plan, item)
     item.spec.bodies[1].name = 'arm'
     with pytest.raises(ModelError, match="'third'"):

@@ -12,8 +12,7 @@ import subprocess
 import sys
 import tracemalloc
 
-from hypothesis import example, given, HealthCheck, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, HealthCheck, settings, strategies as st
 import pytest
 
 from manip_sim.cli.main import main
@@ -24,7 +23,7 @@ for needed in ('mcap', 'mcap_ros2', 'rosbags'):
 
 from mcap.reader import NonSeekingReader  # noqa: E402
 
-from manip_sim.records.definitions import definition, encoder  # noqa: E402
+from manip_sim.records.record_file import definition, encoder  # noqa: E402
 from manip_sim.records.record_file import RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.records.untrusted_records import _KEYS, check_about  # noqa: E402

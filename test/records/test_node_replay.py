@@ -14,16 +14,14 @@ from robot_kinds import KINDS
 
 from manip_sim.cli.main import main
 from manip_sim.interface.composition import compose_world
-from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models import compose_robot
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with
-from manip_sim.records.definitions import decoder, definition, full_name
-from manip_sim.records.record_file import RecordFile
+from manip_sim.records.record_file import decoder, definition, full_name, RecordFile
 from manip_sim.records.recorder import NODE
 from manip_sim.runtime import SimulationThread
-from manip_sim.runtime.goal_tracker import GoalTracker
-from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.runtime.action_goals import GoalTracker, GripperGoal, GripperRequest
 from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot

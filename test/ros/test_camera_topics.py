@@ -29,7 +29,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.physics.object_spawning import plan_without
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.ros.camera_publishers import Cameras
-from manip_sim.ros.lazy_publishers import Output
+from manip_sim.ros.feature import Output
 from manip_sim.sensing.images import ImageNoise
 
 #: It looks along x, so that in its optical frame z is x, x is -y and y is -z.
@@ -406,7 +406,7 @@ import atexit, sys, threading
 atexit.register(lambda: threading.Event().wait())
 from manip_sim.rendering.offscreen import OffscreenRenderer
 from manip_sim.ros.camera_publishers import Cameras
-from manip_sim.ros.lazy_publishers import Output
+from manip_sim.ros.feature import Output
 
 def render(*_, **__):
     print('rendering', flush=True)

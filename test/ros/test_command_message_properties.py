@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E
 
 from manip_sim.errors import CommandError  # noqa: E402
 from manip_sim.ros.messages import nanoseconds_of, stamp_of  # noqa: E402
-from manip_sim.ros.reading import read_command, trajectory_fields  # noqa: E402
+from manip_sim.ros.serialization import read_command, trajectory_fields  # noqa: E402
 
 NUMBERS = st.lists(st.floats(), max_size=4)
 NAMES = st.lists(st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=5),

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from manip_sim.errors import ModelError
 from manip_sim.interface.composition import compose_world
-from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_spec import GivenParameters
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FILE = """

@@ -11,7 +11,7 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.sim_node import SimNode
-from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
+from manip_sim.ros.spawning_services import RequestedRobot, SpawnedRobots
 from manip_sim.simulation.robot_spawning import plan_with_robot
 
 

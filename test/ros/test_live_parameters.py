@@ -11,12 +11,12 @@ from rclpy.parameter import Parameter
 from spawning_node import ask, SpawningByParameters
 
 from manip_sim.errors import ParameterError
-from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
+from manip_sim.ros.spawning_services import RequestedRobot, SpawnedRobots
 from manip_sim.simulation.robot_spawning import plan_with_robot
 
 #: Live parameters of the node that are no settings of a robot.

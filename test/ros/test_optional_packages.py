@@ -5,8 +5,8 @@
 
 import pytest
 
-from manip_sim.ros import action_servers, scene, standard_services, transforms
-from manip_sim.ros.optional_packages import import_optional
+from manip_sim.ros import action_servers, scene, standard_services
+from manip_sim.ros.messages import import_optional
 
 
 def test_a_package_that_is_not_installed_is_none_and_one_that_is_broken_an_error(
@@ -25,7 +25,7 @@ def test_packages_that_are_missing_are_noted_in_one_line_with_the_way_to_get_the
     monkeypatch.setenv('ROS_DISTRO', 'kilted')
     monkeypatch.setattr(action_servers, 'ACTION_TYPES', None)
     monkeypatch.setattr(standard_services, 'AVAILABLE', False)
-    monkeypatch.setattr(transforms, 'TFMessage', None)
+    monkeypatch.setattr(scene, 'TFMessage', None)
     monkeypatch.setattr(scene, 'PLANS', False)
     log = client.log()
     serve()

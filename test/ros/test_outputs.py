@@ -11,7 +11,7 @@ import pytest
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
-from manip_sim.ros.lazy_publishers import Output
+from manip_sim.ros.feature import Output
 from manip_sim.ros.rejection_log import RejectionLog
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL)

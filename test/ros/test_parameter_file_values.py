@@ -9,7 +9,7 @@ import rclpy
 from rclpy.node import Node
 
 from manip_sim.errors import ManipSimError
-from manip_sim.interface.parameter_files import read_parameters
+from manip_sim.interface.parameter_spec import read_parameters
 
 SCALARS = ('1', '-2', '+3', '0x10', '010', '1.5', '.5', '5.', '1e3', '1E-3', '-.inf', 'inf',
            'yes', 'No', 'on', 'OFF', 'y', 'true', 'null', '~', '1:30', '2020-01-01', '1_000',

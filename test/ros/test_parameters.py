@@ -11,12 +11,11 @@ from forks import ends
 from harness import Served
 import pytest
 from rcl_interfaces.msg import Log
-from rcl_interfaces.srv import (
-    DescribeParameters, GetParameters, ListParameters, SetParameters)
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 import yaml
 
-from manip_sim.interface.ros2_control import STALLS
+from manip_sim.interface.world_topics import STALLS
 from manip_sim.models.urdf_writer import OWN_PLUGIN
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'

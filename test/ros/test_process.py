@@ -83,7 +83,7 @@ import sys
 from manip_sim.ros import process
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.executor import GuardedExecutor
-from manip_sim.ros.publishing_thread import PublishingThread
+from manip_sim.ros.feature import PublishingThread
 from manip_sim.simulation import Simulation
 
 def fails(owner, name, fail):

@@ -15,8 +15,7 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
 from manip_sim.rclpy_internals import publish_bytes, RCLError
-from manip_sim.ros.lazy_publishers import Output
-from manip_sim.ros.publishing_thread import PublishingThread
+from manip_sim.ros.feature import Output, PublishingThread
 from manip_sim.ros.rejection_log import RejectionLog
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL)

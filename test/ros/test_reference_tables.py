@@ -12,7 +12,7 @@ import pytest
 from rclpy.qos import QoSDurabilityPolicy
 
 from manip_sim.interface.topics import ACTIONS, SERVICES
-from manip_sim.ros import planning_scene_publisher, transforms
+from manip_sim.ros import planning_scene_publisher, scene
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = '\n'.join((ROOT / 'docs' / 'reference' / page).read_text()
@@ -71,7 +71,7 @@ def test_topics_are_documented_with_their_types(serve, client):
     table -= {(service.name, service.type) for service in SERVICES}
     frames = documented({'tf2_msgs'})
     assert {name for name, _ in frames} == {'/tf', '/tf_static'}
-    if transforms.TFMessage is not None:
+    if scene.TFMessage is not None:
         table |= frames
     if planning_scene_publisher.moveit_msgs is not None:
         table |= documented({'moveit_msgs'})

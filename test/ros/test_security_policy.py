@@ -19,7 +19,7 @@ from rclpy.node import Node
 from manip_sim.interface.topics import PUBLISHED, SERVICES, TOPICS
 from manip_sim.interface.world_topics import actions_of
 from manip_sim.resources import share_directory
-from manip_sim.ros import planning_scene_publisher, standard_services, transforms
+from manip_sim.ros import planning_scene_publisher, scene, standard_services
 
 FILES = Path(__file__).parents[1] / 'data/files'
 #: Together they have all parts that there are, objects, what an arena moves, and tendons.
@@ -92,7 +92,7 @@ def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
             allowed -= STANDARD_SERVICES
     if permission == 'publish':
         assert allowed >= FRAMES
-        if transforms.TFMessage is None:
+        if scene.TFMessage is None:
             allowed -= FRAMES
         assert allowed >= SCENE
         if planning_scene_publisher.moveit_msgs is None:

@@ -20,10 +20,10 @@ from manip_sim.channels.kinds import clock_channel, controller_numbers
 from manip_sim.control.controlled_joints import ControllerState, JointReference
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.physics.frame_tree import TreeFrame
-from manip_sim.ros import channel_publishers, messages, transforms
+from manip_sim.ros import channel_publishers, messages, scene
 from manip_sim.ros.channel_publishers import ChannelPublishers
-from manip_sim.ros.lazy_publishers import Output
-from manip_sim.ros.serialized import SerializedMessage
+from manip_sim.ros.feature import Output
+from manip_sim.ros.serialization import SerializedMessage
 
 NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
 FRAMES = [TreeFrame('link1', 'world'), TreeFrame('link2', 'link1'), TreeFrame('ball', 'world')]
@@ -64,8 +64,8 @@ KINDS = {
     'controller_state': (lambda prefix: controllers([prefix + name for name in NAMES]),
                          ROWS * len(NAMES)),
     'controller_state_of_one': (lambda prefix: controllers([prefix + 'x']), ROWS)}
-if transforms.TFMessage is not None:
-    KINDS['transforms'] = (lambda prefix: partial(transforms.transforms, FRAMES, prefix),
+if scene.TFMessage is not None:
+    KINDS['transforms'] = (lambda prefix: partial(scene.transforms, FRAMES, prefix),
                            7 * len(FRAMES))
 TIMES_NS = [0, 1, 999_999_999, 1_000_000_000, 123_456_789_012, (2**31 - 1) * 10**9 + 999_999_999]
 
@@ -145,7 +145,7 @@ def test_where_numbers_are_not_taken_as_they_are_the_message_itself_is_returned(
 def test_where_the_encoding_is_another_one_the_message_itself_is_returned(kind, monkeypatch):
     # As in XCDR2, where doubles are aligned to four bytes. Taken for CDR, these bytes are another
     # wrench, and no joint state at all, whose reading fails.
-    monkeypatch.setattr('manip_sim.ros.serialized.serialize_message',
+    monkeypatch.setattr('manip_sim.ros.serialization.serialize_message',
                         lambda message: b'\0\7\0\0\0\0\0\0' + serialize_message(message)[4:])
     of_prefix, count = KINDS[kind]
     make = of_prefix('')

@@ -10,8 +10,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
 
 from manip_sim.errors import ManipSimError
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.sensor_settings import SensorSettings
+from manip_sim.interface.offered_sensors import SensorSettings
+from manip_sim.interface.topics import Scope
 from manip_sim.interface.world_topics import topics_of_instruments
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation

@@ -16,8 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 from geometry_msgs.msg import Point, PoseStamped
 from harness import START_S
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -26,15 +25,14 @@ from visualization_msgs.msg import Marker
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import spawn_files
-from manip_sim.models import untrusted_models, sandbox
+from manip_sim.models import untrusted_models
 from manip_sim.models.files import requested_robot
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
-from manip_sim.ros.background import begin, in_background, THREAD_NAME
-from manip_sim.ros.spawned_robots import RequestedRobot
-from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.ros.executor import begin, in_background, THREAD_NAME
+from manip_sim.ros.spawning_services import RequestedRobot, SpawningServices
 from manip_sim.ros.standard_answers import StandardTypes
 from manip_sim.startup import leave
 
@@ -96,10 +94,10 @@ def slow_mesh(faces):
 
 def test_a_mesh_that_takes_too_long_is_rejected_while_all_else_goes_on(
         serve, client, tmp_path, monkeypatch):
-    monkeypatch.setattr(sandbox, 'MAX_CPU_S', 1)
-    seen, tried = threading.Event(), sandbox._tried
+    monkeypatch.setattr(untrusted_models, 'MAX_CPU_S', 1)
+    seen, tried = threading.Event(), untrusted_models._tried
     monkeypatch.setattr(
-        sandbox, '_tried', lambda *work: tried(*work) if seen.wait(START_S) else '')
+        untrusted_models, '_tried', lambda *work: tried(*work) if seen.wait(START_S) else '')
     (tmp_path / 'm.stl').write_bytes(slow_mesh(100_000))
     (tmp_path / 'o.xml').write_text(MESH)
     node = serve(arena='table')
@@ -211,17 +209,17 @@ def test_a_process_that_ends_does_not_wait_for_the_background(monkeypatch):
 
 
 def test_what_is_tried_is_given_up_by_a_process_that_ends(tmp_path, monkeypatch):
-    monkeypatch.setattr(sandbox, 'MAX_CPU_S', 60)
+    monkeypatch.setattr(untrusted_models, 'MAX_CPU_S', 60)
     (tmp_path / 'm.stl').write_bytes(slow_mesh(100_000))
     (tmp_path / 'o.xml').write_text(MESH)
     held = untrusted_models.hold_model(tmp_path / 'o.xml', FilesBelow([tmp_path], 'spawn_roots'))
     loading = begin(held.load)
-    while not sandbox._running:
+    while not untrusted_models._running:
         assert not loading.done()
-    sandbox.give_up()
+    untrusted_models.give_up()
     with pytest.raises(ManipSimError, match='to load, which is the limit'):
         loading.result(START_S)
-    assert not sandbox._running
+    assert not untrusted_models._running
 
 
 @pytest.mark.parametrize('folders', [[], ['']])

@@ -14,8 +14,8 @@ import pytest
 import rclpy
 from rclpy.executors import InvalidHandle
 
+from manip_sim.ros.arguments import for_other_nodes
 from manip_sim.ros.declared_parameters import Parameters
-from manip_sim.ros.overrides import for_other_nodes
 
 QOS = 'qos_overrides./joint_states.publisher'
 REJECTED = {

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from manip_sim.errors import CommandError, ManipSimError, ParameterError, UnknownNameError
 from manip_sim.interface.composition import compose_world
-from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.tasks import create_task
 from manip_sim.tasks.task import TASKS
 

@@ -19,9 +19,9 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with, plan_without
-from manip_sim.ros import transforms
+from manip_sim.ros import scene
 from manip_sim.ros.messages import nanoseconds_of, stamp_of
-from manip_sim.ros.serialized import SerializedMessage
+from manip_sim.ros.serialization import SerializedMessage
 
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.05, 'mass': 0.1, 'position': [1.5, 0.0, 0.5]}
 
@@ -63,9 +63,9 @@ def records(monkeypatch):
         # As plain messages have no bytes, look at what those of tf2_msgs are made of.
         found[0].frames = [t.child_frame_id for t in make(stamp_of(0), np.zeros(count)).transforms]
         return SerializedMessage(make, count)
-    monkeypatch.setattr(transforms, 'SerializedMessage', serialized)
-    monkeypatch.setattr(transforms, 'TFMessage', PlainMessage)
-    monkeypatch.setattr(transforms, 'create_outputs', lambda node: found)
+    monkeypatch.setattr(scene, 'SerializedMessage', serialized)
+    monkeypatch.setattr(scene, 'TFMessage', PlainMessage)
+    monkeypatch.setattr(scene, 'create_outputs', lambda node: found)
     return found
 
 
@@ -205,7 +205,7 @@ def test_while_nobody_listens_no_frames_are_made(serve, client, records):
 
 
 def test_without_tf2_msgs_one_line_says_so_and_all_else_works(serve, client, monkeypatch):
-    monkeypatch.setattr(transforms, 'TFMessage', None)
+    monkeypatch.setattr(scene, 'TFMessage', None)
     log = client.log()
     node = serve(tf_rate=50.0)
     client.state()

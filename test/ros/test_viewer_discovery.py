@@ -14,7 +14,7 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.viewer.ros.command_sender import CommandSender  # noqa: E402
 from manip_sim.viewer.ros.discovery import Discovery  # noqa: E402
-from manip_sim.viewer.ros.node_recording import NodeRecording  # noqa: E402
+from manip_sim.viewer.ros.session import NodeRecording  # noqa: E402
 from manip_sim.viewer.ros.readers import Readers  # noqa: E402
 
 #: Of a description; what the viewer takes at most [bytes].

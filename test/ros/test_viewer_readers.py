@@ -118,9 +118,9 @@ def test_malformed_messages_are_logged_once_a_second_and_the_viewer_goes_on(clie
 #: The viewer with more time for checks of models: a page on a busy machine is slow to show them.
 PATIENT = """
 import sys
-from manip_sim.models import sandbox
+from manip_sim.models import untrusted_models
 from manip_sim.viewer.__main__ import main
-sandbox.MAX_WALL_S = 1e4
+untrusted_models.MAX_WALL_S = 1e4
 sys.exit(main())
 """
 
@@ -133,7 +133,7 @@ def trials(process):
             parent = status.read_text().rpartition(')')[2].split()[1]
             # As soon as it is a program of its own.
             program = (status.parent / 'cmdline').read_bytes()
-            if parent == str(process.pid) and b'sandbox' in program:
+            if parent == str(process.pid) and b'untrusted_models' in program:
                 found.append(int(status.parent.name))
         except OSError:  # It has just ended.
             continue

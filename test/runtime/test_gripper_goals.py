@@ -12,8 +12,7 @@ import pytest
 from manip_sim.control.commands import Status
 from manip_sim.models import compose
 from manip_sim.models.grippers import gripper_names
-from manip_sim.runtime.action_goals import Ending, GoalCode, GoalError
-from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.runtime.action_goals import Ending, GoalCode, GoalError, GripperGoal, GripperRequest
 from manip_sim.simulation import Simulation
 
 GRIPPER = 'right/gripper'

@@ -12,7 +12,7 @@ import pytest
 
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.models import World
-from manip_sim.models.lidar_models import create_lidar
+from manip_sim.models.cameras import create_lidar
 from manip_sim.simulation import Simulation
 
 #: A ball 3 m ahead and a box 2 m to the left of the lidar, which stands 1 m above the floor.

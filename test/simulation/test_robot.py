@@ -10,10 +10,10 @@ from sampling import whole_robot
 from manip_sim.control.commands import Command, Status
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.parameters import commanded_parts, mode_parameters
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
-from manip_sim.runtime.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.runtime.action_goals import GripperGoal, GripperRequest
 from manip_sim.simulation import Simulation
 
 

@@ -18,7 +18,7 @@ from manip_sim.models import compose
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import robot_names
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.ros.spawned_robots import RequestedRobot
+from manip_sim.ros.spawning_services import RequestedRobot
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot
 

@@ -34,8 +34,7 @@ from manip_sim.models import compose
 from manip_sim.ros.action_servers import messages_of
 from manip_sim.ros.standard_answers import ResultCode
 from manip_sim.runtime import SimulationThread
-from manip_sim.runtime.action_goals import ActionGoal, GoalError
-from manip_sim.runtime.goal_tracker import GoalTracker
+from manip_sim.runtime.action_goals import ActionGoal, GoalError, GoalTracker
 from manip_sim.simulation import Simulation
 
 _OBJECTS = 3

@@ -21,8 +21,8 @@ import viser  # noqa: E402
 import websockets  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
-from manip_sim.viewer.page import access  # noqa: E402
-from manip_sim.viewer.page.access import (  # noqa: E402
+from manip_sim.viewer.page import server as server_module  # noqa: E402
+from manip_sim.viewer.page.server import (  # noqa: E402
     Access, guarding, page_message, TOKEN_VARIABLE)
 from manip_sim.viewer.page.server import close_server, open_server, page_address  # noqa: E402
 
@@ -157,7 +157,7 @@ def hostile_frames(inputs):
         yield b'\x81\xa4type' + nested
         yield b'\x82\xa4type\xb0GuiUpdateMessage\xa7updates\x81\xa5value' + nested
     values = [None, True, -1, 0, 'x', '', [], ['a'] * 4, [0.0], {}, {'a': 1}]
-    for kind in sorted(access._TAKEN):
+    for kind in sorted(server_module._TAKEN):
         for more in ({}, {'x': 1}, {'name': None}, {'uuid': 1, 'updates': {'value': 1}}):
             yield {'type': kind, **more}
     for whole, kind in ((CAMERA, 'ViewerCameraMessage'), (POSE, 'TransformControlsUpdateMessage')):
@@ -197,7 +197,7 @@ def test_whatever_a_client_with_the_token_sends_is_a_line_at_most(server, caplog
     assert slider.value == 0.7  # The connection is still there.
     assert choice.value == 'x' and isinstance(box.value, bool) and group.value in ('p', 'q')
     assert not [record for record in caplog.records if record.exc_info]
-    assert len([record for record in caplog.records if record.name == access.__name__]) == 1
+    assert len([record for record in caplog.records if record.name == server_module.__name__]) == 1
     assert 'Traceback' not in capfd.readouterr().err
 
 

@@ -15,7 +15,7 @@ from hypothesis import given, strategies as st  # noqa: E402
 import mujoco  # noqa: E402
 
 from manip_sim.models import compose  # noqa: E402
-from manip_sim.viewer.page.body_labels import _LINE, arrange, BodyLabels  # noqa: E402
+from manip_sim.viewer.page.kinematics import _LINE, arrange, BodyLabels  # noqa: E402
 from manip_sim.viewer.page.kinematics import Kinematics  # noqa: E402
 from manip_sim.viewer.page.model_scene import FIELD_OF_VIEW, first_view  # noqa: E402
 

@@ -19,10 +19,10 @@ from sensor_msgs.msg import Image, JointState  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from manip_sim.errors import MessageError  # noqa: E402
-from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus  # noqa: E402
+from manip_sim.viewer.page.latest import command_fields, in_words, ShownStatus  # noqa: E402
 from manip_sim.viewer.page.robots import commanded_joints, declared_limits, limit_of  # noqa: E402
-from manip_sim.viewer.ros import contents  # noqa: E402
-from manip_sim.viewer.ros.layout import layout_of  # noqa: E402
+from manip_sim.viewer.ros import readers  # noqa: E402
+from manip_sim.viewer.ros.discovery import layout_of  # noqa: E402
 
 TEXTS = st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=8)
 NUMBERS = st.lists(st.floats(), max_size=3)
@@ -40,7 +40,7 @@ def read(function, *arguments):
 
 @given(st.lists(TEXTS, max_size=3), NUMBERS, NUMBERS, NUMBERS)
 def test_joint_states_have_a_finite_number_for_each_name_or_are_rejected(names, p, v, e):
-    found = read(contents.joint_states, JointState(name=names, position=p, velocity=v, effort=e))
+    found = read(readers.joint_states, JointState(name=names, position=p, velocity=v, effort=e))
     fits = len(set(names)) == len(names) == len(p) > 0 and all(
         len(values) in (0, len(names)) for values in (v, e))
     fits = fits and all(abs(x) <= 1e9 for x in (*p, *v, *e))
@@ -51,10 +51,10 @@ def test_joint_states_have_a_finite_number_for_each_name_or_are_rejected(names, 
 
 
 def test_what_a_message_of_joints_leaves_empty_is_zero():
-    found = contents.joint_states(JointState(name=['a', 'b'], position=[1.0, 2.0]))
+    found = readers.joint_states(JointState(name=['a', 'b'], position=[1.0, 2.0]))
     assert [*found.velocity, *found.effort] == [0.0] * 4
     with pytest.raises(MessageError, match=r'^velocity: 1 number for 2 joints$'):
-        contents.joint_states(JointState(name=['a', 'b'], position=[1.0, 2.0], velocity=[1.0]))
+        readers.joint_states(JointState(name=['a', 'b'], position=[1.0, 2.0], velocity=[1.0]))
 
 
 @given(st.lists(st.floats(), min_size=7, max_size=7))
@@ -62,7 +62,7 @@ def test_a_pose_has_a_unit_quaternion_or_is_rejected(numbers):
     message = PoseStamped()
     at, turn = message.pose.position, message.pose.orientation
     at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z = numbers
-    found = read(contents.pose, message)
+    found = read(readers.pose, message)
     if found is not None:
         assert found.position.tolist() == numbers[:3]
         assert np.linalg.norm(found.quat_wxyz) == pytest.approx(1.0)
@@ -74,28 +74,28 @@ def test_a_pose_has_a_unit_quaternion_or_is_rejected(numbers):
 def test_a_wrench_that_cannot_be_drawn_is_rejected(bad):
     message = WrenchStamped()
     message.wrench.torque.y = 3.0
-    assert contents.wrench(message).tolist() == [0.0, 0.0, 0.0, 0.0, 3.0, 0.0]
+    assert readers.wrench(message).tolist() == [0.0, 0.0, 0.0, 0.0, 3.0, 0.0]
     message.wrench.force.z = bad
     with pytest.raises(MessageError, match='wrench: .* cannot be drawn'):
-        contents.wrench(message)
+        readers.wrench(message)
 
 
 def test_an_image_is_shown_if_its_data_is_that_of_its_size():
     good = {'height': 2, 'width': 1, 'step': 4, 'encoding': 'rgb8'}
-    pixels = contents.image(Image(data=bytes(range(8)), **good))
+    pixels = readers.image(Image(data=bytes(range(8)), **good))
     assert pixels.tolist() == [[[0, 1, 2]], [[4, 5, 6]]]
     for wrong in ({'height': 0}, {'height': 3}, {'width': 2}, {'width': 0}, {'step': 2},
                   {'step': 2**32 - 1}, {'encoding': 'rgba8'}, {'height': 2**31, 'step': 0}):
         with pytest.raises(MessageError):
-            contents.image(Image(data=bytes(range(8)), **{**good, **wrong}))
+            readers.image(Image(data=bytes(range(8)), **{**good, **wrong}))
     with pytest.raises(MessageError):
-        contents.image(Image(data=b'', height=4097, width=1, step=3, encoding='rgb8'))
+        readers.image(Image(data=b'', height=4097, width=1, step=3, encoding='rgb8'))
 
 
 def test_markers_are_taken_by_their_namespace_and_rejected_if_one_is_not_finite():
     def marker(namespace, count, x=0.5, kind=Marker.ARROW):
         return Marker(ns=namespace, type=kind, points=[Point(x=x, y=1.0)] * count)
-    points, arrows = contents.markers(MarkerArray(markers=[
+    points, arrows = readers.markers(MarkerArray(markers=[
         marker('contact_points', 3, kind=Marker.SPHERE_LIST), marker('right/external_force', 2),
         marker('contact_forces', 2), marker('contact_forces', 1), marker('x', 2, kind=99)]))
     assert points.shape == (3, 3)
@@ -104,7 +104,7 @@ def test_markers_are_taken_by_their_namespace_and_rejected_if_one_is_not_finite(
     for bad in ([marker('contact_points', 1, NAN)], [marker('contact_forces', 2, INF)],
                 [marker('contact_points', 5001)], [Marker()] * 5001):
         with pytest.raises(MessageError):
-            contents.markers(MarkerArray(markers=bad))
+            readers.markers(MarkerArray(markers=bad))
 
 
 VALUES = st.dictionaries(
@@ -122,7 +122,7 @@ def test_any_diagnostics_are_put_in_words(found):
         DiagnosticStatus(level=bytes([level]), name=f'cell/sim: {name}', message=text,
                          values=[KeyValue(key=k, value=v) for k, v in values.items()])
         for level, name, text, values in found] + [DiagnosticStatus(name='other: x')])
-    statuses = contents.statuses(message, 'cell/sim')
+    statuses = readers.statuses(message, 'cell/sim')
     assert [(s.level, s.name, s.message, s.values) for s in statuses] == found
     assert in_words(statuses)
     assert set(command_fields(statuses).values()) <= {'position', 'velocity', 'effort'}
@@ -130,7 +130,7 @@ def test_any_diagnostics_are_put_in_words(found):
 
 def test_too_many_statuses_are_rejected():
     with pytest.raises(MessageError, match='101 statuses'):
-        contents.statuses(DiagnosticArray(status=[DiagnosticStatus(name='n: x')] * 101), 'n')
+        readers.statuses(DiagnosticArray(status=[DiagnosticStatus(name='n: x')] * 101), 'n')
 
 
 def test_a_value_is_a_number_only_if_it_is_finite():

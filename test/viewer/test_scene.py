@@ -13,8 +13,8 @@ import pytest
 trimesh = pytest.importorskip('trimesh', reason='the viewer needs the extra viewer')
 
 from manip_sim.models import compose  # noqa: E402
-from manip_sim.viewer.page.aiming import VIEWS  # noqa: E402
-from manip_sim.viewer.page.body_meshes import body_meshes  # noqa: E402
+from manip_sim.viewer.page.pointer import VIEWS  # noqa: E402
+from manip_sim.viewer.page.model_scene import body_meshes  # noqa: E402
 from manip_sim.viewer.page.kinematics import Kinematics  # noqa: E402
 from manip_sim.viewer.page.model_scene import (  # noqa: E402
     FIELD_OF_VIEW, first_view, local_poses, ROOT, Scene)

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
-from manip_sim.viewer.page.access import Access  # noqa: E402
+from manip_sim.viewer.page.server import Access  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
 
 

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.models import compose  # noqa: E402
-from manip_sim.viewer.page.access import Access  # noqa: E402
+from manip_sim.viewer.page.server import Access  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest, PoseInWorld  # noqa: E402
 from manip_sim.viewer.page.page import Page  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402

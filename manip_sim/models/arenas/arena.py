@@ -19,12 +19,11 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.naming import TakenNames
 from manip_sim.models.object_model import FixtureModel, ObjectModel
 from manip_sim.models.placements import Placement
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
-from manip_sim.models.spec_edits import begin_like
+from manip_sim.models.spec_edits import begin_like, TakenNames
 from manip_sim.quoting import shown
 from manip_sim.resources import asset_path
 from manip_sim.validation import finite_numbers

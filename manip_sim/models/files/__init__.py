@@ -12,9 +12,8 @@ from manip_sim.models.files.file_arena import FileArena
 from manip_sim.models.files.file_base import base_of_file, FileBase
 from manip_sim.models.files.file_gripper import FileGripper
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot
-from manip_sim.models.files.finding import find_model
 from manip_sim.models.files.part_descriptions import (
-    ArenaDescription, BaseDescription, GripperDescription, RobotDescription)
+    ArenaDescription, BaseDescription, find_model, GripperDescription, RobotDescription)
 from manip_sim.models.files.robot_plan import plan_robot
 
 

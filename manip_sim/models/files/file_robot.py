@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.bases import MobileBaseModel, RobotBaseModel
-from manip_sim.models.files.own_hand import OwnHand
+from manip_sim.models.files.hand_model import OwnHand
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.grippers.gripper_model import GripperModel

@@ -14,8 +14,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.naming import TakenNames
-from manip_sim.models.spec_edits import attach, delete_elements, rename_body
+from manip_sim.models.spec_edits import attach, delete_elements, rename_body, TakenNames
 from manip_sim.quaternion import relative_quat_wxyz
 from manip_sim.quoting import quoted_names
 

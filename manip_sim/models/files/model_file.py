@@ -16,21 +16,19 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.couplings import JointCouplings
-from manip_sim.models.files.actuation import add_servos
+from manip_sim.models.files.actuation import add_servos, guess_efforts, report_efforts
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
-from manip_sim.models.files.dangling_references import leave_out_dangling
-from manip_sim.models.files.effort_limits import guess_efforts, report_efforts
 from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.overlaps import exclude_overlaps
 from manip_sim.models.files.part_descriptions import Description
-from manip_sim.models.files.scenery import single_tree, touch_other_files
+from manip_sim.models.files.scenery import leave_out_dangling, single_tree, touch_other_files
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.files.urdf_joints import support_couplings
 from manip_sim.models.loading import compile_alone, compile_copy, load_spec, name_unnamed_elements
+from manip_sim.models.missing_meshes import infer_inertias_once
 from manip_sim.models.regular_files import Files
-from manip_sim.models.skipped_elements import infer_inertias_once
-from manip_sim.models.untrusted_models import hold_robot
+from manip_sim.models.untrusted_models import hold_model
 from manip_sim.quoting import counted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
@@ -173,7 +171,7 @@ def read_model(file: Path, description: Description, where: object,
     elif files is None:
         spec, notes = _load_mjcf(file, expects_meshes)
     else:
-        spec = hold_robot(file, files).load_tried(notes)
+        spec = hold_model(file, files, as_robot=True).load_tried(notes)
     notes += [*_gravity_of_file(spec), *touch_other_files(spec), *leave_out_dangling(spec)]
     name_unnamed_elements(spec)
     for joint in spec.joints:  # MuJoCo would leave the rotor out of dof_invweight0 of some slides.

@@ -21,16 +21,14 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.bases import base_names
 from manip_sim.models.composing import DEFAULT, NONE
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot
-from manip_sim.models.files.finding import find_model
 from manip_sim.models.files.overlaps import disabled_pairs
-from manip_sim.models.files.part_descriptions import RobotDescription
+from manip_sim.models.files.part_descriptions import find_model, RobotDescription
 from manip_sim.models.files.robot_plan import plan_robot
 from manip_sim.models.files.urdf import hold_urdf, is_urdf
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_model import NOT_SPAWNED
 from manip_sim.models.regular_files import Files, KeptFiles, OneText
-from manip_sim.models.sandbox import try_to_do
-from manip_sim.models.untrusted_models import held_name, hold_robot
+from manip_sim.models.untrusted_models import held_name, hold_model, try_to_do
 from manip_sim.quoting import one_line
 
 #: Greatest number of degrees of freedom.
@@ -63,7 +61,7 @@ def load_requested(given: Path | OneText, files: Files, idn: int | str = 0) -> F
             hold_urdf(file, description.xacro_values, kept)
             disabled_pairs(file, kept)
         else:
-            hold_robot(file, kept)
+            hold_model(file, kept, as_robot=True)
     held = file, description, where, copy.copy(kept), idn
     try_to_do(one_line(str(file), 200), load_held, *held, max_cpu_s=MAX_CPU_S)
     return load_held(*held)

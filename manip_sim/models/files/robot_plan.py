@@ -19,10 +19,10 @@ from manip_sim.models.files.found_arms import (
     ALONE, classify_joints, find_arms, FoundArm, lone_hands_as_arms)
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
+from manip_sim.models.files.hand_model import OwnHand
 from manip_sim.models.files.limbs import is_unlimited
 from manip_sim.models.files.mocap_bodies import MocapBodies
 from manip_sim.models.files.model_file import depth_in_floor, ModelFile, read_model
-from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
 from manip_sim.models.loading import compile_copy, compile_without_meshes

@@ -15,14 +15,13 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.files.link_masses import make_physical
+from manip_sim.models.files.package_folders import find_meshes
 from manip_sim.models.files.urdf_joints import check_joints, complete_joints
-from manip_sim.models.files.urdf_meshes import find_meshes
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files, OneText
-from manip_sim.models.untrusted_models import hold_tree, HeldModel, ROBOT_LIMITS
-from manip_sim.models.xml_check import XmlModel
-from manip_sim.models.xml_limits import Budget
+from manip_sim.models.untrusted_models import HeldModel, ROBOT_LIMITS
+from manip_sim.models.xml_check import AssetFolders, Budget, XmlModel
 from manip_sim.quoting import counted, one_line, quoted, quoted_names
 
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
@@ -108,7 +107,9 @@ def _hold(robot: ElementTree.Element, file: Path, files: Files) -> HeldModel:
     for material in read.iter('material'):  # Textures are not read.
         for texture in material.findall('texture'):
             material.remove(texture)
-    return hold_tree(read, file, files)
+    held = HeldModel(str(file), is_light=False)
+    held.xml = held.hold_tree(read, {}, AssetFolders(file.parent), files, as_robot=True)
+    return held
 
 
 def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files: Files | None

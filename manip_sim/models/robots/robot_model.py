@@ -19,12 +19,11 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
-from manip_sim.models.friction_law import FrictionLaw
+from manip_sim.models.couplings import FrictionLaw
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.naming import TakenNames
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.subsystems import SCALAR, Subsystems
-from manip_sim.models.spec_edits import rename_body, rotate_actuators
+from manip_sim.models.spec_edits import rename_body, rotate_actuators, TakenNames
 from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.validation import finite_numbers, mapping
 

@@ -13,23 +13,18 @@ from typing import Any
 import mujoco
 
 from manip_sim.quoting import one_line
-from manip_sim.viewer.page.aiming import Aiming
-from manip_sim.viewer.page.body_labels import BodyLabels
-from manip_sim.viewer.page.diagnosis import (
-    command_fields, control_modes, in_words, ShownStatus)
-from manip_sim.viewer.page.dragging import EndEffectorTarget, Pulling
-from manip_sim.viewer.page.kinematics import Kinematics
-from manip_sim.viewer.page.latest import Latest
+from manip_sim.viewer.page.kinematics import BodyLabels, Kinematics
+from manip_sim.viewer.page.latest import (
+    command_fields, control_modes, in_words, Latest, ShownStatus)
 from manip_sim.viewer.page.model_scene import Overlays, Scene
-from manip_sim.viewer.page.page_commands import Events, PageCommands
+from manip_sim.viewer.page.page_commands import Events, PageCommands, PosePanel, Poses
 from manip_sim.viewer.page.panels import (
     CameraPanel, DrivePanel, JointPanel, SavePanel, SimulationPanel, ViewPanel)
 from manip_sim.viewer.page.plain_text import PlainText
-from manip_sim.viewer.page.plots import PlotPanel
+from manip_sim.viewer.page.pointer import Aiming, EndEffectorTarget, Pulling
 from manip_sim.viewer.page.robots import Robot, ShownPart
-from manip_sim.viewer.page.saved_poses import PosePanel, Poses
 from manip_sim.viewer.page.server import save_picture, set_theme
-from manip_sim.viewer.page.timeline import LookBack
+from manip_sim.viewer.page.timeline import LookBack, PlotPanel
 
 #: Parts with more joints, and all parts after the first ones, are folded up at first.
 _MANY_JOINTS, _UNFOLDED = 8, 2

@@ -21,8 +21,8 @@ from visualization_msgs.msg import Marker
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.viewer.page.diagnosis import ShownStatus
-from manip_sim.viewer.ros.layout import name_of
+from manip_sim.viewer.page.latest import ShownStatus
+from manip_sim.viewer.ros.discovery import name_of
 
 _ACTION_SIZE, _MAX_ACTION_SIZE = 'action_size', 100
 _SERVICES = {'pause': SetBool, 'step': Trigger, 'reset': Trigger, 'tare_wrench': Trigger,

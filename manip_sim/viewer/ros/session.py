@@ -6,10 +6,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 import os
 from pathlib import Path
+import signal
+import subprocess
+import sys
 import time
 from typing import Any
 
@@ -21,24 +24,71 @@ from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import Marker
 
 from manip_sim.errors import ManipSimError
-from manip_sim.models import sandbox
+from manip_sim.models import untrusted_models
 from manip_sim.quoting import counted
 from manip_sim.rclpy_internals import RCLError, without_source
-from manip_sim.ros import background
 from manip_sim.ros.arguments import start_ros
 from manip_sim.startup import EndSignals, leave
-from manip_sim.viewer.page.access import Access
-from manip_sim.viewer.page.diagnosis import ShownStatus, WARN
-from manip_sim.viewer.page.latest import RealTimeFactor
+from manip_sim.viewer.page.latest import RealTimeFactor, ShownStatus, WARN
 from manip_sim.viewer.page.page import Page
-from manip_sim.viewer.page.saved_poses import Poses
-from manip_sim.viewer.page.server import close_server, open_server, page_address
+from manip_sim.viewer.page.page_commands import Poses
+from manip_sim.viewer.page.server import Access, close_server, open_server, page_address
 from manip_sim.viewer.ros.command_sender import CommandSender
-from manip_sim.viewer.ros.discovery import Discovery
-from manip_sim.viewer.ros.layout import name_of
-from manip_sim.viewer.ros.node_recording import NodeRecording
+from manip_sim.viewer.ros.discovery import Discovery, name_of
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
 from manip_sim.viewer.ros.states import States
+
+#: Longest wait for a record to be completed when the viewer ends [s].
+_CLOSING_S = 10.0
+
+
+class NodeRecording:
+    """
+    A record that begins and ends when people say so.
+
+    :param node: full name of the node, such as ``/manip_sim``
+    :param folder: where the files are written
+    :param report: called with a text, and whether it is a record that was written
+    """
+
+    def __init__(self, node: str, folder: Path, report: Callable[[str, bool], None]) -> None:
+        self._node, self._folder, self._report = node, folder, report
+        self._process: subprocess.Popen[str] | None = None
+
+    @property
+    def is_running(self) -> bool:
+        return self._process is not None
+
+    def record(self, wanted: bool) -> None:
+        """Begin a record, or end the present one; what is so already is ignored."""
+        if self._process is None and wanted:
+            name = self._node.rpartition('/')[2]
+            file = self._folder / f'{name}_{time.strftime("%Y%m%d_%H%M%S")}.mcap'
+            self._process = subprocess.Popen(
+                [sys.executable, '-m', 'manip_sim.cli', 'record', str(file), '--node', self._node],
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                text=True)
+        elif self._process is not None and not wanted:
+            self._process.send_signal(signal.SIGINT)
+
+    def update(self) -> None:
+        """Report a record that has ended; to be called from time to time."""
+        if self._process is not None and self._process.poll() is not None:
+            process, self._process = self._process, None
+            lines = process.communicate()[0].strip().splitlines()
+            self._report(lines[-1] if lines else 'the record has ended', not process.returncode)
+
+    def close(self) -> None:
+        """End the present record, and wait for its file."""
+        self.record(False)
+        if self._process is not None:
+            try:
+                self._process.communicate(timeout=_CLOSING_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.communicate()
+            self._process = None
+
 
 #: Time between two looks for the node, and between two reports of its state [s].
 _SEARCH_S, _REPORT_S = 0.5, 0.5
@@ -226,8 +276,8 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    sandbox.give_up()
-    return leave(0, background.THREAD_NAME)
+    untrusted_models.give_up()
+    return leave(0, executor.THREAD_NAME)
 
 
 def _start_ros(arguments: Sequence[str]) -> Node:

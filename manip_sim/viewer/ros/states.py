@@ -18,10 +18,9 @@ from rclpy.qos import qos_profile_sensor_data, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Image, JointState
 from visualization_msgs.msg import MarkerArray
 
-from manip_sim.viewer.page.diagnosis import ShownStatus
-from manip_sim.viewer.page.latest import Latest
-from manip_sim.viewer.ros import contents
-from manip_sim.viewer.ros.layout import Layout, name_of
+from manip_sim.viewer.page.latest import Latest, ShownStatus
+from manip_sim.viewer.ros import readers
+from manip_sim.viewer.ros.discovery import Layout, name_of
 from manip_sim.viewer.ros.readers import Readers
 
 #: The newest message is enough, and a lost one is followed by another.
@@ -119,27 +118,27 @@ class States:
                             qos_profile_sensor_data, most=_MAX_IMAGE_BYTES)
 
     def _take_joints(self, space: str, message: JointState) -> None:
-        self.latest.joints[space] = contents.joint_states(message)
+        self.latest.joints[space] = readers.joint_states(message)
         self.latest.joints_s = time.monotonic()
 
     def _take_end_effector(self, key: tuple[str, str], message: PoseStamped) -> None:
-        self.latest.end_effectors[key] = contents.pose(message)
+        self.latest.end_effectors[key] = readers.pose(message)
         self.frames[key] = message.header.frame_id
 
     def _take_object(self, name: str, message: PoseStamped) -> None:
-        self.latest.objects[name] = contents.pose(message)
+        self.latest.objects[name] = readers.pose(message)
 
     def _take_wrench(self, key: tuple[str, str], message: WrenchStamped) -> None:
-        self.latest.wrenches[key] = contents.wrench(message)
+        self.latest.wrenches[key] = readers.wrench(message)
 
     def _take_image(self, name: str, message: Image) -> None:
-        self.latest.images[name] = contents.image(message)
+        self.latest.images[name] = readers.image(message)
 
     def _take_markers(self, message: MarkerArray) -> None:
-        self.latest.contacts, self.latest.arrows = contents.markers(message)
+        self.latest.contacts, self.latest.arrows = readers.markers(message)
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
-        statuses = contents.statuses(message, self._name)
+        statuses = readers.statuses(message, self._name)
         if statuses:
             self.latest.diagnostics = statuses
             self.on_statuses(statuses)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pictures of all parts, rendered without a screen: ``python3 -m manip_sim.gallery``."""
+"""Pictures of all parts, rendered without a screen: ``python3 docs/draw_gallery.py``."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
-from manip_sim.cli.framing import View
 from manip_sim.cli.output import write_whole
-from manip_sim.cli.rendering import picture_of_part, picture_of_state, picture_of_world
+from manip_sim.cli.rendering import picture_of_part, picture_of_state, picture_of_world, View
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.rendering.gl import cannot_render
 
@@ -51,14 +50,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         make_gallery(options.output, options.name)
     except ManipSimError as error:
-        print(f'gallery: {error}', file=sys.stderr)
+        print(f'draw_gallery: {error}', file=sys.stderr)
         return 1
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog='python3 -m manip_sim.gallery',
+        prog='python3 docs/draw_gallery.py',
         description='Render each robot with its default gripper, open, and base, each gripper and '
                     'each base from two sides, and each task with a Panda at its start and when '
                     'it is done, to NAME.png, grippers/NAME.png, bases/NAME.png and '
