@@ -46,6 +46,9 @@ def move_fingers(world: WorldArrays, gripper: Gripper, duration: float) -> None:
     for i in range(count):
         finger = fingers[i]
         place[i] = -(finger.offset + finger.per_length * world.lengths[finger.id]) / finger.gain
+    _end_at_ends(fingers, grip, place)
+    for i in range(count):
+        finger = fingers[i]
         present[i] = (world.activations[finger.activation] if finger.integrates
                       else world.controls[finger.id])
         speed = -finger.per_length / finger.gain * world.speeds[finger.id]
@@ -78,13 +81,30 @@ def move_fingers(world: WorldArrays, gripper: Gripper, duration: float) -> None:
 
 
 @inner
+def _end_at_ends(fingers: Any, grip: Grip, place: FloatArray) -> None:
+    """
+    Let fingers stay at ends of their range to which they were sent.
+
+    One of a pair goes on to press there until the other one has come to its end, too, as that may
+    push a part, and it with the part.
+    """
+    arrive, waits = np.empty(len(fingers), np.bool_), False
+    for i in range(len(fingers)):
+        near = _AT_END * (fingers[i].high - fingers[i].low)
+        # Forces may also push a finger past the end.
+        arrive[i] = (grip.to_end[i, 0] and place[i] - grip.goal[i] < near
+                     or grip.to_end[i, 1] and grip.goal[i] - place[i] < near)
+        waits = waits or (grip.to_end[i, 0] or grip.to_end[i, 1]) and not arrive[i]
+    for i in range(len(fingers)):
+        if arrive[i] and not (grip.flags[PAIR] and waits):
+            grip.to_end[i, 0] = grip.to_end[i, 1] = False
+
+
+@inner
 def _find_target(finger: Any, grip: Grip, i: int, place: float, setpoint: float, speed: float
                  ) -> float:
     """Return the goal, or beyond the end of the range where the full force is requested."""
     span, target = finger.high - finger.low, grip.goal[i]
-    # Forces may also push a finger past the end.
-    grip.to_end[i, 0] = grip.to_end[i, 0] and place - grip.goal[i] >= _AT_END * span
-    grip.to_end[i, 1] = grip.to_end[i, 1] and grip.goal[i] - place >= _AT_END * span
     arrived = abs(setpoint - grip.goal[i]) <= finger.tolerance
     stopped = abs(speed) < span / _STOPPED_S
     grip.pressing[i] = (grip.pressing[i] or arrived and stopped) and (
