@@ -304,3 +304,50 @@ def test_two_fingers_with_a_drive_each_keep_what_they_hold_in_the_middle(
     force, limit = data.actuator_force[robot.parts[GRIPPER].actuator_ids], np.abs(
         model.actuator_forcerange[robot.parts[GRIPPER].actuator_ids])
     assert np.abs(force).max() == pytest.approx(limit.max(), rel=0.01)
+
+
+#: A hand of two fast fingers with a soft drive each.
+SOFT_HAND = """
+<mujoco>
+  <compiler autolimits="true"/>
+  <default>
+    <joint type="slide" range="0 0.04" armature="0.05" damping="1"/>
+    <geom type="box" size="0.01 0.004 0.02" mass="0.1" friction="1.2" solref="0.005 1"
+      solimp="0.03 0.99 0.001" priority="1"/>
+    <position kp="1500" kv="20" forcerange="-30 30" inheritrange="1"/>
+  </default>
+  <worldbody>
+    <body name="mount">
+      <geom size="0.02 0.06 0.02" pos="0 0 0.02" mass="0.3"/>
+      <body name="eef" pos="0 0 0.085"/>
+      <body pos="0 0.04 0.04">
+        <joint name="left" axis="0 -1 0"/><geom pos="0 0.004 0.045"/>
+      </body>
+      <body pos="0 -0.04 0.04">
+        <joint name="right" axis="0 1 0"/><geom pos="0 -0.004 0.045"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><position joint="left"/><position joint="right"/></actuator>
+</mujoco>"""
+
+
+def test_a_part_that_one_finger_carries_to_the_end_of_the_other_is_centred_too(tmp_path, run):
+    (tmp_path / 'hand.xml').write_text(SOFT_HAND)
+    simulation = Simulation(compose(gripper=str(tmp_path / 'hand.xml'), objects=[
+        {'name': 'box', 'shape': 'box', 'size': [0.02, 0.03, 0.03], 'mass': 0.1,
+         'position': [3.0, 0.0, 1.0]}]))
+    data, robot = simulation.data, simulation.robot
+    simulation.model.opt.gravity[:] = 0.0
+    robot.apply(robot.parse.action(GRIPPER, [-1.0, -1.0]))
+    run(simulation, 1.0)
+    joints = [data.joint(name) for name in robot.parts[GRIPPER].joints]
+    site, start = data.site(robot.end_effectors['right'].grip_site), data.joint('box_joint').qpos
+    start[:3] = site.xpos + 0.02 * joints[1].xaxis
+    mujoco.mju_mat2Quat(start[3:], site.xmat)
+    simulation.forward()
+    robot.apply(robot.parse.action(GRIPPER, [1.0, 1.0]))
+    run(simulation, 1.2)
+    places = [float(joint.qpos[0]) for joint in joints]
+    assert sum(places) == pytest.approx(0.05, abs=2e-3)
+    assert abs(places[0] - places[1]) < 2e-3
