@@ -9,8 +9,7 @@ import pytest
 from gripper_rig import GripperRig
 
 from manip_sim.control.commands import Status
-from manip_sim.runtime.action_goals import Ending, GoalError
-from manip_sim.runtime.action_goals import gripper_goal, GripperRequest
+from manip_sim.runtime.action_goals import Ending, GoalError, gripper_goal, GripperRequest
 
 GRIPPER = 'right/gripper'
 #: Area of a cup of 40 mm [m^2] and full vacuum [Pa], by OnRobot; height of the cup [m].

@@ -10,7 +10,7 @@ import pytest
 from std_srvs.srv import Trigger
 
 from manip_sim.interface.composition import compose_world
-from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.simulation import Simulation
 
 PLAN = 'faults:\n- {what: offset_state, part: arm, from: 0.05, until: [0.1, 0.2], value: 0.25}\n'

@@ -33,7 +33,8 @@ def another(spec, number):
     if spec.choices:
         return [choice for choice in spec.choices if choice != spec.default][number % 2]
     low, high = spec.minimum or 0.0, min(spec.maximum, 3.0)
-    return low + (high - low) * (0.3 + 0.1 * number)
+    value = low + (high - low) * (0.3 + 0.1 * number)
+    return [value] * spec.length if spec.length else value
 
 
 def assert_agree(node):
@@ -44,10 +45,11 @@ def assert_agree(node):
     for name in live(node).keys() - OF_NODE:
         head, part, *rest = [*name.split('.'), '']
         parts = joints.get(part, (part,)) if name not in acting else (part,)
-        values = {acting['.'.join(filter(None, (head, own, *rest)))] if name not in acting
-                  else acting[name] for own in parts}
-        if len(values) == 1:
-            assert {get(name)} == values, name
+        first, *others = [
+            acting['.'.join(filter(None, (head, own, *rest)))] if name not in acting
+            else acting[name] for own in parts]
+        if all(value == first for value in others):
+            assert get(name) == first, name
 
 
 def set_live(node, **values):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sampling import whole_robot
 
-from manip_sim.control.commands import Command, Status
+from manip_sim.control.commands import Command, GripperSuction, Status
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.parameters import commanded_parts, mode_parameters
 from manip_sim.interface.topics import Scope
@@ -65,6 +65,8 @@ def commands_of_every_kind(robot):
         parse.trajectory('arm', joints[:1], [1.0], [[0.3]]), parse.trajectory('arm', [], [], []),
         parse.twist(0.1, 0.0, 0.0), poses.pose('right', [0.4, 0.0, 1.2], [1.0, 0.0, 0.0, 0.0]),
         poses.twist('right', [0.1, 0.0, 0.0], [0.0] * 3), poses.action('right', [0.5] * 6),
+        GripperSuction(robot=robot.robot_model, parts=frozenset({'right/gripper'}),
+                       indices=np.arange(2), controls=np.zeros(2)),
         poses.until_contact('right', [0.1, 0.0, 0.0], [0.0] * 3, force=1.0, distance=1.0,
                             duration_s=1.0), *wrenches_of_impedance(robot),
         GripperGoal(robot, 'right/gripper', GripperRequest(0.02)).command]
