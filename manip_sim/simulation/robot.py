@@ -182,7 +182,6 @@ class SimulatedRobot:
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""
-        self._physics.interrupt()
         return self.joints.moving or self.grippers_move
 
     @property
@@ -193,7 +192,6 @@ class SimulatedRobot:
     @property
     def resting(self) -> bool:
         """Whether the physics loop has nothing to do for it until the next command."""
-        self._physics.interrupt()
         return (self.joints.resting and not self.reflexes.armed and not self._late
                 and not self.grippers_move)
 
