@@ -39,8 +39,8 @@ ENVIRONMENT = 'manip_sim/PickCube-v0'
 #: Numbers of worlds of the picture, and the threads of their physics.
 COUNTS, THREADS = (1, 4, 16, 64), (1, 2)
 #: By worlds and threads: what a world-step may cost, as multiples of bare ``mj_step``.
-LIMITS = {(1, 1): {'stream': 2.0, 'osc': 3.0, 'rest': 1.1, 'law': 1.1},
-          (64, 2): {'stream': 1.5, 'osc': 2.0, 'rest': 1.1, 'law': 1.1}}
+LIMITS = {(1, 1): {'stream': 1.5, 'osc': 1.8, 'rest': 1.1, 'law': 1.1},
+          (64, 2): {'stream': 1.3, 'osc': 1.6, 'rest': 1.2, 'law': 1.1}}
 _WORDS = {'stream': 'a stream of positions', 'osc': 'OSC at 20 Hz', 'rest': 'at rest',
           'law': 'a law of a user in each step'}
 _ROUND_S = 0.3

@@ -96,6 +96,7 @@ class JointController(ControlledJoints):
     @property
     def moving(self) -> bool:
         """True if setpoints change, or may change, in the next interval, or a law acts."""
+        self._servos.interrupt()
         return bool(self.seats.of) or self._moves
 
     @property
@@ -127,6 +128,7 @@ class JointController(ControlledJoints):
     @property
     def resting(self) -> bool:
         """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
+        self._servos.interrupt()
         return not (self._setpoints.moving or self._written or self.commands.running
                     or self.commands.waiting or self._timeouts.pending or self.seats.of)
 

@@ -309,6 +309,10 @@ class Servos:
         """The arrays of the world for laws of control."""
         return self._physics.arrays
 
+    def interrupt(self) -> None:
+        """Take over what compiled code has done by itself, as :meth:`Physics.interrupt` does."""
+        self._physics.interrupt()
+
     @property
     def step_s(self) -> float:
         """Length of a physics step [s]."""

@@ -186,7 +186,6 @@ class SimulatedRobot:
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""
-        self._physics.interrupt()
         return self.joints.moving or self.grippers_move
 
     @property
@@ -197,7 +196,6 @@ class SimulatedRobot:
     @property
     def resting(self) -> bool:
         """Whether the physics loop has nothing to do for it until the next command."""
-        self._physics.interrupt()
         return (self.joints.resting and not self.reflexes.armed and not self._late
                 and not self.faults.scheduled
                 and not self.grippers_move)
