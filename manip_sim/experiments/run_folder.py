@@ -311,6 +311,7 @@ def write_table(file: Path, rows: Iterable[Row]) -> None:
     schema = pyarrow.schema([
         ('seed', pyarrow.int64()), ('success', pyarrow.bool_()), ('return', pyarrow.float64()),
         ('periods', pyarrow.int64()), ('digest', pyarrow.string()), ('error', pyarrow.string()),
+        ('faults', pyarrow.string()),
         *((name, pyarrow.float64()) for name in TIMES)])
     part = file.with_name(f'.{file.name}.{os.getpid()}')
     parquet.write_table(pyarrow.Table.from_pylist([row.as_dict() for row in rows], schema), part)
