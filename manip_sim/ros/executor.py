@@ -21,7 +21,7 @@ from manip_sim.ros.rejection_log import RejectionLog
 
 T = TypeVar('T')
 #: Name of the threads; one that runs when the process ends is abandoned.
-THREAD_NAME = 'background'
+BACKGROUND_THREAD = 'background'
 #: Rounds of the executor until clients of goals have their results: ends of goals, results and
 #: their answers each take one.
 RESULT_ROUNDS = 6
@@ -41,7 +41,7 @@ def begin(work: Callable[[], T], at_end: Callable[[], None] = lambda: None) -> F
         except BaseException as error:  # It is raised by whoever asks for the result.
             outcome.set_exception(error)
         at_end()
-    threading.Thread(target=run, name=THREAD_NAME, daemon=True).start()
+    threading.Thread(target=run, name=BACKGROUND_THREAD, daemon=True).start()
     return outcome
 
 

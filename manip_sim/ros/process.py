@@ -15,9 +15,8 @@ import rclpy
 
 from manip_sim.errors import ManipSimError
 from manip_sim.models import untrusted_models
-from manip_sim.ros import executor
 from manip_sim.ros.arguments import for_other_nodes, start_ros
-from manip_sim.ros.executor import GuardedExecutor
+from manip_sim.ros.executor import BACKGROUND_THREAD, GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals, leave
@@ -47,7 +46,7 @@ def run(arguments: Sequence[str]) -> int:
     finally:
         rclpy.try_shutdown()
     untrusted_models.give_up()
-    return leave(code, camera_thread.THREAD_NAME, executor.THREAD_NAME)
+    return leave(code, camera_thread.THREAD_NAME, BACKGROUND_THREAD)
 
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:

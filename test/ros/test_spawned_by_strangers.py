@@ -31,7 +31,7 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
-from manip_sim.ros.executor import begin, in_background, THREAD_NAME
+from manip_sim.ros.executor import BACKGROUND_THREAD, begin, in_background
 from manip_sim.ros.spawning_services import RequestedRobot, SpawningServices
 from manip_sim.ros.standard_answers import StandardTypes
 from manip_sim.startup import leave
@@ -201,7 +201,7 @@ def test_a_process_that_ends_does_not_wait_for_the_background(monkeypatch):
     waiting = in_background(node, lambda: going.wait(START_S))
     waiting.send(None)
     assert leave(3, 'others') == 3 and ended == []
-    assert leave(3, 'others', THREAD_NAME) == 3 and ended == [3]
+    assert leave(3, 'others', BACKGROUND_THREAD) == 3 and ended == [3]
     going.set()
     with pytest.raises(StopIteration):
         while True:

@@ -28,6 +28,7 @@ from manip_sim.models import untrusted_models
 from manip_sim.quoting import counted
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.arguments import start_ros
+from manip_sim.ros.executor import BACKGROUND_THREAD
 from manip_sim.startup import EndSignals, leave
 from manip_sim.viewer.page.latest import RealTimeFactor, ShownStatus, WARN
 from manip_sim.viewer.page.page import Page
@@ -277,7 +278,7 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
         node.destroy_node()
         rclpy.try_shutdown()
     untrusted_models.give_up()
-    return leave(0, executor.THREAD_NAME)
+    return leave(0, BACKGROUND_THREAD)
 
 
 def _start_ros(arguments: Sequence[str]) -> Node:
