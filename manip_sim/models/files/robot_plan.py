@@ -124,7 +124,12 @@ def _hang_fingers_on_palm(model_file: ModelFile) -> None:
     if mujoco.mj_name2id(model_file.tree.model, mujoco.mjtObj.mjOBJ_BODY, root.name) >= 0:
         return
     tree = BodyTree(compile_copy(model_file.spec, str(model_file.file), visual=False))
-    if {joint for hand in find_hands(tree) for joint in hand.joints} == {*range(tree.model.njnt)}:
+    limbs = [tree.joints(tree.below(body)) for body in range(1, tree.model.nbody)
+             if int(tree.model.body_parentid[body]) == int(tree.model.body(root.name).id)]
+    # An arm ends in fingers, but a finger in one tip.
+    if all(len(tree.ends(limb)) <= 1 for limb in limbs) and {
+            joint for hand in find_hands(tree) for joint in hand.joints} == {
+            *range(tree.model.njnt)}:
         model_file.tree = tree
 
 
