@@ -14,13 +14,13 @@ import mujoco
 from manip_sim.algebra import length
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.actuation import own_each_joint
-from manip_sim.models.files.body_tree import BodyTree
+from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.found_arms import (
     ALONE, classify_joints, find_arms, FoundArm, lone_hands_as_arms)
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.hand_model import OwnHand
-from manip_sim.models.files.limbs import is_unlimited
+from manip_sim.models.files.limbs import is_unlimited, PALM_WORDS
 from manip_sim.models.files.mocap_bodies import MocapBodies
 from manip_sim.models.files.model_file import depth_in_floor, ModelFile, read_model
 from manip_sim.models.files.part_descriptions import (
@@ -120,16 +120,14 @@ def _hang_fingers_on_palm(model_file: ModelFile) -> None:
 
     Converters write hands so: a link that is fixed to the world becomes shapes of the world body.
     """
-    root = model_file.spec.worldbody.first_body()
-    if mujoco.mj_name2id(model_file.tree.model, mujoco.mjtObj.mjOBJ_BODY, root.name) >= 0:
+    root, before = model_file.spec.worldbody.first_body(), model_file.tree
+    names = {before.name(body) for body in range(1, before.model.nbody)}
+    # What has a palm, or is a hand without another one, is an arm.
+    if root.name in names or find_hands(before) or any(
+            words_of(name) & PALM_WORDS for name in names):
         return
     tree = BodyTree(compile_copy(model_file.spec, str(model_file.file), visual=False))
-    limbs = [tree.joints(tree.below(body)) for body in range(1, tree.model.nbody)
-             if int(tree.model.body_parentid[body]) == int(tree.model.body(root.name).id)]
-    # An arm ends in fingers, but a finger in one tip.
-    if all(len(tree.ends(limb)) <= 1 for limb in limbs) and {
-            joint for hand in find_hands(tree) for joint in hand.joints} == {
-            *range(tree.model.njnt)}:
+    if {joint for hand in find_hands(tree) for joint in hand.joints} == {*range(tree.model.njnt)}:
         model_file.tree = tree
 
 
