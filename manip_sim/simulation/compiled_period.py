@@ -16,7 +16,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
-from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Scratch
+from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Scratch, STEPS, STOOD
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.simulation.robot import RobotRun, RunRoom
 
@@ -224,7 +224,10 @@ def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> No
     :param steps: of the period
     :param scratch: of this thread and of these worlds
     """
-    _going_on()(table, worlds, steps, _row_in_thread(scratch))
+    if (table[worlds, STEPS] == steps).any():
+        _going_on()(table, worlds, steps, _row_in_thread(scratch))
+    else:
+        table[worlds, BECAME] = STOOD
 
 
 def renew(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray,

@@ -45,6 +45,12 @@ for number in range(60):
     digest.update(result.tobytes() + held.tobytes() + turn.tobytes())
     digest.update(repr((*map(bool, flags), float(rate))).encode())
 assert 10 < bounded < 50, bounded
+from manip_sim.models import compose
+from manip_sim.worlds import Worlds
+worlds = Worlds(compose('Panda'), 1, 1)
+for _ in range(4):  # By Python, and where there is compiled code by itself.
+    worlds.advance(5)
+digest.update(worlds.digest()[0].encode())
 print(type(accelerate).__name__, digest.hexdigest())
 """
 
