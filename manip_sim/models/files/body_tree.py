@@ -108,9 +108,13 @@ class BodyTree:
         What the ways share counts last, as the name of a robot that is called r2.
         """
         shared, joint = len(self.path(self.common(bodies))), self.model.joint
-        return [side_of(map(self.name, way[shared:]))
-                or side_of(str(joint(own).name) for own in self.joints(way[shared:]))
-                or side_of(map(self.name, way[:shared])) for way in map(self.path, bodies)]
+        ways = [self.path(body) for body in bodies]
+        of_joints = [side_of(str(joint(own).name) for own in self.joints(way[shared:]))
+                     for way in ways]
+        if not {'right', 'left'} <= set(of_joints):  # One side alone is that of a finger.
+            of_joints = [None] * len(ways)
+        return [side_of(map(self.name, way[shared:])) or by_joint
+                or side_of(map(self.name, way[:shared])) for way, by_joint in zip(ways, of_joints)]
 
     def driven(self, actuator: int) -> set[int]:
         """Return the joints that an actuator acts on, directly, by a tendon or at a site."""
