@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What commands write: tables as plain text, progress on a terminal, and whole files."""
+"""Output of commands: tables as plain text, progress on a terminal, and whole files."""
 
 from __future__ import annotations
 

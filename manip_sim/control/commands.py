@@ -83,7 +83,7 @@ class Command:
 
     #: Times by clocks that a reset does not restart.
     not_in_digest: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
-    #: Whether it changes how joints follow the command before: both take effect, one by one.
+    #: True if it changes the way in which joints follow the command before: both take effect.
     adds: ClassVar[bool] = False
 
     robot: RobotModel

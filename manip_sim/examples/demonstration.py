@@ -21,7 +21,7 @@ from manip_sim.rclpy_internals import describe_unheard
 from manip_sim.ros.arguments import start_ros
 
 _PATIENCE_S = 10.0
-#: How long a node may take to compile its control laws, on a busy machine [s].
+#: Time that a node may take to compile its control laws, on a busy machine [s].
 _START_S = 600.0
 _MODEL = 'manip_sim/mjcf'
 
@@ -110,7 +110,7 @@ class Demonstration(Node):
         """
         Wait for a condition.
 
-        :param patience_s: how long, of wall time [s]; None: ten seconds
+        :param patience_s: wall time [s]; None: ten seconds
         :raises TaskFailed: with ``problem``, if it is not met by then
         :raises TaskInterrupted: if the task is asked to end
         """

@@ -157,7 +157,7 @@ def _has(row: Topic, name: str, parts: Mapping[str, Part]) -> bool:
     return not row.needs or bool(name in parts and getattr(parts[name], row.needs))
 
 
-#: What the topics of a robot are called for ros2_control, whose joint_state_broadcaster and whose
+#: Names of the topics of a robot for ros2_control, whose joint_state_broadcaster and whose
 #: controllers use the other names.
 REMAPPED = {'joint_states': 'robot_joint_states', 'joint_command': 'robot_joint_commands'}
 STALLS = (f'ros2_control_tag with stepping lockstep: {TOPIC_PLUGIN} does not answer the states '

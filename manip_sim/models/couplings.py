@@ -40,7 +40,7 @@ class FrictionLaw:
 
     @property
     def acts(self) -> bool:
-        """Whether anything depends on the velocity."""
+        """True if anything depends on the velocity."""
         return math.isfinite(self.stribeck_velocity) or math.isfinite(self.no_load)
 
 

@@ -30,7 +30,7 @@ class FaultKind:
     A kind of fault.
 
     :ivar meaning: in words
-    :ivar value: what its value is; empty if it has none
+    :ivar value: meaning of its value; empty if it has none
     :ivar default: of the value; None if it must be given
     :ivar most: greatest value; the least is 0, of an offset the negative
     :ivar signed: whether the value may be negative
@@ -98,7 +98,7 @@ class FaultPlan:
         :data:`KINDS`) and ``part``, and where needed ``robot``, ``from`` and ``until`` (since the
         reset [s], numbers or [low, high]), ``value`` and ``chance``
     :raises ModelError: naming the fault that cannot be used
-    :ivar given: what was given, plain
+    :ivar given: the mapping of the user, plain
     :ivar faults: those that are planned
     """
 

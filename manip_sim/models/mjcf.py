@@ -21,7 +21,7 @@ from manip_sim.models.loading import (
     compile_alone, compile_copy, compile_spec, load_spec, name_unnamed_elements)
 from manip_sim.models.spec_edits import attach, check_prefix, name_main_default, TakenNames
 
-#: What to use instead, by name.
+#: Names to use instead, by name.
 REPLACEMENTS = {
     'root': 'use spec (a mujoco.MjSpec), or parse to_xml()',
     'tree': 'use spec (a mujoco.MjSpec), or parse to_xml()',

@@ -15,7 +15,7 @@ import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
 
-#: What joints, frames and the topics named after cameras and objects may all begin with.
+#: Begin of names of joints, frames and of topics named after cameras and objects.
 _PREFIX = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
 #: The lists of a spec whose elements have names, by kind.
 NAMED_ELEMENTS = {
@@ -57,7 +57,7 @@ class TakenNames:
 
         MuJoCo would not compile the result, or would write XML that it cannot read again.
 
-        :param prefix: what its names will begin with
+        :param prefix: begin of its names
         """
         lists = {elements: getattr(own, elements) for elements in self._by_list}
         names = {elements: [name for element in each

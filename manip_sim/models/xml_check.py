@@ -87,7 +87,7 @@ def excess(tag: str, attributes: Mapping[str, str]) -> str:
     """
     Return which number in an element's attributes is too great.
 
-    :returns: what is more than how much; empty if nothing is
+    :returns: the excess in words; empty if there is none
     """
     for names, most in _MAX_PRODUCTS.get(tag, ()):
         if product(attributes, *names) > most:

@@ -55,7 +55,7 @@ class Belts:
 
     @property
     def acts(self) -> bool:
-        """Whether there is a surface that may move."""
+        """True if there is a surface that may move."""
         return bool(self._geoms)
 
     def write(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:

@@ -192,12 +192,12 @@ class ExternalWrench:
 
     @property
     def is_filtered(self) -> bool:
-        """Whether a low-pass goes on in each period."""
+        """True if a low-pass goes on in each period."""
         return self._filtered is not None
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing was recorded in the last period."""
+        """True if nothing was recorded in the last period."""
         return self._sum is _ZERO and not self._rows
 
     @property

@@ -19,7 +19,7 @@ from manip_sim.physics.object_spawning import (
     carry_over, in_common, LiveWorld, start_live, WorldPlan)
 #: All that MuJoCo integrates, with what its solvers start from.
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-#: What compiled code knows of a world that goes on like in its last period: steps of that, 0 if
+#: State in compiled code of a world that goes on like in its last period: steps of that, 0 if
 #: Python has to look; the address of its row; how often it has gone on; what the last call has
 #: done: nothing, it went on, or it did and Python has to look at the end; and how often Python has
 #: let it go on.

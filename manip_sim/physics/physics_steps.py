@@ -55,11 +55,11 @@ class StepLaws(Protocol):
 
 
 class ModelEdit(Protocol):
-    """What changes the model between control periods, by the present state alone."""
+    """Changes of the model between control periods, by the present state alone."""
 
     @property
     def acts(self) -> bool:
-        """Whether there is anything that may change it."""
+        """True if there is anything that may change it."""
 
     def write(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
         """Change the model, and return whether it was another one."""

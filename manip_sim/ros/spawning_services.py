@@ -113,7 +113,7 @@ class RequestedRobot:
         """
         Create the robot.
 
-        :param name: what all of its names begin with
+        :param name: begin of all of its names
         :param pose: of its base
         :raises ModelError: if the parts do not fit together
         """

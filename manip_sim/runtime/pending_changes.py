@@ -18,7 +18,7 @@ from manip_sim.simulation.json_codec import Encoder
 from manip_sim.simulation.json_state import check_sum, NumberedHandles, plain_state
 from manip_sim.simulation.operations import Operations
 
-#: How often there is a digest [control periods].
+#: Interval between digests [control periods].
 DIGEST_PERIODS = 100
 #: So many entries are written at once.
 _MOST = 500

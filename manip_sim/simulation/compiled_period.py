@@ -18,7 +18,7 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Scratch, STEPS, STOOD
 from manip_sim.physics.physics_steps import PhysicsSteps
-from manip_sim.simulation.robot import RobotRun, RunRoom
+from manip_sim.simulation.robot_runs import RobotRun, RunRoom
 
 #: Of how many lengths of runs the room for notes is kept.
 _REMEMBERED = 64
@@ -190,28 +190,15 @@ def _stepping() -> Any:
 
 
 @cache
-def _law() -> Any:
-    from manip_sim.control.law.period import run_rows  # It imports numba.
-    return run_rows
-
-
-@cache
-def _renewing() -> Any:
-    from manip_sim.control.law.period import renew  # It imports numba.
-    return renew
-
-
-@cache
-def _going_on() -> Any:
-    from manip_sim.control.law.period import go_on  # It imports numba.
-    return go_on
+def _period() -> Any:
+    from manip_sim.control.law import period  # It imports numba.
+    return period
 
 
 def _row_of(scratch: Scratch) -> Any:
-    from manip_sim.control.law.period import SCRATCH, ScratchArrays  # It imports numba.
     from manip_sim.control.law.rows import Row
-    row = Row(SCRATCH)
-    row.write(ScratchArrays(scratch.address, scratch.kinematics))
+    row = Row(_period().SCRATCH)
+    row.write(_period().ScratchArrays(scratch.address, scratch.kinematics))
     return row
 
 
@@ -219,13 +206,13 @@ def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> No
     """
     Let worlds go on as in their last periods, where Python has nothing to do for them.
 
-    :param table: what is known of all worlds, ``Physics.standing`` of each, shape (count, 5)
+    :param table: ``Physics.standing`` of all worlds, shape (count, 5)
     :param worlds: which of them go on, shape (n,)
     :param steps: of the period
     :param scratch: of this thread and of these worlds
     """
     if (table[worlds, STEPS] == steps).any():
-        _going_on()(table, worlds, steps, _row_in_thread(scratch))
+        _period().go_on(table, worlds, steps, _row_in_thread(scratch))
     else:
         table[worlds, BECAME] = STOOD
 
@@ -235,7 +222,7 @@ def renew(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray
     """
     Give commands that run other goals, as if equal ones had replaced them, in worlds that go on.
 
-    :param table: what is known of all worlds, ``Physics.standing`` of each, shape (count, 5)
+    :param table: ``Physics.standing`` of all worlds, shape (count, 5)
     :param robots: address of the row of the robot in each world, shape (count,)
     :param worlds: which of them do, shape (k,)
     :param indices: of the joints of the command, shape (n,)
@@ -243,17 +230,17 @@ def renew(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray
     :param period_s: length of a control period [s]
     :param velocities: whether goals are velocities
     """
-    _renewing()(table, robots, worlds, indices, goals, period_s, velocities)
+    _period().renew(table, robots, worlds, indices, goals, period_s, velocities)
 
 
 def is_loaded() -> bool:
     """Return whether compiled code is there already, whose import takes a while."""
-    return _going_on.cache_info().currsize > 0 or _law.cache_info().currsize > 0
+    return _period.cache_info().currsize > 0
 
 
 def load() -> None:
     """Import compiled code."""
-    _going_on()
+    _period()
 
 
 def run_prepared(rows: Sequence[int], scratch: Scratch) -> None:
@@ -263,7 +250,7 @@ def run_prepared(rows: Sequence[int], scratch: Scratch) -> None:
     :param rows: addresses of their rows
     :param scratch: of this thread and of these worlds
     """
-    _law()(np.array(rows), _row_in_thread(scratch))
+    _period().run_rows(np.array(rows), _row_in_thread(scratch))
 
 
 def _row_in_thread(scratch: Scratch) -> int:

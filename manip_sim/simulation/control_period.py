@@ -19,7 +19,8 @@ from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
 from manip_sim.simulation.compiled_period import CompiledPeriod, go_on, is_loaded
-from manip_sim.simulation.robot import RobotRun, SimulatedRobot
+from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.robot_runs import RobotRun
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
@@ -58,7 +59,7 @@ class ControlPeriods:
         #: The robots and runs that it was prepared for; true if a period ends with them.
         self._prepared: tuple[
             Sequence[SimulatedRobot], Sequence[RobotRun], bool] | None = None
-        #: What compiled code goes on with by itself.
+        #: Robots and intervals that compiled code goes on with by itself.
         self._standing: tuple[Sequence[SimulatedRobot], Sequence[RobotRun]] = (), ()
         steps.physics.catch_up = self._catch_up
         #: Of this period: whether it has begun for the physics, whether all of its last instant is
@@ -132,7 +133,7 @@ class ControlPeriods:
             self._steps.went_on(self.compiled.outcome()[2].present.item(1) != 0)
         acting = dict(zip(*self._standing))
         for robot in self._robots:
-            robot.catch_up(acting.get(robot), begin_s)
+            robot.runs.catch_up(acting.get(robot), begin_s)
 
     def begin(self, steps: int) -> bool:
         """
@@ -307,7 +308,7 @@ class ControlPeriods:
             return []
         runs, intervals = [], self._cut(self._left)
         for robot in awake:
-            run = robot.begin_run(intervals)
+            run = robot.runs.begin(intervals)
             if run is None:
                 return []
             runs.append(run)
@@ -328,7 +329,7 @@ class ControlPeriods:
         assert self._prepared is not None
         (robots, runs, ends), self._prepared = self._prepared, None
         for robot, run in zip(robots, runs):
-            robot.end_run(run)
+            robot.runs.end(run)
             robot.check_laws()
         steps, good = self._took_steps()
         self._left -= steps

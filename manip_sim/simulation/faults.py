@@ -42,8 +42,8 @@ class RobotFaults:
     :param clock: of the simulation
     :ivar scheduled: of each fault: what, part, first step, step after the last one, value and a
         number; plain, so that it can be written
-    :ivar lost: how many commands each has lost
-    :ivar seen: what is measured of the joints while states are at fault, shape (3 n,), else None
+    :ivar lost: number of commands that each has lost
+    :ivar seen: measurement of the joints while states are at fault, shape (3 n,), else None
     """
 
     def __init__(self, reader: RobotReader, clock: Clock) -> None:
@@ -51,7 +51,7 @@ class RobotFaults:
         self.scheduled: list[tuple[str, str, int, int, float, int]] = []
         self.lost: list[int] = []
         self.seen: FloatArray | None = None
-        #: What is remembered of the joints of a part, by place in the schedule: what was measured
+        #: Memory of the joints of a part, by place in the schedule: the measurement that came
         #: last, or all that was and when.
         self._held: dict[int, list[tuple[int, FloatArray]]] = {}
 
@@ -146,7 +146,7 @@ class Faults:
                  plan: Iterable[PlannedFault]) -> None:
         self._physics, self._clock, self._robots = physics, clock, robots
         self._plan = [(fault, self._fitting(fault)) for fault in plan]
-        #: What was there before, by joint and kind of fault.
+        #: Numbers of the model before, by joint and kind of fault.
         self._before: dict[tuple[str, str], Any] = {}
 
     def _fitting(self, fault: PlannedFault) -> list[str]:
@@ -222,7 +222,7 @@ class Faults:
 
     @property
     def acts(self) -> bool:
-        """Whether the present episode has a fault."""
+        """True if the present episode has a fault."""
         return any([robot.faults.scheduled for robot in self._robots.values()])
 
     def write(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:

@@ -5,15 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, replace
-from itertools import accumulate
 import logging
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.cartesian_settings import IMPEDANCE
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
@@ -25,14 +23,10 @@ from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.law.arm_records import no_targets, Targets
-from manip_sim.control.law.finger_records import Gripper, no_gripper
-from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import Reflexes
 from manip_sim.control.seats import LawParameters
 from manip_sim.control.user_laws import Law, law_of
-from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
@@ -42,61 +36,11 @@ from manip_sim.physics.physics import Physics
 from manip_sim.simulation.dynamics_description import joint_dynamics, JointDynamics
 from manip_sim.simulation.faults import RobotFaults
 from manip_sim.simulation.robot_reader import RobotReader
+from manip_sim.simulation.robot_runs import RobotRun, RobotRuns
 from manip_sim.simulation.robot_state import State
 from manip_sim.validation import positive_number
 
 _LOGGER = logging.getLogger('manip_sim.control')
-#: The compiled law moves so many grippers.
-_MOST_GRIPPERS = 2
-_NO_GRIPPERS = no_gripper(), no_gripper()
-
-
-class RunRoom(NamedTuple):
-    """
-    Room for what a robot does in intervals that the compiled law runs.
-
-    :ivar row: the row of the robot
-    :ivar moved_s: simulation time when setpoints stopped to move, or -1 [s], shape (1,)
-    :ivar owners: of joints, see the law, shape (n,)
-    :ivar acts: see the law, shape (1,)
-    :ivar goals: of joints, see the law, shape (n,)
-    :ivar renewed_s: of joints, see the law [s], shape (n,)
-    """
-
-    row: Any
-    moved_s: FloatArray
-    owners: IntArray
-    acts: IntArray
-    goals: FloatArray
-    renewed_s: FloatArray
-
-    def write(self, joints: RobotJoints, targets: Targets, grippers: tuple[Gripper, Gripper]
-              ) -> None:
-        """Write the row."""
-        self.row.write((joints, targets, grippers, self.moved_s, self.owners, self.acts,
-                        self.goals, self.renewed_s))
-
-
-class RobotRun(NamedTuple):
-    """
-    What a robot does in intervals that the compiled law runs.
-
-    :ivar joints: its joints
-    :ivar targets: of its end effectors
-    :ivar grippers: those that move, and others without fingers
-    :ivar controllers: of the grippers that move
-    :ivar intervals: physics steps of each interval, shape (k,)
-    :ivar room: for the law
-    :ivar seats: addresses of the rows of laws of users, shape (s,)
-    """
-
-    joints: RobotJoints
-    targets: Targets
-    grippers: tuple[Gripper, Gripper]
-    controllers: list[GripperController]
-    intervals: IntArray
-    room: RunRoom
-    seats: IntArray
 
 
 class SimulatedRobot:
@@ -114,6 +58,7 @@ class SimulatedRobot:
     :ivar parts: by name
     :ivar joints: controller of the joints
     :ivar grippers: controllers of the grippers, by part
+    :ivar runs: its intervals that compiled code runs
     :ivar end_effectors: readers of the grippers, by arm, of the arms with a gripper
     :ivar sensing: what is measured of it: noise, resolution and latency
     :ivar reflexes: what stops a part, and which parts were stopped
@@ -127,7 +72,7 @@ class SimulatedRobot:
 
     def __init__(self, physics: Physics, robot: RobotModel, efforts: ActuatorEfforts,
                  clock: Clock) -> None:
-        self._physics, model, self._derived = physics, physics.model, Derived()
+        self._physics, model = physics, physics.model
         self._efforts, self._clock = efforts, clock
         self._timestep_s = self._period_s = float(model.opt.timestep)
         self.robot_model = robot
@@ -145,6 +90,7 @@ class SimulatedRobot:
             self.end_effectors)
         self.grippers = {part.name: GripperController(physics, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
+        self.runs = RobotRuns(physics, self.joints, self.grippers, clock)
         self.reflexes = Reflexes(self.parts, self.joints, self.end_effectors, efforts)
         self.parse = CommandParser(robot, self.joints, self.grippers)
         self.parse_cartesian = CartesianParser(
@@ -606,57 +552,15 @@ class SimulatedRobot:
             if gripper.moving:
                 gripper.tick(self._physics.data, duration_s)
 
-    def begin_run(self, intervals: IntArray) -> RobotRun | None:
-        """
-        Begin intervals that the compiled law runs.
-
-        :param intervals: physics steps of each, shape (k,)
-        :returns: None if the law does not know what this robot does
-        """
-        if len(self.grippers) > _MOST_GRIPPERS:
-            return None
-        found, data = self.joints.begin_run(intervals, self._clock), self._physics.data
-        if found is None:
-            return None
-        joints, targets, count = found
-        if count < len(intervals):
-            intervals = intervals[:count]
-        moving = [gripper for gripper in self.grippers.values() if gripper.moving]
-        if not moving:
-            return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals, self._run_room,
-                            self.joints.seat_rows())
-        grippers = [gripper.begin_run(data) for gripper in moving]
-        calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
-        count = _count_within(intervals.tolist(), min(calls)) if calls else len(intervals)
-        if count < len(intervals):
-            intervals = intervals[:count]
-        first, second, *_ = *grippers, no_gripper()
-        return RobotRun(joints, targets, self._derived.made_of(_pair, first, second), moving,
-                        intervals, self._run_room, self.joints.seat_rows())
-
-    @property
-    def _run_room(self) -> RunRoom:
-        room: RunRoom | None = self._derived.of.get('room')
-        if room is None:
-            from manip_sim.control.law.period import ROBOT  # It imports numba.
-            from manip_sim.control.law.rows import Row
-            count = len(self.joints.names)
-            room = self._derived.of['room'] = RunRoom(
-                Row(ROBOT), np.zeros(1), np.full(count, -1), np.zeros(1, np.int64),
-                np.zeros(count), np.full(count, -1.0))
-        return room
-
     def stand(self, run: RobotRun) -> float | None:
         """
-        Let compiled code go on with what this robot did in a control period, if it may.
+        Let compiled code go on with a control period of this robot, if it may.
 
-        :param run: what compiled code has run
+        :param run: the last intervals
         :returns: simulation time since the last reset at which a command times out [s], or None
             if Python has to look before the next period
         """
-        if run.targets is not no_targets() or run.controllers or not self._may_stand:
-            return None
-        return self.joints.stand(run.joints, run.room.owners, run.room.acts)
+        return self.runs.stand(run) if self._may_stand else None
 
     @property
     def _may_stand(self) -> bool:
@@ -669,20 +573,6 @@ class SimulatedRobot:
         """True if it rests, and nothing has to be looked at in a control period."""
         return self.resting and self._may_stand
 
-    def catch_up(self, run: RobotRun | None, begin_s: float | None) -> None:
-        """
-        Take over what compiled code has done by itself.
-
-        :param run: what it has gone on with, or None if the robot rests
-        :param begin_s: when its last period began [s], or None if it has run none
-        """
-        if begin_s is not None:
-            self.joints.setpoints.now_s = begin_s
-        if run is not None:
-            moved_s = -1.0 if begin_s is None else run.room.moved_s.item()
-            self.joints.catch_up(
-                moved_s, run.room.goals, run.room.renewed_s, self._clock.control_s)
-
     def streams(self, command: JointSetpoint) -> int:
         """
         Return where compiled code can give a command other values in a world that goes on.
@@ -694,17 +584,7 @@ class SimulatedRobot:
                 self.reflexes.tripped) or not any(
                 [own is command for own in self.joints.commands.running]):
             return 0
-        return int(self._run_room.row.address)
-
-    def end_run(self, run: RobotRun) -> None:
-        """
-        Take over what the compiled law has changed.
-
-        :param run: what :meth:`begin_run` has returned
-        """
-        self.joints.end_run(run.joints, run.targets, run.room.moved_s.item())
-        for controller, gripper in zip(run.controllers, run.grippers):
-            controller.end_run(gripper)
+        return self.runs.address
 
     def abort(self, reason: str) -> None:
         """
@@ -726,12 +606,3 @@ class SimulatedRobot:
         self.joints.reset(self._physics.data)
         for gripper in self.grippers.values():
             gripper.reset(self._physics.data)
-
-
-def _pair(first: Gripper, second: Gripper) -> tuple[Gripper, Gripper]:
-    return first, second
-
-
-def _count_within(intervals: Sequence[int], steps: int) -> int:
-    """Return how many of some intervals begin before so many steps have been made."""
-    return sum(begin < steps for begin in accumulate(intervals[:-1], initial=0))

@@ -88,7 +88,7 @@ def _times(messages: Sequence[Any]) -> FloatArray:
     return np.array([nanoseconds_of(message.header.stamp) * 1e-9 for message in messages])
 
 
-#: What is recorded, by the name of the type of the topic.
+#: Recorded fields, by the name of the type of the topic.
 _RECORDED = {f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}': kind
              for kind in (JointState, WrenchStamped, PoseStamped, TwistStamped)}
 

@@ -286,7 +286,7 @@ class Commands(RowByRow):
         #: By world: the last command that can go on with other numbers; nobody else has it.
         self._streams: dict[int, JointSetpoint] = {}
         self._table = table
-        #: What compiled code needs to give them other numbers, by names, field and part.
+        #: Streams to which compiled code gives other numbers, by names, field and part.
         self._going_on: dict[tuple[str | None, ...], _Stream] = {}
 
     def action(self, part: str, action: ArrayLike, *, where: ArrayLike | None = None,
@@ -553,7 +553,7 @@ class CartesianCommands(RowByRow):
         """
         Command that the impedance of an arm exerts a wrench along chosen axes in each world.
 
-        :param selection: which axes are chosen, shape (count, 6)
+        :param selection: 1 for the axes that are chosen, else 0, shape (count, 6)
         :param wrench: force and torque there [N, N m], shape (count, 6)
         :param limits: velocities there [m/s, rad/s], shape (count, 6)
         :param period_s: length of a control period [s]; None for that of the last one

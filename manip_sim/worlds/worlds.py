@@ -59,7 +59,7 @@ class Worlds:
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
         self._closed = False
-        #: What compiled code knows of each world.
+        #: State of each world in compiled code.
         self._table = np.zeros((count, len(first.physics.standing)), np.int64)
         for simulation, standing in zip(self.simulations, self._table):
             simulation.physics.standing = standing

@@ -190,7 +190,7 @@ def held(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, ef
         effort[i] = bias[i] + parameters[0] * (setpoint[i, 0] - q[i]) - 10.0 * v[i]
 
 
-#: What may come between two periods that go on like those before.
+#: Events between two periods that go on like those before.
 _BETWEEN = [
     [lambda robot: None], [_push], [_hit], [_blow], [_take], [_take, _hit],
     [lambda robot: robot.apply(robot.parse.action('right/gripper', [1.0]))],

@@ -147,7 +147,7 @@ class CartesianParser:
 
         Its springs do not act there; along and about the other axes they hold the target.
 
-        :param selection: which axes of the springs are chosen, 0 or 1 each, shape (6,)
+        :param selection: 1 for the axes of the springs that are chosen, else 0, shape (6,)
         :param wrench: force and torque there [N, N m], shape (6,); the others are not used
         :param limits: velocities there [m/s, rad/s], above 0, shape (6,); the others are not used
         :raises CommandError: if a number is not finite or out of range, or the arm is no impedance

@@ -119,7 +119,7 @@ class ForceMode(CartesianWrench):
     """
     A wrench along and about chosen axes of an impedance, whose springs do not act there.
 
-    :ivar selection: which of the axes of the springs are chosen, shape (6,)
+    :ivar selection: true for the axes of the springs that are chosen, shape (6,)
     :ivar limits: velocities along and about these [m/s, rad/s], shape (6,)
     """
 

@@ -54,7 +54,7 @@ class CartesianSettings:
 
     @property
     def impedes(self) -> bool:
-        """Whether the arm is an impedance in effort mode."""
+        """True if the arm is an impedance in effort mode."""
         return any(self.cartesian_stiffness)
 
     @property

@@ -43,7 +43,7 @@ class Target:
     :ivar stream: of poses in the anchor, of which the goal is the last one, or None
     :ivar reference: position [m] and rotation matrix, in the anchor, to which the springs of an
         impedance pull on the way to the goal, or None
-    :ivar push: what an impedance exerts beside its springs, or None
+    :ivar push: wrench of an impedance beside its springs, or None
     :ivar push_until_s: simulation time when that ends [s]
     :ivar guard: where a motion until contact began, in the world [m], shape (3,), and when [s], or
         None

@@ -148,7 +148,7 @@ IDLE, LEADS, EXERTS = range(3)
 RESTS, STREAMS, TWISTS, BRAKES = range(4)
 #: A target of an end effector: what the arm does, how it moves, ids of the end effector, of the
 #: frame that the goal stays fixed in, of the axes of a twist, of those of the springs of an
-#: impedance and of what it pushes with beside, and whether they are sites; whether the end
+#: impedance and of its wrench beside, and whether they are sites; whether the end
 #: effector is as near as it can come, whether its setpoints have come to rest, whether its way has
 #: begun, whether efforts are to be noted, how many solutions are, whether the arm is an impedance,
 #: and whether that has a reference; settings of the spring and of the impedance; share of a
@@ -197,7 +197,7 @@ class Targets(NamedTuple):
     :ivar starts: where the ways of the end effectors began, in the frames of the goals [m], shape
         (2, 3)
     :ivar springs: stiffness of impedances along and about axes [N/m, N m/rad], shape (2, 6)
-    :ivar pushes: what these push with beside, in axes of its own [N, N m], shape (2, 6)
+    :ivar pushes: their wrenches beside, in axes of their own [N, N m], shape (2, 6)
     :ivar places: where the references of impedances are, in the frames of the goals [m], (2, 3)
     :ivar attitudes: their rotations, shape (2, 3, 3)
     :ivar facts: records of :data:`FACTS`, shape (2, k)

@@ -310,7 +310,6 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
     rests = singular = slowed = False
     if task.impedes:
         _impede(world, postures, targets, number, goal, along, lost, duration, motion)
-        find_error(place, turned, goal, motion.error)
     else:
         for i in range(6):
             goal.along[i] = along[i] + lost[i]
@@ -323,6 +322,8 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
     if task.notes == 0:
         return
     # Limits of the end effector, and its rest, are noted once in a period.
+    if task.impedes:
+        find_error(place, turned, goal, motion.error)
     row, goes = task.solutions, np.empty(6)
     for i in range(6):
         targets.errors[number, row, i] = targets.missed[number, row, i] = motion.error[i]

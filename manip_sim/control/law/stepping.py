@@ -34,7 +34,7 @@ _MOST_OPTIONS = 100
 _MEMORY = 0.5
 #: Sum of the squares of velocities from which on somebody has to look [(rad/s or m/s)^2].
 _ABSURD = 1e8
-#: What of a step has been computed: its first half, or all but its integration.
+#: Parts of a step that have been computed: its first half, or all but its integration.
 RESUMED, INTEGRATES = 1, 2
 #: Functions of MuJoCo that compiled code calls, with the addresses of an ``MjModel`` and an
 #: ``MjData``; and one that takes where to write a state, and which parts of it.

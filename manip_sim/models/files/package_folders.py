@@ -178,7 +178,7 @@ def _own_name(folder: Path, files: Files) -> str | None:
 
 _MESHES = ('.stl', '.obj', '.msh')
 _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
-#: What begins a name without a package.
+#: Begin of a name without a package.
 _NO_PACKAGE = 'package:///'
 _CONVERTIBLE = ('.dae', '.glb', '.gltf', '.ply', '.off')
 _MAX_MESH_BYTES = 200_000_000

@@ -122,7 +122,7 @@ def _hang_fingers_on_palm(model_file: ModelFile) -> None:
     """
     root, before = model_file.spec.worldbody.first_body(), model_file.tree
     names = {before.name(body) for body in range(1, before.model.nbody)}
-    # What has a palm, or is a hand without another one, is an arm.
+    # A limb with a palm, or a hand by itself, is an arm.
     if root.name in names or find_hands(before) or any(
             words_of(name) & PALM_WORDS for name in names):
         return

@@ -20,7 +20,7 @@ from manip_sim.viewer.page.robots import FIELDS
 
 OK, WARN, ERROR = 0, 1, 2
 _SIGNS = {OK: '', WARN: 'Warning: ', ERROR: 'Error: '}
-#: What has become of commands: by the key of the node's count, in words.
+#: Fates of commands: by the key of the node's count, in words.
 _OUTCOMES = {
     'dropped': 'rejected', 'clamped': 'clamped', 'slowed': 'slowed down', 'timeouts': 'timed out',
     'faults': 'failed in the gripper', 'cartesian_unreachable': 'out of reach',

@@ -17,7 +17,7 @@ from manip_sim.viewer.page.page_commands import Events
 from manip_sim.viewer.page.plain_text import Line, PlainText
 from manip_sim.viewer.page.robots import Robot, ShownPart
 
-#: How long the plots look back in simulation time [s].
+#: Simulation time that the plots look back [s].
 WINDOW_S = 10.0
 #: Number of instants in a plot at most.
 _POINTS = 200

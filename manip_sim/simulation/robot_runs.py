@@ -1,0 +1,179 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Intervals of a robot that compiled code runs: begun, ended, and gone on with by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.gripper_controller import GripperController
+from manip_sim.control.joint_controller import JointController
+from manip_sim.control.law.arm_records import no_targets, Targets
+from manip_sim.control.law.finger_records import Gripper, no_gripper
+from manip_sim.control.law.joint_records import RobotJoints
+from manip_sim.derived import Derived
+from manip_sim.physics.clock import Clock
+from manip_sim.physics.physics import Physics
+
+#: The compiled law moves so many grippers.
+_MOST_GRIPPERS = 2
+_NO_GRIPPERS = no_gripper(), no_gripper()
+
+
+class RunRoom(NamedTuple):
+    """
+    Room for what a robot does in intervals that the compiled law runs.
+
+    :ivar row: the row of the robot
+    :ivar moved_s: simulation time when setpoints stopped to move, or -1 [s], shape (1,)
+    :ivar owners: of joints, see the law, shape (n,)
+    :ivar acts: see the law, shape (1,)
+    :ivar goals: of joints, see the law, shape (n,)
+    :ivar renewed_s: of joints, see the law [s], shape (n,)
+    """
+
+    row: Any
+    moved_s: FloatArray
+    owners: IntArray
+    acts: IntArray
+    goals: FloatArray
+    renewed_s: FloatArray
+
+    def write(self, joints: RobotJoints, targets: Targets, grippers: tuple[Gripper, Gripper]
+              ) -> None:
+        """Write the row."""
+        self.row.write((joints, targets, grippers, self.moved_s, self.owners, self.acts,
+                        self.goals, self.renewed_s))
+
+
+class RobotRun(NamedTuple):
+    """
+    What a robot does in intervals that the compiled law runs.
+
+    :ivar joints: its joints
+    :ivar targets: of its end effectors
+    :ivar grippers: those that move, and others without fingers
+    :ivar controllers: of the grippers that move
+    :ivar intervals: physics steps of each interval, shape (k,)
+    :ivar room: for the law
+    :ivar seats: addresses of the rows of laws of users, shape (s,)
+    """
+
+    joints: RobotJoints
+    targets: Targets
+    grippers: tuple[Gripper, Gripper]
+    controllers: list[GripperController]
+    intervals: IntArray
+    room: RunRoom
+    seats: IntArray
+
+
+class RobotRuns:
+    """
+    The intervals of a robot that compiled code runs.
+
+    :param physics: of the world
+    :param joints: controller of the joints
+    :param grippers: controllers of the grippers, by part
+    :param clock: of the simulation
+    """
+
+    def __init__(self, physics: Physics, joints: JointController,
+                 grippers: Mapping[str, GripperController], clock: Clock) -> None:
+        self._physics, self._joints, self._grippers = physics, joints, grippers
+        self._clock, self._derived = clock, Derived()
+
+    def begin(self, intervals: IntArray) -> RobotRun | None:
+        """
+        Begin intervals that the compiled law runs.
+
+        :param intervals: physics steps of each, shape (k,)
+        :returns: None if the law does not know what this robot does
+        """
+        if len(self._grippers) > _MOST_GRIPPERS:
+            return None
+        found, data = self._joints.begin_run(intervals, self._clock), self._physics.data
+        if found is None:
+            return None
+        joints, targets, count = found
+        if count < len(intervals):
+            intervals = intervals[:count]
+        moving = [gripper for gripper in self._grippers.values() if gripper.moving]
+        if not moving:
+            return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals, self._room,
+                            self._joints.seat_rows())
+        grippers = [gripper.begin_run(data) for gripper in moving]
+        calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
+        count = _count_within(intervals.tolist(), min(calls)) if calls else len(intervals)
+        if count < len(intervals):
+            intervals = intervals[:count]
+        first, second, *_ = *grippers, no_gripper()
+        return RobotRun(joints, targets, self._derived.made_of(_pair, first, second), moving,
+                        intervals, self._room, self._joints.seat_rows())
+
+    @property
+    def _room(self) -> RunRoom:
+        room: RunRoom | None = self._derived.of.get('room')
+        if room is None:
+            from manip_sim.control.law.period import ROBOT  # It imports numba.
+            from manip_sim.control.law.rows import Row
+            count = len(self._joints.names)
+            room = self._derived.of['room'] = RunRoom(
+                Row(ROBOT), np.zeros(1), np.full(count, -1), np.zeros(1, np.int64),
+                np.zeros(count), np.full(count, -1.0))
+        return room
+
+    @property
+    def address(self) -> int:
+        """Address of the row of the robot."""
+        return int(self._room.row.address)
+
+    def end(self, run: RobotRun) -> None:
+        """
+        Take over the changes of compiled code.
+
+        :param run: the intervals, of :meth:`begin`
+        """
+        self._joints.end_run(run.joints, run.targets, run.room.moved_s.item())
+        for controller, gripper in zip(run.controllers, run.grippers):
+            controller.end_run(gripper)
+
+    def stand(self, run: RobotRun) -> float | None:
+        """
+        Let compiled code go on with a control period, if Python has nothing to look at.
+
+        :param run: the last intervals
+        :returns: simulation time since the last reset at which a command times out [s], or None
+        """
+        if run.targets is not no_targets() or run.controllers:
+            return None
+        return self._joints.stand(run.joints, run.room.owners, run.room.acts)
+
+    def catch_up(self, run: RobotRun | None, begin_s: float | None) -> None:
+        """
+        Take over the changes of compiled code that has gone on by itself.
+
+        :param run: the intervals that it has gone on with, or None if the robot rests
+        :param begin_s: when its last period began [s], or None if it has run none
+        """
+        if begin_s is not None:
+            self._joints.setpoints.now_s = begin_s
+        if run is not None:
+            moved_s = -1.0 if begin_s is None else run.room.moved_s.item()
+            self._joints.catch_up(
+                moved_s, run.room.goals, run.room.renewed_s, self._clock.control_s)
+
+
+def _pair(first: Gripper, second: Gripper) -> tuple[Gripper, Gripper]:
+    return first, second
+
+
+def _count_within(intervals: Sequence[int], steps: int) -> int:
+    """Return how many of some intervals begin before so many steps have been made."""
+    return sum(begin < steps for begin in accumulate(intervals[:-1], initial=0))
