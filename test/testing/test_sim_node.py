@@ -290,6 +290,14 @@ def test_that_is_killed(sim_node):
 """
 
 
+def wait_until(condition):
+    """Fail where a condition is not met in half a minute."""
+    end_s = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
+
+
 def processes_with(mark):
     """Return the processes whose environment has a text."""
     found = []
@@ -308,15 +316,16 @@ def test_processes_of_a_fixture_end_with_a_killed_pytest(tmp_path, number):
     with subprocess.Popen(
             [sys.executable, '-m', 'pytest', '-qs', '-p', 'no:cacheprovider'], cwd=tmp_path,
             stdout=subprocess.PIPE, env={**os.environ, 'MARK': mark}) as killed:
-        while b'started' not in killed.stdout.readline():
-            assert killed.poll() is None
-        # With the node, the controller and what that has started.
-        assert len(processes_with(mark)) >= 5
-        killed.send_signal(number)
-    end_s = time.monotonic() + 30.0
-    while len(processes_with(mark)) > 1:  # The fork is none of the fixture's.
-        assert time.monotonic() < end_s
-        time.sleep(0.05)
+        try:
+            while b'started' not in killed.stdout.readline():
+                assert killed.poll() is None
+            # With the node, the controller and what that starts.
+            wait_until(lambda: len(processes_with(mark)) >= 5)
+            killed.send_signal(number)
+            # The fork is none of those of the fixture.
+            wait_until(lambda: len(processes_with(mark)) <= 1)
+        finally:
+            killed.kill()
     for fork in processes_with(mark):
         os.kill(int(fork), signal.SIGKILL)
 
