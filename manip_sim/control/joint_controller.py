@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import clamp
 from manip_sim.control.base_twists import BaseTwists
-from manip_sim.control.cartesian.cartesian_commands import CartesianCommand, CartesianWrench
+from manip_sim.control.cartesian.cartesian_commands import (
+    CartesianCommand, CartesianWrench, PoseAction)
 from manip_sim.control.cartesian.controller import CartesianController
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.command_timeouts import CommandTimeouts
@@ -591,11 +592,13 @@ class JointController(ControlledJoints):
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
             setpoints.counts, self.cartesian.posture, flags, indices, path, *base), targets, count
 
-    def stand(self, joints: RobotJoints, owners: IntArray, acts: IntArray) -> float | None:
+    def stand(self, joints: RobotJoints, targets: Targets, owners: IntArray, acts: IntArray
+              ) -> float | None:
         """
-        Let compiled code go on with joints, if nothing but their setpoints has to be looked at.
+        Let compiled code go on, if nothing but setpoints and goals that rest has to be looked at.
 
-        :param joints: as :meth:`begin_run` has returned them, without targets
+        :param joints: as :meth:`begin_run` has returned them
+        :param targets: with them
         :param owners: for the law, shape (n,)
         :param acts: for the law, shape (1,)
         :returns: when a command times out [s], or None
@@ -605,18 +608,23 @@ class JointController(ControlledJoints):
             return None
         owners[:] = -1
         for number, command in enumerate(commands.running):
+            if isinstance(command, CartesianCommand):
+                continue
             if type(command) is not JointSetpoint:
                 return None
             if all([MODES[mode].ends for mode in dict.fromkeys(command.modes)]):
                 owners[command.indices] = number
+        if not self.cartesian.stand(self._cartesian_commands(), targets):
+            return None
         acts[0] = bool(commands.running or self._timeouts.pending or self.seats.of)
         return self._timeouts.first_s
 
-    def catch_up(self, moved_s: float, goals: FloatArray, renewed_s: FloatArray, now_s: float
-                 ) -> None:
+    def catch_up(self, targets: Targets, moved_s: float, goals: FloatArray,
+                 renewed_s: FloatArray, now_s: float) -> None:
         """
         Take over what compiled code has done by itself.
 
+        :param targets: of end effectors
         :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
         :param goals: that have come meanwhile, by joint, shape (n,)
         :param renewed_s: when they came, or -1 [s], shape (n,)
@@ -626,11 +634,16 @@ class JointController(ControlledJoints):
         setpoints.moving, self._efforts_due, self._written = self._flags.tolist()
         if moved_s >= 0.0:
             setpoints.now_s = moved_s
+        arms = self._cartesian_commands()
+        self.cartesian.catch_up(arms, targets)
         for command in self.commands.running:
             came_s = renewed_s.item(command.indices.item(0))
             if came_s >= 0.0:
-                assert isinstance(command, JointSetpoint)
-                command.values[:] = goals[command.indices]
+                if isinstance(command, PoseAction):
+                    command.action[:] = targets.actions[arms.index(command)]
+                else:
+                    assert isinstance(command, JointSetpoint)
+                    command.values[:] = goals[command.indices]
                 renewed_s[command.indices] = -1.0
                 self._timeouts.renew(command.parts, came_s)
                 if came_s == now_s:

@@ -34,9 +34,9 @@ class Frame:
     site: int | None = None
 
     @property
-    def number(self) -> tuple[int, bool]:
-        """The id of the site or the body, and whether it is a site."""
-        return (self.body, False) if self.site is None else (self.site, True)
+    def number(self) -> tuple[int, int]:
+        """The id of the site or the body, and 1 if it is a site."""
+        return (self.body, 0) if self.site is None else (self.site, 1)
 
     def look_at_model(self, model: mujoco.MjModel) -> None:
         """Take over the ids in another model, in which the frame is the same."""

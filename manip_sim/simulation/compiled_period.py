@@ -233,6 +233,20 @@ def renew(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray
     _period().renew(table, robots, worlds, indices, goals, period_s, velocities)
 
 
+def renew_actions(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray,
+                  actions: FloatArray) -> None:
+    """
+    Give actions of OSC_POSE that run other numbers, as if equal ones had replaced them.
+
+    :param table: ``Physics.standing`` of all worlds, shape (count, 5)
+    :param robots: address of the row of the robot in each world, shape (count,)
+    :param worlds: which of them do, shape (k,)
+    :param indices: of the joints of the arm, shape (n,)
+    :param actions: in [-1, 1], shape (count, 6)
+    """
+    _period().renew_actions(table, robots, worlds, indices, actions)
+
+
 def is_loaded() -> bool:
     """Return whether compiled code is there already, whose import takes a while."""
     return _period.cache_info().currsize > 0

@@ -13,6 +13,7 @@ from typing import Any
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
+from manip_sim.control.cartesian.cartesian_commands import PoseAction
 from manip_sim.control.cartesian.cartesian_settings import IMPEDANCE
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
@@ -573,7 +574,7 @@ class SimulatedRobot:
         """True if it rests, and nothing has to be looked at in a control period."""
         return self.resting and self._may_stand
 
-    def streams(self, command: JointSetpoint) -> int:
+    def streams(self, command: JointSetpoint | PoseAction) -> int:
         """
         Return where compiled code can give a command other values in a world that goes on.
 
@@ -581,7 +582,7 @@ class SimulatedRobot:
         :returns: address of the row of the robot; 0 if it has to be given to :meth:`renew`
         """
         if self.faults.scheduled or self.sensing.settings.delays_commands or (
-                self.reflexes.tripped) or not any(
+                self.reflexes.tripped) or not command.handle.is_active or not any(
                 [own is command for own in self.joints.commands.running]):
             return 0
         return self.runs.address

@@ -14,7 +14,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.law.arm_records import no_targets, Targets
+from manip_sim.control.law.arm_records import Targets
 from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.derived import Derived
@@ -151,9 +151,9 @@ class RobotRuns:
         :param run: the last intervals
         :returns: simulation time since the last reset at which a command times out [s], or None
         """
-        if run.targets is not no_targets() or run.controllers:
+        if run.controllers:
             return None
-        return self._joints.stand(run.joints, run.room.owners, run.room.acts)
+        return self._joints.stand(run.joints, run.targets, run.room.owners, run.room.acts)
 
     def catch_up(self, run: RobotRun | None, begin_s: float | None) -> None:
         """
@@ -167,7 +167,7 @@ class RobotRuns:
         if run is not None:
             moved_s = -1.0 if begin_s is None else run.room.moved_s.item()
             self._joints.catch_up(
-                moved_s, run.room.goals, run.room.renewed_s, self._clock.control_s)
+                run.targets, moved_s, run.room.goals, run.room.renewed_s, self._clock.control_s)
 
 
 def _pair(first: Gripper, second: Gripper) -> tuple[Gripper, Gripper]:

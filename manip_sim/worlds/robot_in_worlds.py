@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.clamping import clamp, command_numbers
+from manip_sim.control.cartesian.cartesian_commands import PoseAction
 from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
 from manip_sim.control.modes import POSITION, VELOCITY
 from manip_sim.control.seats import LawParameters
@@ -24,7 +25,7 @@ from manip_sim.physics.end_effectors import EndEffector
 from manip_sim.physics.physics import EPOCH, STEPS
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
-from manip_sim.simulation.compiled_period import renew
+from manip_sim.simulation.compiled_period import renew, renew_actions
 from manip_sim.validation import positive_number
 from manip_sim.worlds.rows import chosen, rows
 
@@ -74,7 +75,7 @@ class RobotInWorlds:
                  ) -> None:
         self._robots = robots
         self.command = Commands(robots, table, timestep_s)
-        self.command_cartesian = CartesianCommands(robots)
+        self.command_cartesian = CartesianCommands(robots, table, timestep_s)
         self.joint_names = robots[0].joint_names
 
     def __getitem__(self, world: int) -> SimulatedRobot:
@@ -221,15 +222,50 @@ def _wrenches(found: Sequence[Wrench]) -> Wrench:
     return Wrench(np.stack([one.force for one in found]), np.stack([one.torque for one in found]))
 
 
+class GoingOn:
+    """
+    The worlds that go on with a command, to which compiled code gives other numbers.
+
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
+    :ivar robots: address of the row of the robot in each world, or 0, shape (count,)
+    """
+
+    def __init__(self, table: IntArray, timestep_s: float) -> None:
+        self._table, self._timestep_s = table, timestep_s
+        self.robots, self._epochs = np.zeros((2, len(table)), np.int64)
+
+    def find(self, mask: BoolArray, period_s: float | None, address: Callable[[int], int]
+             ) -> IntArray:
+        """
+        Return the numbers of the worlds that go on with the command.
+
+        :param mask: which may, shape (count,)
+        :param period_s: length of a control period that they have to have [s]; None for any
+        :param address: returns that of the row of the robot in a world if the command runs, or 0
+        """
+        steps, epochs = self._table[:, STEPS], self._table[:, EPOCH]
+        stands = mask & (steps > 0)
+        if period_s is not None:
+            stands &= steps * self._timestep_s == period_s
+        for world in np.flatnonzero(stands & (self._epochs != epochs)).tolist():
+            self._epochs[world] = epochs[world]
+            self.robots[world] = address(world)
+        return np.flatnonzero(stands & (self.robots > 0))
+
+
 class RowByRow:
     """
     Validates the commands of all worlds first, and then applies them.
 
     :param robots: the robot in each world
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
     """
 
-    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
-        self._robots = robots
+    def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
+                 ) -> None:
+        self._robots, self._table, self._timestep_s = robots, table, timestep_s
 
     def _apply(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]],
                where: ArrayLike | None, period_s: float | None) -> None:
@@ -259,15 +295,14 @@ class _Stream(NamedTuple):
     :ivar modes: of all joints of the robot
     :ivar clamps: lowest and highest numbers, shape (n, 2)
     :ivar velocities: whether they are velocities, not positions
-    :ivar known: of each world the address of the row of the robot, or 0, and at which epoch,
-        shape (2, count)
+    :ivar going_on: the worlds that go on with it
     """
 
     one: JointSetpoint
     modes: tuple[str, ...]
     clamps: FloatArray
     velocities: bool
-    known: IntArray
+    going_on: GoingOn
 
 
 class Commands(RowByRow):
@@ -281,11 +316,9 @@ class Commands(RowByRow):
 
     def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
                  ) -> None:
-        super().__init__(robots)
-        self._timestep_s = timestep_s
+        super().__init__(robots, table, timestep_s)
         #: By world: the last command that can go on with other numbers; nobody else has it.
         self._streams: dict[int, JointSetpoint] = {}
-        self._table = table
         #: Streams to which compiled code gives other numbers, by names, field and part.
         self._going_on: dict[tuple[str | None, ...], _Stream] = {}
 
@@ -348,22 +381,20 @@ class Commands(RowByRow):
             stream = self._going_on.get((*names, field, part))
         except TypeError:  # One by one, the message says what is wrong.
             stream = None
-        if stream is None or values.ndim != 2 or values.shape[1] != len(stream.clamps):
-            return np.zeros(len(mask), dtype=bool)
-        table, (robots, epochs), (low, high) = self._table, stream.known, stream.clamps.T
-        steps = table[:, STEPS]
-        stands = mask & (steps > 0) & ((values >= low) & (values <= high)).all(axis=1)
-        if period_s is not None:
-            stands &= steps * self._timestep_s == period_s
-        for world in np.flatnonzero(stands & (epochs != table[:, EPOCH])).tolist():
-            epochs[world] = table[world, EPOCH]
-            robots[world] = self._address(world, stream)
-        stands &= robots > 0
-        worlds = np.flatnonzero(stands)
-        for period in dict.fromkeys(steps[worlds].tolist()):
-            renew(table, robots, worlds[steps[worlds] == period], stream.one.indices, values,
-                  period * self._timestep_s, stream.velocities)
-        return np.asarray(stands)
+        goes_on = np.zeros(len(mask), dtype=bool)
+        if stream is None or values.ndim != 2 or values.shape[1] != len(stream.clamps) or (
+                np.isinf(values).any()):
+            return goes_on
+        low, high = stream.clamps.T
+        worlds = stream.going_on.find(
+            mask & ((values >= low) & (values <= high)).all(axis=1), period_s,
+            lambda world: self._address(world, stream))
+        steps = self._table[worlds, STEPS]
+        for period in dict.fromkeys(steps.tolist()):
+            renew(self._table, stream.going_on.robots, worlds[steps == period],
+                  stream.one.indices, values, period * self._timestep_s, stream.velocities)
+        goes_on[worlds] = True
+        return goes_on
 
     def _address(self, world: int, stream: _Stream) -> int:
         """Return the address of the row of a robot whose stream may have other numbers, or 0."""
@@ -397,7 +428,7 @@ class Commands(RowByRow):
             if len(self._going_on) == _MOST_STREAMS:
                 self._going_on.clear()
             self._going_on[(*names, field, part)] = _Stream(
-                one, modes, clamps, velocities, np.zeros((2, len(self._robots)), np.int64))
+                one, modes, clamps, velocities, GoingOn(self._table, self._timestep_s))
         for world in np.flatnonzero(inside).tolist():
             inside[world] = robots[world].joints.modes == modes
         return one, inside
@@ -472,7 +503,15 @@ class CartesianCommands(RowByRow):
     Commands for the end effectors of arms, named as those of ``robot.parse_cartesian``.
 
     :param robots: the robot in each world
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
     """
+
+    def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
+                 ) -> None:
+        super().__init__(robots, table, timestep_s)
+        #: By arm: the last action of each world, which nobody else has, and the worlds that go on.
+        self._actions: dict[str, tuple[dict[int, PoseAction], GoingOn]] = {}
 
     def pose(self, arm: str, position: ArrayLike, quat_xyzw: ArrayLike, frame: str = '', *,
              where: ArrayLike | None = None, period_s: float | None = None) -> None:
@@ -578,12 +617,40 @@ class CartesianCommands(RowByRow):
         numbers = self._rows(action, f'{arm}: pose actions')
         mask = chosen(where, len(self._robots))
         inside = mask & (np.abs(numbers.reshape(len(numbers), -1)) <= 1.0).all(axis=1)
+        if not isinstance(arm, str) or numbers.shape[1:] != (6,) or not inside.any():
+            self._apply(lambda robot, world: [robot.parse_cartesian.action(arm, numbers[world])],
+                        mask, period_s)
+            return
+        if np.isfinite(numbers).all():
+            others = np.ones(len(mask), dtype=bool)
+            others[self._go_on(arm, numbers, inside, period_s)] = False
+            mask, inside = mask & others, inside & others
+            if not mask.any():
+                return
+        # Where nothing has to be clamped or rejected, actions differ in nothing but numbers.
         one = None
-        if numbers.shape[1:] == (6,) and inside.any():
+        if inside.any():
             first = int(np.flatnonzero(inside)[0])
             one = self._robots[first].parse_cartesian.action(arm, numbers[first])
-        # Where nothing has to be clamped or rejected, actions differ in nothing but numbers.
-        self._apply(lambda robot, world: [
-            robot.parse_cartesian.action(arm, numbers[world])
-            if one is None or not inside[world] else replace(
-                one, action=numbers[world], handle=CommandHandle())], mask, period_s)
+            own, _ = self._actions.setdefault(
+                arm, ({}, GoingOn(self._table, self._timestep_s)))
+
+        def parsed(robot: SimulatedRobot, world: int) -> list[PoseAction]:
+            if one is None or not inside[world]:
+                return [robot.parse_cartesian.action(arm, numbers[world])]
+            own[world] = replace(one, action=numbers[world], handle=CommandHandle())
+            return [own[world]]
+        self._apply(parsed, mask, period_s)
+
+    def _go_on(self, arm: str, actions: FloatArray, mask: BoolArray, period_s: float | None
+               ) -> IntArray:
+        """Let actions that run in worlds that go on have other numbers; return where they do."""
+        if arm not in self._actions:
+            return np.zeros(0, np.int64)
+        own, going_on = self._actions[arm]
+        worlds = going_on.find(mask, period_s, lambda world: (
+            self._robots[world].streams(own[world]) if world in own else 0))
+        if len(worlds):
+            renew_actions(self._table, going_on.robots, worlds, own[worlds.item(0)].indices,
+                          actions)
+        return worlds

@@ -15,7 +15,7 @@ from manip_sim.laws import law
 from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.world import World
-from manip_sim.physics.physics import PERIODS as GONE_ON
+from manip_sim.physics.physics import BECAME, PERIODS as GONE_ON, WENT_ON
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.compiled_period import CompiledPeriod
 from manip_sim.simulation.control_period import ControlPeriods
@@ -180,7 +180,8 @@ def _blow(robot):
 
 
 def _take(robot):
-    robot.apply(*robot.parse.joint_command(robot.joints.names[:1], position=[0.1]))
+    name = robot.joints.names[0]
+    robot.apply(*robot.parse.joint_command([name], **{robot.command_interfaces()[name]: [0.1]}))
 
 
 @law(parameters={'stiffness': 100.0})
@@ -205,7 +206,14 @@ _BETWEEN = [
     [lambda robot: robot.sensing.set('latency.command', 0.03), _take],
     [lambda robot: robot.set_law('arm', held), lambda robot: robot.reset_reflexes()],
     [lambda robot: robot.set_speed_scaling(0.5)],
-    [lambda robot: robot.set_stream('arm', hold_s=0.04)]]
+    [lambda robot: robot.set_stream('arm', hold_s=0.04)],
+    [lambda robot: robot.joints.cartesian.set('right', 'stiffness', 300.0)],
+    [lambda robot: robot.joints.cartesian.set('right', 'cartesian_stiffness', [500.0] * 6),
+     lambda robot: robot.joints.cartesian.set('right', 'cartesian_stiffness', [0.0] * 6)],
+    [lambda robot: robot.apply(robot.parse_cartesian.action('right', np.full(6, 0.1))),
+     lambda robot: robot.joints.cartesian.goal('right', robot._physics.data)],
+    [lambda robot: robot.apply(robot.parse_cartesian.twist('right', [0.1, 0, 0], [0, 0, 0.1]))],
+    [lambda robot: robot.apply(robot.parse_cartesian.action('right', [-1.0] * 6))]]
 
 
 def _same(one, other):
@@ -214,28 +222,57 @@ def _same(one, other):
     np.testing.assert_array_equal(one.robot.state().position, other.robot.state().position)
     assert one.robot.safety_state == other.robot.safety_state
     assert one.robot.joints.timeouts == other.robot.joints.timeouts
+    own, others = (
+        simulation.robot.joints.cartesian.reports['right'] for simulation in (one, other))
+    assert (own.counts, own.texts) == (others.counts, others.texts)
+
+
+def _same_digest(one, other):
+    assert one.digest() == other.digest()
+    own, others = (
+        simulation.robot.joints.cartesian.reports['right'] for simulation in (one, other))
+    assert own == others
+
+
+def _command(kind, worlds, alone, period, steps):
+    """Let the first world and a simulation follow the next message of a stream."""
+    names, period_s = alone.robot.joints.names[:7], steps * 0.002
+    where = np.arange(len(worlds)) == 0
+    if kind == 'stream':
+        field = alone.robot.command_interfaces()[names[0]]
+        goals = 0.1 * np.sin(0.05 * period + np.arange(7)) + (
+            alone.robot.joints.cartesian.posture[:7] if field == 'position' else 0.0)
+        worlds.robot.command.joint_command(
+            names, **{field: np.tile(goals, (len(where), 1))}, where=where, period_s=period_s)
+        alone.robot.apply(*alone.robot.parse.joint_command(
+            names, **{field: goals}), period_s=period_s)
+    elif kind == 'osc':
+        # Now and then far enough for an arm that is held, and off its way.
+        actions = (0.9 if period // 50 % 2 else 0.2) * np.sin(0.15 * period + np.arange(6))
+        worlds.robot.command_cartesian.action(
+            'right', np.tile(actions, (len(where), 1)), where=where, period_s=period_s)
+        alone.robot.apply(
+            alone.robot.parse_cartesian.action('right', actions), period_s=period_s)
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('streams', [False, True])
-def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(streams, at_once):
+@pytest.mark.parametrize('kind', ['rest', 'stream', 'osc'])
+def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_once):
     world = compose('Panda', arena=create_arena('table', cube=True))
     worlds, alone = Worlds(world, 1, 1), Simulation(world)
     BY_PYTHON.append(alone.periods)
-    names, first = alone.robot.joints.names[:7], worlds.simulations[0]
-    start, saved = alone.robot.state().position[:7], [alone.save(), first.save()]
+    first = worlds.simulations[0]
+    for simulation in (alone, first):
+        simulation.robot.set_control_mode('arm', 'effort' if kind == 'osc' else 'position')
+    saved = [alone.save(), first.save()]
     options = alone.model.opt.wind.copy(), alone.model.opt.density
     for acts in _BETWEEN:
         for simulation, state in zip((alone, first), saved):
             simulation.restore(state)
             simulation.model.opt.wind[:], simulation.model.opt.density = options
             simulation.data.xfrc_applied[:] = 0.0
-        for period in range(60 if streams else 4):
-            if streams:
-                goals = start + 0.1 * np.sin(0.1 * period + np.arange(7)) - 0.1 * np.sin(
-                    np.arange(7))
-                worlds.robot.command.joint_command(names, position=goals[None], period_s=0.02)
-                alone.robot.apply(*alone.robot.parse.joint_command(names, goals), period_s=0.02)
+        for period in range(4 if kind == 'rest' else 60):
+            _command(kind, worlds, alone, period, STEPS)
             worlds.advance(STEPS)
             alone.advance(STEPS)
         assert first.physics.standing[GONE_ON] > 0
@@ -250,18 +287,63 @@ def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(streams, at
             worlds.advance(STEPS)
             alone.advance(STEPS)
         _same(first, alone)
-        assert first.digest() == alone.digest()
+        _same_digest(first, alone)
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('kind', ['stream', 'osc'])
+def test_no_world_that_goes_on_takes_a_command_that_is_invalid_in_another_one(kind):
+    world = compose('Panda')
+    worlds, alone = Worlds(world, 2, 1), Simulation(world)
+    for simulation in (alone, *worlds.simulations):
+        simulation.robot.set_control_mode('arm', 'effort' if kind == 'osc' else 'position')
+    for period in range(60):
+        _command(kind, worlds, alone, period, STEPS)
+        worlds.advance(STEPS)
+        alone.advance(STEPS)
+    assert worlds.simulations[0].physics.standing[GONE_ON] > 0
+    numbers = np.zeros((2, 7 if kind == 'stream' else 6))
+    numbers[1, 0] = np.inf
+    with pytest.raises(CommandError, match='world 1'):
+        if kind == 'stream':
+            worlds.robot.command.joint_command(
+                alone.robot.joints.names[:7], position=numbers, period_s=0.02)
+        else:
+            worlds.robot.command_cartesian.action('right', numbers, period_s=0.02)
+    worlds.advance(STEPS)
+    alone.advance(STEPS)
+    assert worlds.digest()[0] == alone.digest()
+
+
+@pytest.mark.full
+def test_ends_of_the_reach_are_told_as_by_python(at_once):
+    world, went_on = compose('Panda'), 0
+    worlds, alone = Worlds(world, 1, 1), Simulation(world)
+    BY_PYTHON.append(alone.periods)
+    first = worlds.simulations[0]
+    for simulation in (alone, first):
+        simulation.robot.set_control_mode('arm', 'effort')
+    for along in 120 * [0.8] + 40 * [-0.8] + 120 * [0.8]:
+        action = np.array([along, 0.0, 0.0, 0.0, 0.0, 0.0])
+        worlds.robot.command_cartesian.action('right', action[None], period_s=0.02)
+        alone.robot.apply(alone.robot.parse_cartesian.action('right', action), period_s=0.02)
+        worlds.advance(STEPS)
+        alone.advance(STEPS)
+        _same(first, alone)
+        went_on += first.physics.standing[BECAME] == WENT_ON
+    _same_digest(first, alone)
+    assert went_on > 100
+    assert alone.robot.joints.cartesian.reports['right'].unreachable > 1
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('seed', range(3))
 def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at_once):
     draw, went_on = np.random.default_rng(seed), 0
     world = compose('Panda', arena=create_arena('table', cube=True))
     worlds, alone = Worlds(world, 2, 1), Simulation(world)
     BY_PYTHON.append(alone.periods)
-    names, saved = alone.robot.joints.names[:7], []
-    start, streams, steps = alone.robot.state().position[:7], True, STEPS
+    kind, steps, saved = 'stream', STEPS, []
     first = worlds.simulations[0]
     with worlds:
         for period in range(200):
@@ -275,7 +357,8 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                     simulation.reset(period)
                     simulation.model.opt.density = 0.0
                     simulation.data.xfrc_applied[:] = 0.0
-                    simulation.robot.set_control_mode('arm', 'position')
+                    simulation.robot.set_control_mode(
+                        'arm', 'effort' if kind == 'osc' else 'position')
                     simulation.robot.set_reflex('arm', 'velocity', 0.0)
                     simulation.robot.sensing.set('latency.state', 0.0)
             if draw.random() < 0.03:
@@ -284,23 +367,15 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                 alone.restore(saved[0])
                 first.restore(saved[1])
             if draw.random() < 0.05:
-                streams, steps = bool(draw.random() < 0.6), int(draw.choice([STEPS, 4]))
-            if streams:
-                field = alone.robot.command_interfaces()[names[0]]
-                goals = 0.1 * np.sin(0.05 * period + np.arange(7)) + (
-                    start if field == 'position' else 0.0)
-                worlds.robot.command.joint_command(
-                    names, **{field: np.tile(goals, (2, 1))}, where=[True, False],
-                    period_s=steps * 0.002)
-                alone.robot.apply(*alone.robot.parse.joint_command(
-                    names, **{field: goals}), period_s=steps * 0.002)
+                kind, steps = draw.choice(['rest', 'stream', 'osc']), int(draw.choice([STEPS, 4]))
+            _command(kind, worlds, alone, period, steps)
             worlds.advance(steps)
             with contextlib.suppress(DivergenceError):
                 alone.advance(steps)
             went_on += first.physics.standing[GONE_ON] > 0
             _same(first, alone)
             if draw.random() < 0.2:
-                assert first.digest() == alone.digest(), period
+                _same_digest(first, alone)
     assert went_on > 10
 
 

@@ -42,6 +42,9 @@ _LONGEST_INTERVAL_S = 0.012
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
 _IN_WORLD = Frame(WORLD, 0)
+#: Counters of reports that compiled code compares with what it notes, and its names for them.
+_KNOWN_AS = {'joint_limit': 'was_held', 'singular': 'was_singular', 'aside': 'was_aside'}
+_KNOWN = frozenset(_KNOWN_AS)
 #: None of the joints.
 _NOBODY = np.zeros(0, dtype=bool)
 
@@ -109,6 +112,7 @@ class CartesianController:
         """
         if arm not in self.settings:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
+        self._physics.interrupt()
         changed = self.settings[arm].changed(name, value)
         if changed != self.settings[arm]:  # Equal ones would have another digest.
             self.settings[arm] = changed
@@ -134,6 +138,7 @@ class CartesianController:
         """
         if arm not in self.settings:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
+        self._physics.interrupt()
         if arm not in self._targets:
             return None
         position, rotation = self._targets[arm].goal(data)
@@ -171,8 +176,8 @@ class CartesianController:
         if isinstance(command, GuardedTwist):
             lasts_s = math.inf
         target = self._targets[command.arm] = target_of(
-            command, self._chains[command.arm], self._physics.model, data, before,
-            now_s + lasts_s)
+            command, self._chains[command.arm], self._physics.model, data,
+            self._physics.arrays.kinematics, before, now_s + lasts_s)
         if isinstance(command, GuardedTwist):
             target.guard = self._chains[command.arm].tip.pose(data)[0], now_s
         if goes_on and streamed is not None:
@@ -363,11 +368,12 @@ class CartesianController:
             *frame.number, *push_frame.number,
             target.rests, target.settled_in is not None, target.start is not None,
             target.solve_s == -math.inf, 0, exerts and settings.impedes,
-            target.reference is not None, settings.stiffness, settings.damping,
-            settings.linear_velocity, settings.angular_velocity,
-            settings.cartesian_damping_ratio, settings.null_space_stiffness,
+            target.reference is not None, False, False, False, False,
+            settings.stiffness, settings.damping, settings.linear_velocity,
+            settings.angular_velocity, settings.cartesian_damping_ratio,
+            settings.null_space_stiffness,
             target.stream.smooth if follows == STREAMS and target.stream else 0.0,
-            target.solve_s, interval_s)
+            target.solve_s, interval_s, 0.0)
         targets.positions[number], targets.rotations[number] = target.position, target.rotation
         if target.start is not None:
             targets.starts[number] = target.start
@@ -453,20 +459,58 @@ class CartesianController:
         """Take over what the compiled law has changed, and report what has become of targets."""
         for number, command in enumerate(commands):
             task, target = targets.tasks[number], self._targets[command.arm]
-            target.rests, target.solve_s = bool(task['rests']), float(task['solve_s'])
+            self._keep(target, targets, number)
             if task['follows'] == TWISTS:
                 target.position = targets.positions[number].copy()
                 target.rotation = targets.rotations[number].copy()
             target.reference = None
             if task['impedes']:
                 target.reference = targets.places[number].copy(), targets.attitudes[number].copy()
-            if task['begun'] and target.start is None:
-                target.start = targets.starts[number].copy()
             for k in range(int(task['solutions'])):
                 self._look(command, targets, number, k)
             if task['settled'] and target.settled_in is None:
                 scratch = self._physics.scratch.data
                 target.settled_in = self._place(command, target, scratch)
+
+    def stand(self, commands: Sequence[CartesianCommand], targets: Targets) -> bool:
+        """
+        Let compiled code go on with the targets of commands, and return whether it may.
+
+        It may with arms that exert efforts for a goal that rests.
+
+        :param targets: as :meth:`begin_run` has returned them
+        """
+        for number, command in enumerate(commands):
+            task, report = targets.tasks[number], self.reports[command.arm]
+            streams = self._targets[command.arm].stream is not None
+            if (streams or task['acts'] != EXERTS or task['follows'] != RESTS or task['impedes']
+                    or not report.active <= _KNOWN):
+                return False
+            task['awaited'], task['seen_s'] = command.handle.is_active, report.seen_s
+            for kind, name in _KNOWN_AS.items():
+                task[name] = kind in report.active
+        return True
+
+    def catch_up(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:
+        """
+        Take over what compiled code has done by itself.
+
+        :param commands: with which it has gone on
+        :param targets: of these
+        """
+        for number, command in enumerate(commands):
+            task, target = targets.tasks[number], self._targets[command.arm]
+            self._keep(target, targets, number)
+            target.position = targets.positions[number].copy()
+            target.rotation = targets.rotations[number].copy()
+            self.reports[command.arm].keep_seen(float(task['seen_s']))
+
+    @staticmethod
+    def _keep(target: Target, targets: Targets, number: int) -> None:
+        """Take over how far the end effector has come to a target."""
+        task = targets.tasks[number]
+        target.rests, target.solve_s = bool(task['rests']), float(task['solve_s'])
+        target.start = targets.starts[number].copy() if task['begun'] else None
 
     def follow(self, command: CartesianCommand, now_s: float, duration_s: float,
                efforts: FloatArray) -> None:

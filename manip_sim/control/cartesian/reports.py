@@ -12,12 +12,10 @@ from typing import ClassVar, NamedTuple
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
+from manip_sim.control.law.arm_records import ASIDE, NEARER
 
-#: A target is unreachable if the end effector misses it, and for this time [s] makes no more than
-#: this share of the wanted motion.
-_STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
-#: An end effector has left its way if it is farther from it than this [m].
-_ASIDE = 0.01
+#: A target is unreachable if the end effector misses it, and comes no nearer for this time [s].
+_STALLED_S = 0.3
 
 
 class Contact(NamedTuple):
@@ -53,12 +51,13 @@ class CartesianReport:
     :ivar slowed: how often limits of joints slowed down a twist or a stream of poses
     :ivar aside: how often the end effector left the straight line to a pose by more than 1 cm
     :ivar texts: what happened last, in words, by counter
+    :ivar seen_s: simulation time when the end effector was checked last [s]
     """
 
     #: Only reported, never used.
     not_in_digest: ClassVar[tuple[str, ...]] = (
         'contact', 'unreachable', 'joint_limit', 'singular', 'slowed', 'aside', 'texts', '_active',
-        '_seen_s', '_stalled_s')
+        'seen_s', '_stalled_s')
 
     arm: str
     contact: Contact | None = None
@@ -68,9 +67,9 @@ class CartesianReport:
     slowed: int = 0
     aside: int = 0
     texts: dict[str, str] = field(default_factory=dict)
+    seen_s: float = -math.inf
     _active: set[str] = field(default_factory=set)
-    #: When the end effector was checked last, and since when it has come no nearer to its target.
-    _seen_s: float = -math.inf
+    #: Simulation time since when the end effector has come no nearer to its target [s].
     _stalled_s: float = 0.0
 
     @property
@@ -79,10 +78,24 @@ class CartesianReport:
         return {kind: getattr(self, kind)
                 for kind in ('unreachable', 'joint_limit', 'singular', 'slowed', 'aside')}
 
+    @property
+    def active(self) -> frozenset[str]:
+        """The counters of what keeps the end effector from its target now."""
+        return frozenset(self._active)
+
+    def keep_seen(self, now_s: float) -> None:
+        """
+        Record that the end effector has come nearer to its target until now.
+
+        :param now_s: simulation time [s]
+        """
+        if now_s > self.seen_s:
+            self.seen_s = self._stalled_s = now_s
+
     def reset(self) -> None:
         """Begin to look anew; counts stay."""
         self._active.clear()
-        self._seen_s, self._stalled_s = -math.inf, 0.0
+        self.seen_s, self._stalled_s = -math.inf, 0.0
 
     def see_motion(self, what: str, held: Sequence[str], singular: bool, slowed: bool) -> None:
         """
@@ -112,10 +125,10 @@ class CartesianReport:
         :param progress: share of the wanted motion that is made
         :param now_s: simulation time [s]
         """
-        first = now_s - self._seen_s > _STALLED_S
-        if first or progress > _STALLED_PROGRESS or close:
+        first = now_s - self.seen_s > _STALLED_S
+        if first or progress > NEARER or close:
             self._stalled_s = now_s
-        self._seen_s = now_s
+        self.seen_s = now_s
         stalled = now_s - self._stalled_s >= _STALLED_S
         if not (stalled or self._active):
             return
@@ -134,10 +147,10 @@ class CartesianReport:
 
         :param distance: [m]
         """
-        if distance <= _ASIDE and not self._active:
+        if distance <= ASIDE and not self._active:
             return
-        self._note('aside', distance > _ASIDE,
-                   lambda: f'the end effector is more than {_ASIDE:g} m off the straight line '
+        self._note('aside', distance > ASIDE,
+                   lambda: f'the end effector is more than {ASIDE:g} m off the straight line '
                            'to its target')
 
     def _note(self, kind: str, active: bool, text: Callable[[], str]) -> None:

@@ -18,11 +18,8 @@ from manip_sim.control.cartesian.cartesian_commands import (
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.velocity_stream import VelocityStream
+from manip_sim.physics.physics import Kinematics
 from manip_sim.physics.robot_frames import Frame, WORLD
-from manip_sim.quaternion import matrix_of_vector
-
-#: How far an action of 1 moves and turns the goal [m], [rad]; robosuite's defaults for OSC_POSE.
-_ACTION_STEP, _ACTION_TURN = 0.05, 0.5
 
 
 @dataclass
@@ -123,13 +120,15 @@ def _in_world(frame: Frame, pose: tuple[FloatArray, FloatArray], data: mujoco.Mj
 
 
 def target_of(command: CartesianCommand, chain: KinematicChain, model: mujoco.MjModel,
-              data: mujoco.MjData, before: Target | None, until_s: float) -> Target:
+              data: mujoco.MjData, kinematics: Kinematics, before: Target | None,
+              until_s: float) -> Target:
     """
     Return the target of a command.
 
     :param chain: of the arm that the target is for
     :param model: the ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` after ``mj_forward``
+    :param kinematics: views into it
     :param before: the target that a stream of twists has moved until now, or None
     :param until_s: simulation time when a twist ends [s]
     """
@@ -138,14 +137,13 @@ def target_of(command: CartesianCommand, chain: KinematicChain, model: mujoco.Mj
         anchor = Frame(WORLD, 0) if _moves(chain, command.frame, model) else command.frame
         return Target.at(anchor, origin + product(turned, command.position),
                          product(turned, command.rotation), data)
-    position, rotation = chain.tip.view(data)
     if isinstance(command, PoseAction):
-        origin, axes = chain.origin.view(data)
-        return Target(
-            chain.origin,
-            transposed_product(axes, position - origin) + _ACTION_STEP * command.action[:3],
-            product(matrix_of_vector(_ACTION_TURN * command.action[3:]),
-                    transposed_product(axes, rotation)), chain.origin)
+        from manip_sim.control.law.leading import act  # It imports numba.
+        position, rotation = np.empty(3), np.empty((3, 3))
+        act(kinematics, *chain.tip.number, *chain.origin.number, command.action, position,
+            rotation)
+        return Target(chain.origin, position, rotation, chain.origin)
+    position, rotation = chain.tip.view(data)
     assert isinstance(command, CartesianTwist)
     if before is not None:
         position, rotation = before.goal(data)

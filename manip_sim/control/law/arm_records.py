@@ -151,16 +151,20 @@ RESTS, STREAMS, TWISTS, BRAKES = range(4)
 #: impedance and of its wrench beside, and whether they are sites; whether the end
 #: effector is as near as it can come, whether its setpoints have come to rest, whether its way has
 #: begun, whether efforts are to be noted, how many solutions are, whether the arm is an impedance,
-#: and whether that has a reference; settings of the spring and of the impedance; share of a
-#: stream's acceleration that is its own; when the kinematics are solved next, for how long [s].
+#: whether that has a reference, whether somebody waits for the target to be reached, and whether
+#: ranges of joints held the end effector, it could hardly move, and it was off its way when Python
+#: looked last; settings of the spring and of the impedance; share of a stream's acceleration that
+#: is its own; when the kinematics are solved next, for how long, and when the target was looked at
+#: last [s].
 TASK = np.dtype([
     *((name, np.int64) for name in (
         'acts', 'follows', 'tip', 'tip_is_site', 'anchor', 'anchor_is_site', 'axes',
         'axes_is_site', 'frame', 'frame_is_site', 'push_frame', 'push_is_site', 'rests',
-        'settled', 'begun', 'notes', 'solutions', 'impedes', 'refers')),
+        'settled', 'begun', 'notes', 'solutions', 'impedes', 'refers', 'awaited',
+        'was_held', 'was_singular', 'was_aside')),
     *((name, np.float64) for name in (
         'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'damping_ratio',
-        'null_stiffness', 'smooth', 'solve_s', 'interval_s'))], align=True)
+        'null_stiffness', 'smooth', 'solve_s', 'interval_s', 'seen_s'))], align=True)
 #: Outcome of a solution: when it was found [s], which share of the wanted motion is made,
 #: how far the end effector is off its way [m]; whether it has reached the target, whether it comes
 #: near enough to it, whether a motion is wanted in a direction in which it can hardly move,
@@ -173,6 +177,10 @@ FACTS = np.dtype([
 MOST_SOLUTIONS = 16
 #: A target is missed if the end effector is farther from it than this [m], [rad].
 MISSED, MISSED_TURN = 2e-3, 2e-2
+#: An end effector comes nearer to its target with more than this share of the wanted motion.
+NEARER = 0.1
+#: It has left its way if it is farther from it than this [m].
+ASIDE = 0.01
 
 
 #: The law leads the end effectors of so many arms.
@@ -205,6 +213,7 @@ class Targets(NamedTuple):
         goal, shape (2, k, 6)
     :ivar missed: the same, as measured, of targets that are reached, shape (2, k, 6)
     :ivar held: whether the range of a joint of the robot keeps it from doing more, (2, k, n)
+    :ivar actions: last actions of OSC_POSE that came while periods went on, shape (2, 6)
     """
 
     tasks: NDArray[np.void]
@@ -224,6 +233,7 @@ class Targets(NamedTuple):
     errors: FloatArray
     missed: FloatArray
     held: BoolArray
+    actions: FloatArray
 
 
 def targets_of(joints: int, solutions: int = MOST_SOLUTIONS) -> Targets:
@@ -240,7 +250,7 @@ def targets_of(joints: int, solutions: int = MOST_SOLUTIONS) -> Targets:
                    (nobody, nobody), np.zeros((2, 3)), np.zeros((2, 6)), np.zeros((2, 6)),
                    np.zeros((2, 2, 6)), np.zeros((2, 3)), np.zeros((2, 3, 3)),
                    readable(np.zeros(rows, FACTS)), np.zeros((*rows, 6)), np.zeros((*rows, 6)),
-                   np.zeros((*rows, joints), np.bool_))
+                   np.zeros((*rows, joints), np.bool_), np.zeros((2, 6)))
 
 
 @cache

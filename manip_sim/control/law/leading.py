@@ -32,6 +32,9 @@ _AT_REST = 1e-4
 #: By efforts it is reached within this [m], [rad], by an end effector slower than this [m/s,
 #: rad/s].
 _PRESSED, _PRESSED_TURN, _SLOW_TWIST = 1e-3, 1e-2, 2e-3
+#: Distance and angle by which an action of 1 moves and turns the goal [m], [rad]; robosuite's
+#: defaults for OSC_POSE.
+_STEP, _TURN = 0.05, 0.5
 #: Largest lead of a goal that a twist moves over the end effector [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
 
@@ -115,6 +118,28 @@ def _move_goal(world: WorldArrays, targets: Targets, number: int, along: FloatAr
     rotation_matrix(error, 3, min(1.0, _TURN_LEAD / max(norm3(error, 3), 1e-12)), turn)
     multiply_matrices(turn, turned, moved)
     _stay_at(world.kinematics, targets, number, place, moved)
+
+
+@compiled
+def act(kinematics: Kinematics, tip: int, tip_is_site: int, anchor: int, anchor_is_site: int,
+        action: FloatArray, position: FloatArray, rotation: FloatArray) -> None:
+    """
+    Write the goal of an action of OSC_POSE: the present pose of an end effector, moved and turned.
+
+    :param tip: number of the end effector
+    :param anchor: number of the frame in which the goal is
+    :param action: in [-1, 1], shape (6,)
+    :param position: [m], shape (3,), written
+    :param rotation: shape (3, 3), written
+    """
+    place, turned = pose_of(kinematics, tip, tip_is_site)
+    here, axes = pose_of(kinematics, anchor, anchor_is_site)
+    turn, before = np.empty((3, 3)), np.empty((3, 3))
+    _turn_back(here, axes, place, turned, position, before)
+    for i in range(3):
+        position[i] += _STEP * action[i]
+    rotation_matrix(action, 3, _TURN, turn)
+    multiply_matrices(turn, before, rotation)
 
 
 @compiled

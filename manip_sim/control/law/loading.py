@@ -17,9 +17,9 @@ from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import (
     blank_state, PLAIN, readable, records, SERVO)
 from manip_sim.control.law.kept import note_that_all_are_kept
-from manip_sim.control.law.leading import lead, press_on, put_ahead
+from manip_sim.control.law.leading import act, lead, press_on, put_ahead
 from manip_sim.control.law.operational_space import exert
-from manip_sim.control.law.period import go_on, renew, run_rows, SCRATCH
+from manip_sim.control.law.period import go_on, renew, renew_actions, run_rows, SCRATCH
 from manip_sim.control.law.rows import Row
 from manip_sim.control.law.servo_rates import drive, find_rates
 from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
@@ -71,6 +71,7 @@ def load_laws() -> None:
     exert(world, arm, np.zeros(3), np.eye(3), goal, none, Spring(1.0, 1.0, 1.0, 1.0), False,
           Motion.of(_COUNT))
     targets = targets_of(_COUNT)._replace(arms=(arm, arm))
+    act(world.kinematics, 0, 1, 0, 1, none, none.copy(), np.eye(3))
     put_ahead(world, world.kinematics, joints, targets, 0)
     press_on(world, none.copy(), none, targets, 0, 0, 0.0, 1.0)
     lead(world, world.kinematics, joints, none, targets, 0, 0.0)
@@ -80,6 +81,7 @@ def load_laws() -> None:
         run_rows(nobody_yet, Row(SCRATCH).address)
         go_on(nowhere_yet, nobody_yet, 1, Row(SCRATCH).address)
         renew(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)), 0.01, False)
+        renew_actions(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)))
     if not PLAIN:
         note_that_all_are_kept()
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import mujoco
@@ -13,14 +14,14 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.arm_records import (
-    EXERTS, LEADS, MOST_SOLUTIONS, Targets, targets_of)
+    ASIDE, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, NEARER, Targets, targets_of)
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import (
     DUE, JOINT, MOVES, readable, RobotJoints, SERVO, WRITTEN)
-from manip_sim.control.law.leading import lead, press_on, put_ahead
+from manip_sim.control.law.leading import act, lead, press_on, put_ahead
 from manip_sim.control.law.rows import Layout
 from manip_sim.control.law.seat import begin_all
 from manip_sim.control.law.servo_rates import drive
@@ -321,6 +322,34 @@ def _rests(robot: Robot) -> bool:
 
 
 @inner
+def _looks_fine(targets: Targets) -> bool:
+    """Return whether nothing new has become of targets, and note when they were looked at."""
+    for number in range(2):
+        task = targets.tasks[number]
+        for k in range(task.solutions if task.acts != IDLE else 0):
+            facts = targets.facts[number, k]
+            if (facts.held != task.was_held or facts.singular != task.was_singular
+                    or (facts.aside > ASIDE) != (task.was_aside != 0)
+                    or facts.reached and task.awaited
+                    or facts.progress <= NEARER and not facts.close):
+                return False
+    for number in range(2):
+        task = targets.tasks[number]
+        if task.acts != IDLE and task.solutions:
+            task.seen_s = targets.facts[number, task.solutions - 1].now_s
+    return True
+
+
+@inner
+def _begin_targets(targets: Targets) -> None:
+    """Let what becomes of targets in a period be noted."""
+    for number in range(2):
+        task = targets.tasks[number]
+        if task.acts != IDLE:
+            task.notes, task.solutions, task.solve_s = 1, 0, -math.inf
+
+
+@inner
 def _goes_on(period: Period) -> bool:
     """Return whether a period goes on like the one before."""
     time, standing, tools = period.time, period.standing, period.notes.tools
@@ -373,9 +402,14 @@ def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: int) -> None:
             period = _read_period(known[ROW])
             if _goes_on(period):
                 period.orders[RESUMES] = period.orders[RESUMES_AFTER]
+                for row in period.robots:
+                    _begin_targets(_read_robot(row).targets)
                 _run(period, room)
                 known[PERIODS] += 1
-                known[BECAME] = WENT_ON if _is_quiet(period) else ENDED
+                quiet = _is_quiet(period)
+                for row in period.robots:
+                    quiet = quiet and _looks_fine(_read_robot(row).targets)
+                known[BECAME] = WENT_ON if quiet else ENDED
 
 
 @compiled
@@ -399,3 +433,30 @@ def renew(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray
         for k in range(len(indices)):
             robot.goals[indices[k]] = goals[world, k]
             robot.renewed_s[indices[k]] = time.counts[1] * time.step_ns * 1e-9
+
+
+@compiled
+def renew_actions(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray,
+                  actions: FloatArray) -> None:
+    """
+    Give actions of OSC_POSE that run other numbers, as if equal ones had replaced them.
+
+    :param table: ``Physics.standing`` of all worlds, shape (count, 5)
+    :param robots: address of the row of the robot in each world, shape (count,)
+    :param worlds: which of them do, shape (k,)
+    :param indices: of the joints of the arm, shape (n,)
+    :param actions: shape (count, 6)
+    """
+    for world in worlds:
+        period, robot = _read_period(table[world, ROW]), _read_robot(robots[world])
+        targets, number = robot.targets, 1
+        if targets.arms[0].joints[0].joint == indices[0]:
+            number = 0
+        task = targets.tasks[number]
+        act(period.world.kinematics, task.tip, task.tip_is_site, task.anchor, task.anchor_is_site,
+            actions[world], targets.positions[number], targets.rotations[number])
+        task.rests = task.begun = 0
+        for k in range(6):
+            targets.actions[number, k] = actions[world, k]
+        for joint in indices:
+            robot.renewed_s[joint] = period.time.counts[1] * period.time.step_ns * 1e-9
