@@ -302,7 +302,8 @@ def test_no_world_that_goes_on_takes_a_command_that_is_invalid_in_another_one(ki
         worlds.advance(STEPS)
         alone.advance(STEPS)
     assert worlds.simulations[0].physics.standing[GONE_ON] > 0
-    numbers = np.zeros((2, 7 if kind == 'stream' else 6))
+    numbers = np.tile(alone.robot.joints.cartesian.posture[:7 if kind == 'stream' else 6], (2, 1))
+    numbers = np.clip(numbers, -1.0, 1.0) if kind == 'osc' else numbers
     numbers[1, 0] = np.inf
     with pytest.raises(CommandError, match='world 1'):
         if kind == 'stream':
