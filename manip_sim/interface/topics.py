@@ -334,6 +334,8 @@ SERVICES = (
             'stop all parts of all robots, which reject commands until ~/recover'),
     Service('~/recover', 'std_srvs/Trigger',
             'let all parts take commands again as soon as they rest'),
+    Service('~/move_until_contact', 'diagnostic_msgs/AddDiagnostics',
+            'move an arm until contact, as YAML in load_namespace, and answer at the end'),
     Service('~/inject_fault', 'diagnostic_msgs/AddDiagnostics',
             'let something of a part fail, as YAML in load_namespace, and tell all faults of the '
             'episode; an empty text only tells them'),

@@ -23,7 +23,7 @@ class SimulationServices(Feature):
     """
     Services that control the simulation.
 
-    They are those of the table ``manip_sim.interface.topics.SERVICES``.
+    They are those of the table ``manip_sim.interface.topics.SERVICES`` that answer at once.
     """
 
     def __init__(self, context: NodeContext) -> None:
@@ -45,6 +45,8 @@ class SimulationServices(Feature):
             '~/save_state': partial(_answer, partial(thread.change, 'save'), ''),
             '~/restore_state': partial(_answer, thread.restore, '')}
         for row in SERVICES:
+            if row.name not in answers:
+                continue
             package, _, kind = row.type.partition('/')
             context.node.create_service(getattr(import_module(f'{package}.srv'), kind), row.name,
                                         answers[row.name])

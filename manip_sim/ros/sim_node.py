@@ -43,12 +43,13 @@ from manip_sim.ros.feature import Feature, NodeContext, PublishingThread
 from manip_sim.ros.live_parameters import LiveParameters
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher, ModelPublisher
-from manip_sim.ros.safety_state import ContactPublisher, SafetyStatePublisher
+from manip_sim.ros.safety_state import SafetyStatePublisher
 from manip_sim.ros.scene import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
 from manip_sim.ros.startup_log import log_start
 from manip_sim.ros.surroundings_commands import SurroundingsCommands
+from manip_sim.ros.until_contact import MotionsUntilContact
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -203,7 +204,7 @@ class SimNode(Node):
         if self.actions is not None:
             self._add(self.actions)
         self._add(SafetyStatePublisher(context))
-        self._add(ContactPublisher(context))
+        self._add(MotionsUntilContact(context, self.commands))
         self._add(SimulationServices(context))
         self._add(StandardServices(context, spawn_files(self.declared.value('spawn_roots'))))
         self._add(Diagnostics(context, self.commands, self.surroundings, self.cameras))

@@ -6,13 +6,15 @@
 import json
 import math
 
-from geometry_msgs.msg import WrenchStamped
+from diagnostic_msgs.srv import AddDiagnostics
+from geometry_msgs.msg import TwistStamped, WrenchStamped
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import Trigger
 
 NAN7 = [math.nan] * 7
 
@@ -113,3 +115,56 @@ def test_a_motion_until_contact_says_how_it_ended(serve, client):
     client.publish('right/move_until_contact', Float64MultiArray(data=[0.0] * 9))
     client.spin_until(lambda: statistics.rejected == 1)
     assert len(ends) == 2
+
+
+def move(client, text):
+    """Call the service of motions until contact; return a future of its response."""
+    service = client.node.create_client(AddDiagnostics, 'manip_sim/move_until_contact')
+    client.spin_until(service.service_is_ready)
+    return service.call_async(AddDiagnostics.Request(load_namespace=text))
+
+
+def test_the_service_of_a_motion_until_contact_answers_at_its_end(serve, client):
+    node = serve(stepping='free')
+    statistics = node.commands.robots[0].statistics['arm']
+    answer = move(client, '{linear: [0, 0, 0.05], force: 5, distance: 0.03, duration: 9.0}')
+    client.spin_until(answer.done)
+    end = json.loads(answer.result().message)
+    assert answer.result().success and end['cause'] == 'distance' and end['arm'] == 'right'
+    assert end['distance'] == pytest.approx(0.03, abs=1e-3) and statistics.accepted == 1
+    slow = '{linear: [0, 0, 0.0001], force: 50, distance: 1, duration: 90000}'
+    first = move(client, slow)
+    client.spin_until(lambda: statistics.accepted == 2)
+    tare = client.node.create_client(Trigger, 'manip_sim/tare_wrench')
+    client.spin_until(tare.service_is_ready)
+    other = tare.call_async(Trigger.Request())  # Nobody waits for the end of the motion.
+    client.spin_until(other.done)
+    assert other.result().success and not first.done()
+    client.publish('right/target_twist', TwistStamped())
+    client.spin_until(first.done)
+    assert not first.result().success and 'replaced by a newer command' in first.result().message
+    second = move(client, slow)
+    client.spin_until(lambda: statistics.accepted == 4)
+    node.thread.change('emergency_stop')
+    client.spin_until(second.done)
+    assert not second.result().success and 'emergency stop' in second.result().message
+    third = move(client, slow)
+    client.spin_until(third.done)
+    assert not third.result().success and 'emergency stop' in third.result().message
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('', 'the force of a motion until contact must be positive and finite, got None'),
+    ('[1, 2]', 'must hold keys and values'), ('{arm: [', 'invalid or unsafe YAML'),
+    ('{forse: 5}', "did you mean 'force'"), ('{arm: 3}', "'arm' must be a name"),
+    ('{robot: arm}', "unknown robot 'arm'"),
+    ('{arm: left, force: 1, distance: 1, duration: 1}', "unknown arm with a gripper 'left'"),
+    ('{linear: [1, 2], force: 1, distance: 1, duration: 1}', 'linear'),
+    ('{force: .nan, distance: 1, duration: 1}', 'force of a motion')])
+def test_requests_that_describe_no_motion_until_contact_are_rejected(
+        text, message, serve, client):
+    node = serve(start_paused=True)
+    answer = move(client, text)
+    client.spin_until(answer.done)
+    assert not answer.result().success and message in answer.result().message
+    assert node.commands.robots[0].statistics['arm'].accepted == 0
