@@ -154,7 +154,8 @@ class ParameterSpec:
         """
         Return a value converted to the declared type, where ROS parses it as another one.
 
-        Integers become doubles, and an empty array becomes one with an empty string.
+        Integers become doubles. An empty array becomes the default, of strings one with an empty
+        string.
         """
         if isinstance(self.default, float) and type(value) is int:
             return _as_double(value)
@@ -163,7 +164,7 @@ class ParameterSpec:
                 type(item) is int for item in value)
             return [_as_double(item) for item in value] if whole else value
         if isinstance(self.default, list) and not value:
-            return ['']
+            return [''] if self.type == 'string_array' else [*self.default]
         return value
 
     def type_problem(self, found: str, value: Any) -> str | None:

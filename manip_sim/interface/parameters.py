@@ -94,6 +94,12 @@ def node_parameters() -> list[ParameterSpec]:
                       's', live=True, minimum=0.0, maximum=1e9),
         ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, with stepping '
                       'realtime.', live=True, minimum=0.1, maximum=10.0),
+        ParameterSpec('thread_priority', 50, 'Priority of the process among real-time threads '
+                      '(SCHED_FIFO), where that is permitted, with stepping realtime; 0: none.',
+                      minimum=0, maximum=99),
+        ParameterSpec('cpu_affinity', [-1], 'Numbers of the processors on which the process runs; '
+                      '[-1]: all.'),
+        ParameterSpec('lock_memory', False, 'Keep all memory of the process from being swapped.'),
         ParameterSpec('gravity_compensation', True, 'Let the actuators carry the weight of all '
                       'links and grippers; included in the effort and in the torque limits.'),
         ParameterSpec('publish_tf', True, 'Publish /tf and /tf_static, if tf2_msgs is installed; '

@@ -17,6 +17,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.models import untrusted_models
 from manip_sim.ros.arguments import for_other_nodes, start_ros
 from manip_sim.ros.executor import BACKGROUND_THREAD, GuardedExecutor
+from manip_sim.ros.real_time import run_in_real_time
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals, leave
@@ -62,6 +63,7 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
     try:
         node.start()
         spinner.start()
+        run_in_real_time(node.declared, node.get_logger())
         while not asked_to_end.wait(_WATCH_S):
             if node.thread.error is not None:
                 raise node.thread.error
