@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.cli.composing_options import compose_from
+from manip_sim.cli.states_check import differences, states_on
 from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.files.urdf import is_urdf
@@ -40,6 +41,9 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         defects = [*found, *(StartDefect(
             'meshes', sentence, 'see there, or accept it by meshes: none in the YAML file of the '
             'model') for sentence in lost_shapes(world))]
+        if options.against is not None:
+            wrong, others = differences(world, options.against, *states_on(options.against))
+            defects, remarks = [*defects, *wrong], [*remarks, *others]
         prefixes = list(_prefixes(world))
         note = (f'Names in the files lack the prefix{"es" if len(prefixes) > 1 else ""} '
                 f'{", ".join(prefixes)}.' if prefixes else '')

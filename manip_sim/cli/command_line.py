@@ -121,7 +121,7 @@ def _unknown(words: Sequence[str], options: argparse.Namespace) -> str | None:
 def _conflict(options: argparse.Namespace) -> str | None:
     """Return which options do not go together, or None."""
     given = [name for name in COMPOSITION if getattr(options, name, None) is not None]
-    if options.command == 'check' and options.file is not None and given:
+    if options.command == 'check' and options.file is not None and (given or options.against):
         return 'check either a FILE or a composition, not both'
     if 'params_file' in given and len(given) > 1:
         return f'--params-file cannot be combined with --{given[0].replace("_", "-")}'
@@ -247,9 +247,13 @@ def _add_check(commands: Any) -> None:
         'no actuator, two actuators or one that is too weak, and missing files, and says how to '
         'fix them. A file is checked as it is, at its keyframe home or else at its first one.',
         'examples: manip_sim check --robot UR5e --gripper FourierRightHand\n'
-        '          manip_sim check my_robot.xml')
+        '          manip_sim check my_robot.xml\n'
+        '          manip_sim check --robot FR3 --prefix fr3_ --against /joint_states')
     parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
                         help='an MJCF file; one in URDF or xacro is checked as a robot')
+    parser.add_argument('--against', metavar='TOPIC', help='compare with the joint states of '
+                        'another source, such as a real robot: names, ranges, swapped joints; '
+                        'needs ROS')
     add_composition(parser)
 
 

@@ -270,6 +270,29 @@ def _subscribed(graph: _Graph, options: argparse.Namespace, raw: bool = False) -
     return messages
 
 
+def next_message(topic: str, type_name: str) -> Any:
+    """
+    Return the next message on a topic.
+
+    :param type_name: that it has to have, such as ``sensor_msgs/msg/JointState``
+    :raises ManipSimError: if the topic is unknown or has another type, or no message comes
+    """
+    try:
+        with _graph() as graph:
+            messages = _subscribed(graph, argparse.Namespace(name=topic))
+            types = graph.topics().get(graph.node.resolve_topic_name(topic), [])
+            if type_name not in types:
+                raise ManipSimError(f'{topic} has the type {", ".join(types)}, not {type_name}')
+            graph.wait_for(messages, topic, _ANSWER_S)
+            return messages.popleft()
+    except _Ended:
+        raise ManipSimError(f'ended before a message on {topic} came') from None
+    except NameValidationException as error:
+        raise ManipSimError(one_line(str(error).replace('\n', ' '))) from error
+    except RCLError as error:
+        raise ManipSimError(f'ROS: {without_source(error)}') from error
+
+
 def _hz(graph: _Graph, options: argparse.Namespace) -> None:
     messages = _subscribed(graph, options, raw=True)
     arrivals: deque[float] = deque(maxlen=options.window + 1)

@@ -94,6 +94,10 @@ def node_parameters() -> list[ParameterSpec]:
                       's', live=True, minimum=0.0, maximum=1e9),
         ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, with stepping '
                       'realtime.', live=True, minimum=0.1, maximum=10.0),
+        ParameterSpec('expected_command_rate', 0.0, 'Commands per second of simulation time for '
+                      'which the controllers or policies were made; /diagnostics warns of parts '
+                      'whose commands come at another one. 0: any.', 'Hz', live=True,
+                      minimum=0.0, maximum=10000.0),
         ParameterSpec('thread_priority', 50, 'Priority of the process among real-time threads '
                       '(SCHED_FIFO), where that is permitted, with stepping realtime; 0: none.',
                       minimum=0, maximum=99),

@@ -110,6 +110,8 @@ class CommandStatistics:
     :ivar clamped: numbers that were brought into their limits
     :ivar slowed: trajectories that were slowed down to keep to the velocity limits
     :ivar last_s: monotonic wall time when the last one was accepted [s]
+    :ivar arrivals: simulation times of the first and the last one since the last report [ns], and
+        how many there were
     """
 
     accepted: int = 0
@@ -117,6 +119,12 @@ class CommandStatistics:
     clamped: int = 0
     slowed: int = 0
     last_s: float | None = None
+    arrivals: tuple[int, int, int] = (0, 0, 0)
+
+    def take_period(self) -> float | None:
+        """Return the mean simulation time between commands since the last call [s], or None."""
+        (first_ns, last_ns, count), self.arrivals = self.arrivals, (0, 0, 0)
+        return (last_ns - first_ns) * 1e-9 / (count - 1) if count > 1 else None
 
 
 class CommandSubscribers:
@@ -211,6 +219,7 @@ class CommandSubscribers:
         """
         entry = self._entry_of.get(part, part)
         now_s, clamped = time.monotonic(), sum(command.clamped for command in commands)
+        now_ns = self._thread.progress.time_ns
         entries = {entry: clamped}
         for command in commands:
             for part in command.parts:
@@ -219,6 +228,8 @@ class CommandSubscribers:
             self.statistics[name].accepted += 1
             self.statistics[name].clamped += count
             self.statistics[name].last_s = now_s
+            first_ns, _, number = self.statistics[name].arrivals
+            self.statistics[name].arrivals = first_ns if number else now_ns, now_ns, number + 1
         if clamped:
             example = next((c.clamped_example for c in commands if c.clamped_example), '')
             self._log.warn(topic, 'clamped', f'clamped {counted(clamped, "number")} of a message '

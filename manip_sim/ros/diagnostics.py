@@ -35,6 +35,10 @@ _TOLERATED_LOSS = 0.01
 _WINDOW_PERIODS = 5
 
 
+#: Share by which the rate of commands may differ from the expected one.
+_TOLERATED_RATE = 0.1
+
+
 class Pace:
     """
     How fast the simulation runs, measured between control periods.
@@ -176,7 +180,9 @@ class Diagnostics(Feature):
     def _part(self, name: str, commands: CommandSubscribers, part: str, now_s: float,
               elapsed_s: float) -> DiagnosticStatus:
         robot, statistics = commands.robot, commands.statistics[part]
+        period_s = statistics.take_period()
         values = {**self._counts(name, statistics, now_s, elapsed_s),
+                  'period': 'none' if period_s is None else f'{period_s:.6f}',
                   'clamped': statistics.clamped, 'slowed': statistics.slowed}
         if part in robot.grippers:
             values['control_mode'] = POSITION.name
@@ -198,6 +204,8 @@ class Diagnostics(Feature):
         values.update({f'cartesian_{kind}': sum(report.counts[kind] for report in reports)
                        for kind in (reports[0].counts if reports else ())})
         status = _status(name, 'commands', values)
+        if period_s is not None:
+            self._compare_rate(status, period_s)
         for stopped in robot.reflexes.tripped:
             if part in robot.parts and stopped in robot.parts[part].atomic:
                 status.level = DiagnosticStatus.ERROR
@@ -210,6 +218,16 @@ class Diagnostics(Feature):
         for report in reports:
             self._report_new(status.name, report)
         return status
+
+    def _compare_rate(self, status: DiagnosticStatus, period_s: float) -> None:
+        """Warn of commands that come at another rate than is expected."""
+        expected_hz = self._context.parameters.value('expected_command_rate')
+        if expected_hz and abs(period_s * expected_hz - 1.0) > _TOLERATED_RATE:
+            status.level = DiagnosticStatus.WARN
+            rate = f'{1.0 / period_s:.4g} Hz' if period_s else 'more than publish_rate'
+            status.message = (f'commands come at {rate} of simulation time, not at '
+                              f'{expected_hz:g} Hz as expected_command_rate says')
+            self._context.log.warn(status.name, 'rate', f'{status.name}: {status.message}')
 
     def _report_new(self, name: str, report: CartesianReport) -> None:
         """Warn of what has kept an end effector from its target since the last status."""

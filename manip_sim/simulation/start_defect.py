@@ -14,7 +14,7 @@ class StartDefect:
     A defect in one sentence, and what to write instead.
 
     :ivar kind: ``overlap``, ``blocked``, ``range``, ``actuators``, ``undriven``,
-        ``effort``, ``inertia``, ``control`` or ``meshes``
+        ``effort``, ``inertia``, ``control``, ``meshes`` or ``states``
     :ivar text: what is wrong, with the names of the compiled model
     :ivar remedy: what to write, with the names of the compiled model
     """

@@ -9,6 +9,9 @@ import pytest
 
 from test_cli_list import NAMES
 
+from manip_sim.cli.states_check import differences
+from manip_sim.models import compose
+
 LINK = """<body name="root"><geom size="0.05"/><body name="link" pos="0.3 0 0">
     <joint name="a" axis="0 1 0" range="-2 2"/><geom size="0.05" mass="1"/>{}</body></body>"""
 SERVO = '<actuator><position name="s" joint="a" kp="900" kv="20" forcerange="-50 50"/></actuator>'
@@ -183,3 +186,35 @@ def test_a_urdf_is_told_what_to_write_in_urdf_and_each_prefix_once(here, tmp_pat
         assert word not in text
     assert text.count('robot0_,') + text.count('robot0_.') == 1
     assert 'has no actuator' not in here('check', str(file))[1]
+
+
+START = dict(zip([f'robot0_joint{n}' for n in range(1, 8)], [0.1, 0.2, 0.3, -2.0, 0.5, 2.0, 0.7]))
+
+
+@pytest.mark.parametrize(('states', 'texts', 'remarks'), [
+    (START, [], []),
+    (dict(reversed(START.items())), [], ["/js has 'robot0_joint7' before 'robot0_joint6', this "]),
+    ({**START, 'robot0_joint4': 2.0, 'robot0_joint6': -2.0},
+     ["/js: 'robot0_joint4' is at 2, beyond its range from -3.072 to -0.0698; 'robot0_joint6' is "
+      'beyond its own too', "'robot0_joint4' is beyond its own too"], []),
+    ({**START, 'robot0_joint1': 200.0}, ["'robot0_joint1' is at 200, beyond its range"], []),
+    ({name.replace('robot0', 'fr3'): value for name, value in START.items()},
+     ["/js has joints that this robot does not have: 'fr3_joint1', ",
+      "/js lacks joints of this robot: 'robot0_joint1', "], [])])
+def test_states_of_another_source_are_compared_with_a_robot(states, texts, remarks):
+    world = compose('Panda', gripper=None)
+    defects, notes = differences(world, '/js', [*states], [*states.values()])
+    assert len(defects) == len(texts) and len(notes) == len(remarks)
+    for sentence, text in zip([*[defect.text for defect in defects], *notes], [*texts, *remarks]):
+        assert text in sentence
+
+
+def test_states_with_a_joint_twice_or_without_positions_are_told():
+    world, names = compose('Panda', gripper=None), [*START, 'robot0_joint1']
+    defects, _ = differences(world, '/js', names, [*START.values()])
+    assert [defect.text for defect in defects] == [
+        "/js names joints twice: 'robot0_joint1'", '/js has 8 names and 7 positions']
+
+
+def test_a_file_is_not_compared_with_states(here, mjcf):
+    assert here('check', mjcf(LINK), '--against', 'joint_states')[0] == 2

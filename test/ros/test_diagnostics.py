@@ -11,6 +11,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -212,6 +213,31 @@ def test_the_rate_of_commands_is_that_at_which_they_come(serve, client):
     for some in (busy[:3], busy[3:]):
         passed_s, lasted_s = sum(w[0] for w in some), sum(w[1] / w[2] for w in some)
         assert 0.5 < lasted_s / passed_s < 2.0
+
+
+@pytest.mark.full
+def test_commands_at_another_rate_than_expected_are_warned_of(serve, client):
+    node = serve()
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    arm = node.commands.robots[0].statistics['arm']
+    for expected_hz, level in ((0.0, 0), (50.0, 0), (54.0, 0), (100.0, 1), (25.0, 1)):
+        node.set_parameters([Parameter('expected_command_rate', value=expected_hz)])
+        arm.arrivals = 10**9, 10**9 + 49 * 20_000_000, 50  # 50 Hz of simulation time.
+        client.spin_until(lambda: part_status(arrays, '0.020000') is not None)
+        status = part_status(arrays, '0.020000')
+        assert ord(status.level) == level, expected_hz
+        assert ('not at' in status.message) == bool(level)
+        arrays.clear()
+    for number in range(3):
+        client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
+        client.spin_until(lambda n=number: arm.accepted == n + 1)
+    client.spin_until(lambda: part_status(arrays, None) is not None)
+
+
+def part_status(arrays, period):
+    """Return the status of the arm with a period, or with any; None if there is none yet."""
+    return next((s for a in arrays for s in a.status if s.name == 'manip_sim: arm' and (
+        values(s)['period'] == period or period is None and values(s)['period'] != 'none')), None)
 
 
 @pytest.mark.full

@@ -20,7 +20,7 @@ from manip_sim.ros.spawning_services import RequestedRobot, SpawnedRobots
 from manip_sim.simulation.robot_spawning import plan_with_robot
 
 #: Live parameters of the node that are no settings of a robot.
-OF_NODE = {'seed', 'keyframe', 'pause_at', 'real_time_factor'}
+OF_NODE = {'seed', 'keyframe', 'pause_at', 'real_time_factor', 'expected_command_rate'}
 
 
 def live(node):

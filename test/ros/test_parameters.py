@@ -114,7 +114,8 @@ def test_every_parameter_is_described(serve, client):
     assert {'robot', 'gripper', 'base', 'arena', 'prefix', 'control_mode.arm'} <= set(ours)
     response = client.call(DescribeParameters, 'manip_sim/describe_parameters',
                            DescribeParameters.Request(names=ours))
-    live = {'real_time_factor', 'pause_at', 'seed', 'keyframe', 'control_mode.arm',
+    live = {'real_time_factor', 'pause_at', 'expected_command_rate', 'seed', 'keyframe',
+            'control_mode.arm',
             'speed_scaling', 'command_timeout.arm',
             'control_mode.right', 'command_timeout.right', 'wrench_cutoff.right',
             'stream_interval.arm', 'stream_interval.right', 'stream_hold.arm', 'stream_hold.right',

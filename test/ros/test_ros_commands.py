@@ -271,3 +271,17 @@ def test_values_of_yaml_become_the_numbers_and_messages_of_the_fields():
     numbers = _message(Float64MultiArray, yaml.safe_load(
         '{layout: {dim: [{label: a, size: 3}]}}'), None)
     assert numbers.layout.dim[0].size == 3
+
+
+def test_a_check_against_joint_states_names_swapped_joints(client, graph, capsys):
+    names = [f'robot0_joint{number}' for number in range(1, 8)]
+    publisher = client.node.create_publisher(JointState, '/js', 1)
+    message = JointState(name=names, position=[0.0, 0.0, 0.0, 2.0, 0.0, -2.0, 0.0])
+    # The command's own node spins; it needs no executor of this one to publish.
+    graph.node.create_timer(0.05, lambda: publisher.publish(message))
+    code = main(['check', '--robot', 'Panda', '--gripper', 'none', '--against', '/js'])
+    text = capsys.readouterr().out
+    assert code == 1 and 'Panda0 in arena empty: 2 defects' in text
+    assert "'robot0_joint6' is beyond its own too" in text
+    assert main(['check', '--against', '/nothing']) == 1
+    assert "unknown published topic '/nothing'" in capsys.readouterr().err
