@@ -24,7 +24,7 @@ CONTROL_MSGS, CONTROLLER_STATE = (
     'control_msgs/JointTrajectoryControllerState', 'trajectory_msgs/JointTrajectory')
 #: Arrays of numbers of a controller's state, each of a number for each joint.
 ROWS = 9
-#: An entry of a covariance where there is no such sensor (sensor_msgs/Imu).
+#: First entry of a covariance whose sensor is missing (sensor_msgs/Imu).
 _NONE = -1.0
 #: Rows of a tactile sensor: depths, and speeds of sliding along two tangents.
 _TACTILE_CHANNELS = 3

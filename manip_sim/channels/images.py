@@ -53,8 +53,8 @@ class ImageChannel:
     A topic of a camera.
 
     :ivar topic: name, type, meaning and QoS
-    :ivar parts: of a picture, which ``make`` takes after a header; none for intrinsics. Without
-        the first one there is no message
+    :ivar parts: of a picture, which ``make`` takes after a header; none for intrinsics. A picture
+        without the first one is not published
     :ivar make: returns the fields of a message
     """
 
