@@ -27,7 +27,7 @@ class Formatter:
     :raises ModelError: if the call with zeros raises or does not return ``count`` finite numbers
     """
 
-    #: What is found out when it is needed first, and what is only counted.
+    #: A value derived on first use, and the record of faults.
     not_in_digest = ('_closing', 'faults', 'last_fault')
 
     def __init__(self, gripper: GripperModel, count: int) -> None:
@@ -96,7 +96,7 @@ class Formatter:
         self.last_fault = fault
 
     def _fault(self, action: FloatArray) -> tuple[FloatArray, str | None]:
-        """Return the commands of an action, and what is wrong with them or None."""
+        """Return the commands of an action, and their fault or None."""
         nothing: Any = np.zeros(self._count)
         try:
             command = np.asarray(self._gripper.format_action(action.copy()), dtype=float)

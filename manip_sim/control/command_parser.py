@@ -54,7 +54,7 @@ class CommandParser(JointCommandParser):
         :param part: such as ``arm`` or ``right/gripper``
         :param action: in [-1, 1] for each actuator of the part, or each dof of the gripper
         :raises CommandError: if the length is wrong or a number is not finite
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         if part in self._grippers:
             gripper = self._grippers[part]
@@ -152,7 +152,7 @@ class CommandParser(JointCommandParser):
         :param forward: along x [m/s]
         :param side: along y [m/s]
         :param yaw: about z [rad/s]
-        :raises CommandError: if a number is not finite, or there is no base whose mode takes it
+        :raises CommandError: if a number is not finite, or no base has a mode that takes it
         """
         indices = self._joints.twist_indices
         if indices is None:

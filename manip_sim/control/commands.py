@@ -22,7 +22,7 @@ _STAMPS_NS = 10**15
 
 
 class Status(Enum):
-    """What has become of a command."""
+    """The state or outcome of a command."""
 
     WAITING = 'waiting'
     RUNNING = 'running'
@@ -38,7 +38,7 @@ STOPPED = (Status.ABORTED, 'ended by an empty trajectory')
 @dataclass
 class CommandHandle:
     """
-    What has become of a command that was submitted; it may be read from any thread.
+    The state of a submitted command; it may be read from any thread.
 
     A command is *done* when a position or gripper goal is reached by the setpoint, a pose is
     reached, or a trajectory has ended; a velocity or an effort lasts. It is *replaced* when newer
@@ -102,11 +102,11 @@ class Command:
 
     @property
     def goal(self) -> FloatArray | None:
-        """Numbers that equal those of the message before in a copy of it, or None."""
+        """Numbers by which a copy of the message before is recognized, or None."""
         return None
 
     def over(self: C, older: Command) -> C:
-        """Return the command with what an older one of its kind, for its joints, adds to it."""
+        """Return the command, extended by an older one of its kind for the same joints."""
         return replace(self, messages=older.messages + self.messages)
 
     def without(self: C, indices: IntArray) -> C | None:
@@ -215,7 +215,7 @@ class JointTrajectory(Command):
     A trajectory for some joints.
 
     :ivar trajectory: of all joints that it was made for
-    :ivar columns: those of the trajectory that the joints of ``indices`` follow
+    :ivar columns: of the trajectory, which the joints of ``indices`` follow
     :ivar start_ns: simulation time of its time zero [ns]; 0 for when it takes effect
     :ivar start_s: the same since the last reset [s]; None until it is known
     :ivar slowed: factor by which it was slowed down to keep to velocity limits; 1 if it was not
@@ -283,7 +283,7 @@ class BaseTwist(Command):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GripperCommand(Command):
-    """A command for a gripper; ``indices`` are those of its actuators."""
+    """A command for a gripper, with the ``indices`` of its actuators."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -71,7 +71,7 @@ class ControlledJoints:
     The joints that actuators drive, each with its servo, its setpoint and its control mode.
 
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
-    :param parts: by name; those of one arm and of both arms may overlap
+    :param parts: by name; the parts of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :param gains_are_highest: whether gains of the model are upper bounds, see :class:`Servos`
     :ivar names: of the driven joints, in the order of their indices
@@ -123,7 +123,7 @@ class ControlledJoints:
         """
         Return the indices of a part's driven joints.
 
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         if part not in self._indices_of:
             raise UnknownNameError('part', part, self._indices_of)
@@ -240,7 +240,7 @@ class ControlledJoints:
         """
         Return how often streamed goals of a part required more than the velocity limits.
 
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         return int(self._setpoints.limited[self.indices_of(part)].sum())
 
@@ -248,7 +248,7 @@ class ControlledJoints:
         """
         Return how many messages of a part's streams seem to have been lost before they came.
 
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         return int(self._setpoints.lost[self.indices_of(part)].max(initial=0))
 
@@ -258,7 +258,7 @@ class ControlledJoints:
         Return the reference and the measured state of a part's driven joints, copies.
 
         :param efforts: of all degrees of freedom [N m or N], shape (nv,)
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         indices, setpoints = self.indices_of(part), self._setpoints
         gives = self._servos.gives_effort(indices)

@@ -39,7 +39,7 @@ class DelayedCommands(InTransit[_Waiting]):
 
     def add(self, command: Command, arrival: int) -> None:
         """
-        Add a command that does not arrive before what was added before.
+        Add a command that does not arrive before the commands added before it.
 
         Any order of arrival at one instant in which commands for the same gripper or joints do not
         overtake each other makes the same order (Foata's normal form).

@@ -23,10 +23,10 @@ class DirectControls:
     Controls of actuators by the names that commands use.
 
     :param physics: of the world
-    :param part: what they are in topics and messages
-    :param kind: what the names are, for messages
-    :param names: all that are known
-    :param actuator_of: the actuator by name, of those that have one
+    :param part: their collective name in topics and messages
+    :param kind: noun for a name, for messages
+    :param names: all known names
+    :param actuator_of: the actuator by name, where a name has one
     """
 
     def __init__(self, physics: Physics, part: str, kind: str, names: Sequence[str],
@@ -44,7 +44,7 @@ class DirectControls:
         Return what a joint or actuator is commanded by, and the id of the actuator.
 
         :returns: ``position``, ``velocity`` or ``effort``, and the id
-        :raises UnknownNameError: if there is no such name
+        :raises UnknownNameError: if the name is unknown
         :raises CommandError: if no actuator drives it
         """
         if name not in self._names:
@@ -69,11 +69,11 @@ class DirectControls:
         Return the controls of a joint command, clamped to their ranges, by name.
 
         :param names: of joints or actuators, each once
-        :param position: [rad or m], as many as names, or empty; NaN is no command
+        :param position: [rad or m], as many as names, or empty; NaN leaves one out
         :param velocity: likewise
         :param effort: likewise
         :raises CommandError: if the numbers do not fit the names
-        :raises UnknownNameError: if there is no such name
+        :raises UnknownNameError: if a name is unknown
         """
         given = {'position': position, 'velocity': velocity, 'effort': effort}
         if not names or len(set(names)) != len(names):

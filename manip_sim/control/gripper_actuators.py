@@ -51,7 +51,7 @@ class GripperActuators:
     :ivar is_pair: whether they are two servos of independent joints with equal ranges, as of two
         fingers that close on each other
     :ivar terms: by actuator, the joints that make up its length, with their coefficients; empty
-        where the length is no sum of joint positions
+        where the length is not a sum of joint positions
     :ivar couplings: among the joints of the gripper
     :raises ModelError: naming an actuator without a range, or another on a servo's joint or tendon
     """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The joints of a gripper that take position commands, and what is coupled to them."""
+"""The joints of a gripper that take position commands, and the joints coupled to them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class GripperJoints:
         return frozenset(self._name(other) for other in group) - {name}
 
     def actuators_of(self, names: Sequence[str]) -> IntArray:
-        """Return the indices of the actuators that move joints or what is coupled to them."""
+        """Return the indices of the actuators that move these joints or joints coupled to them."""
         moved = set(names).union(*(self.followers(name) for name in names))
         return np.array([index for index, terms in enumerate(self._actuators.terms)
                          if moved & {self._name(joint) for joint, _ in terms}], dtype=np.int64)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Turn goals of named joints into commands, such as those of ``sensor_msgs/JointState``."""
+"""Turn goals of named joints, such as a ``sensor_msgs/JointState`` has, into commands."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class _Group:
     :ivar names: of the joints
     :ivar clamps: ranges of their goals, shape (n, 2)
     :ivar indices: for the command
-    :ivar modes: names of their control modes; None for those of a gripper
+    :ivar modes: names of their control modes; None for joints of a gripper
     """
 
     parts: frozenset[str]
@@ -57,13 +57,13 @@ class _Group:
 @dataclass(frozen=True)
 class _Addressed:
     """
-    What commands that name the same joints have in common while the control modes stay.
+    Properties shared by commands for the same joints while the control modes stay.
 
     :ivar modes: names of the control mode of each joint
     :ivar all_use: the field that all joints use, or None
     :ivar uses: by field, whether each joint uses it
     :ivar takers: by field, the places of the joints that need a number there
-    :ivar groups: the joints outside grippers, then those of each gripper
+    :ivar groups: the joints outside grippers, then the joints of each gripper
     """
 
     names: tuple[str, ...]
@@ -166,8 +166,8 @@ class JointCommandParser:
 
         A servo exerts ``stiffness * (position - measured) + damping * (velocity - measured) +
         effort`` and what the motion of its setpoint needs, which goes to the position within the
-        limits of the joint. None, nothing or NaN leaves a number as it was: at first the gains
-        are those of the model, the effort is zero, and the velocity that of the setpoint.
+        limits of the joint. None, nothing or NaN leaves a number as it was: at first the model's
+        gains, no effort, and the velocity of the setpoint.
 
         :param names: of the joints, n of them
         :param position: goals [rad or m], shape (n,)
@@ -235,7 +235,7 @@ class JointCommandParser:
 
     def _address(self, part: str | None, names: tuple[str, ...], modes: tuple[str, ...]
                  ) -> _Addressed:
-        """Return what the names mean while ``modes`` are those of all joints."""
+        """Return the meaning of the names while all joints are in these modes."""
         for gripper in self._fingers.values():
             gripper.check_take_positions(names)
         check_names(names, self._available(part), part or 'joint_command')
@@ -305,8 +305,8 @@ def as_names(names: Sequence[str], what: str) -> tuple[str, ...]:
     """
     Return the names of joints as a tuple.
 
-    :param what: what takes them, for the message
-    :raises CommandError: if they are no sequence of texts
+    :param what: noun for their receiver, for the message
+    :raises CommandError: if they are not a sequence of texts
     """
     try:
         given = tuple(names)

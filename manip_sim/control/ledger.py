@@ -184,7 +184,7 @@ def _first_joint(command: Command) -> int:
 
 def _without(commands: Iterable[C], indices: IntArray, status: Status, reason: str = ''
              ) -> Iterator[C]:
-    """Yield what is left of commands that lose some joints; end those that lose all."""
+    """Yield the rest of commands that lose some joints; end commands that lose all."""
     for command in commands:
         rest = command.without(indices)
         if rest is None:

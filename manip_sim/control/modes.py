@@ -156,7 +156,7 @@ class Impedance(Position):
     """
     Joints are pulled to positions as by springs with dampers, whose gains commands change.
 
-    Until a command changes them, the gains are those of the model.
+    The gains are taken from the model until a command changes them.
     """
 
     name = 'impedance'

@@ -27,7 +27,7 @@ class SetpointGenerator:
     A generator of setpoints that are continuous in position and velocity and keep to limits.
 
     Goals that come regularly are followed as a stream, one and a half intervals late; others are
-    reached without going past. The laws are those of :mod:`manip_sim.control.law`, for one
+    reached without going past. The laws, from :mod:`manip_sim.control.law`, are for one
     coordinate at a time: a joint, or any other number with such limits.
 
     :param position_range: lowest and highest setpoint [rad or m], shape (n, 2)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find trajectories that are no motions of their own, but each the next point of a stream."""
+"""Detect trajectories that are not separate motions, but each the next point of a stream."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 class Surroundings:
     """
-    Mocap bodies, joints of the arena, such as those of doors, and actuators of no part.
+    Mocap bodies, joints of the arena, such as hinges of doors, and actuators of no part.
 
     :param physics: of the world
     :param efforts: of its actuators in the last step
@@ -40,8 +40,8 @@ class Surroundings:
     :ivar of_parts: the same; robots that come or go have to change it before the model is replaced
     :ivar mocap_names: names of the mocap bodies
     :ivar joints: scalar joints of the arena
-    :ivar actuators: of the arena, those that drive one of these joints each
-    :ivar other_actuators: those of neither, such as of tendons, and of objects
+    :ivar actuators: of the arena, which drive one of these joints each
+    :ivar other_actuators: of the arena, such as on tendons, and of objects
     :ivar commands: of :attr:`joints` and of :attr:`other_actuators`, by ``arena`` and
         ``actuators``
     """
@@ -132,7 +132,7 @@ class Surroundings:
         Return the pose of a mocap body.
 
         :returns: position [m] and quaternion x, y, z, w in ``world``, shape (7,)
-        :raises UnknownNameError: if there is no such mocap body
+        :raises UnknownNameError: if the mocap body is unknown
         """
         mocap, data = self._find(name), self._physics.data
         return np.concatenate([data.mocap_pos[mocap], wxyz_to_xyzw(data.mocap_quat[mocap])])
@@ -143,8 +143,8 @@ class Surroundings:
 
         :param position: in ``world`` [m], shape (3,)
         :param quat_xyzw: of length 1, shape (4,)
-        :raises UnknownNameError: if there is no such mocap body
-        :raises CommandError: if the numbers are not those of a pose
+        :raises UnknownNameError: if the mocap body is unknown
+        :raises CommandError: if the numbers are not a pose
         """
         mocap, pose = self._find(name), Pose.checked(position, quat_xyzw)
         self._physics.data.mocap_pos[mocap] = pose.position

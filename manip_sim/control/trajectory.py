@@ -19,8 +19,8 @@ class Trajectory:
     """
     A motion through points in time: quintic where accelerations are given, else cubic.
 
-    Points without velocities get those of a shape-preserving (Fritsch-Butland) cubic, zero at the
-    end. The first segment begins where :meth:`begin_at` sets it.
+    Points without velocities get the slopes of a shape-preserving (Fritsch-Butland) cubic, zero
+    at the end. The first segment begins where :meth:`begin_at` sets it.
 
     :param times_s: of the points [s], increasing, not negative
     :param positions: [rad or m], shape (n_points, n)

@@ -47,7 +47,7 @@ class Law:
     :ivar memory: number of floats
     :ivar is_compiled: whether it is compiled
     :raises ModelError: if the function has another number of arguments or no name, or a default
-        or the memory is no number of its range
+        or the memory is not a number of its range
     """
 
     name: str
@@ -95,8 +95,8 @@ class Law:
         """
         Return a value for a parameter.
 
-        :raises ModelError: if it is no finite number
-        :raises UnknownNameError: if there is no such parameter
+        :raises ModelError: if it is not a finite number
+        :raises UnknownNameError: if the parameter is unknown
         """
         if name not in self.defaults:
             raise UnknownNameError(f"parameter of the law '{self.name}'", name, self.defaults)
@@ -107,8 +107,8 @@ class Law:
         Return all parameters, the defaults where none is given.
 
         :param given: by name
-        :raises ModelError: if a value is no finite number
-        :raises UnknownNameError: if there is no such parameter
+        :raises ModelError: if a value is not a finite number
+        :raises UnknownNameError: if the parameter is unknown
         """
         found = {**self.defaults, **{name: self.checked(name, v) for name, v in given.items()}}
         return np.array([*found.values()], dtype=float)
@@ -258,6 +258,6 @@ def _reason(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines()]
     kept = [line for line in lines if line and not line.startswith(
         ('Failed in nopython', 'During:', 'This error', '- ', 'For more', 'https:'))]
-    # Of places it names that in the law first, and then those of ours.
+    # The first place that Numba names is in the law, the others are in this package.
     places = [number for number, line in enumerate(kept) if line.startswith('File ')]
     return one_line(f'{type(error).__name__}: {" ".join(kept[:[*places, None, None][1]])}')

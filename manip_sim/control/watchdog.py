@@ -23,7 +23,7 @@ _LOGGER = logging.getLogger('manip_sim.control')
 
 class _Called(Protocol):
     """
-    What is called again and again.
+    A function that is called periodically.
 
     :ivar status: how often it was called, and whether it runs now
     :ivar is_compiled: whether it runs without Python

@@ -56,8 +56,8 @@ class CartesianParser:
         :param position: in the frame [m], shape (3,)
         :param quat_xyzw: in the frame, of length 1, shape (4,)
         :param frame: a link of the robot or a frame on one; empty for ``world``
-        :raises CommandError: if the frame is unknown, or the numbers are not those of a pose
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises CommandError: if the frame is unknown, or the numbers are not a pose
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         indices = self._indices_of(arm)
         found = self._frames.find(frame, f'{arm}: a target pose')
@@ -78,7 +78,7 @@ class CartesianParser:
         :param angular: [rad/s], shape (3,)
         :param frame: whose axes the velocity is in; empty for ``world``
         :raises CommandError: if the frame is unknown, or a number is not finite or too great
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         indices = self._indices_of(arm)
         found = self._frames.find(frame, f'{arm}: a target twist')
@@ -107,7 +107,7 @@ class CartesianParser:
         :param frame: whose axes the velocity is in; empty for ``world``
         :raises CommandError: if the frame is unknown, a velocity is not finite, or a number that
             ends the motion is not above 0
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         twist = self.twist(arm, linear, angular, frame)
         limits = {what: positive_number(value, f'{arm}: the {what} of a motion until contact',
@@ -121,14 +121,14 @@ class CartesianParser:
     def wrench(self, arm: str, force: ArrayLike, torque: ArrayLike, frame: str = ''
                ) -> CartesianWrench:
         """
-        Return the command for a wrench that an impedance exerts beside that of its springs.
+        Return the command for a wrench that an impedance adds to that of its springs.
 
         :param force: that ``grip_site`` pushes with [N], shape (3,)
         :param torque: about ``grip_site`` [N m], shape (3,)
         :param frame: whose axes the wrench is in; empty for ``world``
-        :raises CommandError: if the frame is unknown, a number is not finite, or the arm is no
-            impedance
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises CommandError: if the frame is unknown, a number is not finite, or the arm is not
+            an impedance
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         indices = self._indices_of(arm)
         found = self._frames.find(frame, f'{arm}: a target wrench')
@@ -150,8 +150,9 @@ class CartesianParser:
         :param selection: 1 for the axes of the springs that are chosen, else 0, shape (6,)
         :param wrench: force and torque there [N, N m], shape (6,); the others are not used
         :param limits: velocities there [m/s, rad/s], above 0, shape (6,); the others are not used
-        :raises CommandError: if a number is not finite or out of range, or the arm is no impedance
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises CommandError: if a number is not finite or out of range, or the arm is not an
+            impedance
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         indices = self._indices_of(arm)
         numbers = [
@@ -181,7 +182,7 @@ class CartesianParser:
 
         :param action: six numbers in [-1, 1]: along x, y, z and about x, y, z
         :raises CommandError: if the length is wrong or a number is not finite
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         indices = self._indices_of(arm)
         numbers = finite_command_numbers(action, 6, f'{arm}: a pose action')
@@ -198,7 +199,7 @@ class CartesianParser:
 
 
 def _shortened(vector: FloatArray, limit: float) -> tuple[FloatArray, int]:
-    """Return a vector that is no longer than a limit, and how many of its numbers changed."""
+    """Return a vector shortened to a limit, and how many of its numbers changed."""
     size = length(vector)
     if size <= limit:
         return vector, 0

@@ -99,7 +99,7 @@ class PoseAction(CartesianCommand):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CartesianWrench(CartesianCommand):
     """
-    A force and torque that an impedance exerts at ``grip_site``, beside those of its springs.
+    A force and torque that an impedance exerts at ``grip_site``, in addition to its springs.
 
     The target stays; without one the end effector is to stay where it is. It lasts until the
     timeout of the arm passes without a fresh one.

@@ -28,7 +28,7 @@ IMPEDANCE = ('cartesian_stiffness', 'cartesian_damping_ratio', 'null_space_stiff
 @dataclass(frozen=True)
 class CartesianSettings:
     """
-    Settings of an arm; all but the limits and the timeout are those of effort mode.
+    Settings of an arm; all but the limits and the timeout apply to effort mode only.
 
     :ivar stiffness: acceleration of ``grip_site`` per error, robosuite's kp [1/s^2]
     :ivar damping_ratio: 1 is critical damping
@@ -73,7 +73,7 @@ class CartesianSettings:
 
         :param value: a number, six numbers for ``cartesian_stiffness``, or the name of a frame
         :raises CommandError: if a number is not finite, or not positive where it has to be
-        :raises UnknownNameError: if there is no such setting or frame
+        :raises UnknownNameError: if the setting or frame is unknown
         """
         names = [field.name for field in fields(self)]
         if name not in names:

@@ -108,7 +108,7 @@ class CartesianController:
         Change a setting of an arm, one of :class:`CartesianSettings`.
 
         :raises CommandError: if a number is not finite, or not positive where it has to be
-        :raises UnknownNameError: if there is no such arm, setting or frame
+        :raises UnknownNameError: if the arm, setting or frame is unknown
         """
         if arm not in self.settings:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
@@ -134,7 +134,7 @@ class CartesianController:
         """
         Return the goal of an arm's end effector in ``world``, or None before the first command.
 
-        :raises UnknownNameError: if there is no such arm
+        :raises UnknownNameError: if the arm is unknown
         """
         if arm not in self.settings:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
@@ -456,7 +456,7 @@ class CartesianController:
                                      target.stream.twist(now_s + interval_s))
 
     def end_run(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:
-        """Take over what the compiled law has changed, and report what has become of targets."""
+        """Take over the targets that the compiled law moved, and report their outcomes."""
         for number, command in enumerate(commands):
             task, target = targets.tasks[number], self._targets[command.arm]
             self._keep(target, targets, number)

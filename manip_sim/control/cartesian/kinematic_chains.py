@@ -61,7 +61,7 @@ def find_chains(model: mujoco.MjModel, robot: RobotModel, parts: Mapping[str, Pa
 def find_frames(model: mujoco.MjModel, robot: RobotModel,
                 end_effectors: Mapping[str, EndEffectorReader]) -> RobotFrames:
     """
-    Return the links of a robot and of what is mounted on it, and the sites of its grippers.
+    Return the links of a robot and of its mounted parts, and the sites of its grippers.
 
     :param model: the compiled ``mujoco.MjModel``
     :param end_effectors: readers of the grippers, by arm

@@ -16,7 +16,7 @@ from manip_sim.control.law.joint_records import blank_state, records
 from manip_sim.quaternion import matrix_of_vector, rotation_vector
 
 _ALL = np.arange(6)
-#: Less than this is no acceleration [m/s^2, rad/s^2].
+#: Largest acceleration that counts as zero [m/s^2, rad/s^2].
 _STEADY = 1e-3
 
 
