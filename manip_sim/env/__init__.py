@@ -31,9 +31,9 @@ def env_id(task: str) -> str:
 
 def register_tasks() -> None:
     """
-    Register an environment for each task, also those of other packages, and one for any.
+    Register an environment for each task, also of other packages, and one for any.
 
-    Call it again after defining a task of your own; what is registered already stays.
+    Call it again after defining a task of your own; registered environments stay.
     """
     given = {DESCRIBED: {}, **{env_id(task): {'task': task} for task in task_names()}}
     for name, keywords in given.items():

@@ -58,8 +58,8 @@ class LeRobotEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         Begin an episode.
 
         :param seed: whose start it has; None draws one
-        :param options: those of LeRobot are ignored
-        :raises UnknownNameError: if there are others
+        :param options: LeRobot's own are ignored
+        :raises UnknownNameError: if there are other options
         """
         own = {key: value for key, value in (options or {}).items()
                if not key.startswith(_OWN_OPTIONS)}
@@ -111,7 +111,7 @@ def make_env(n_envs: int = 1, use_async_envs: bool = False, cfg: Any = None,
     :param task: such as ``pick_cube``
     :param robot: as this and what follows for ``TaskEnv``
     :param cameras: whose images are observed
-    :param image_size: width and height of images [pixels]; None for those of the cameras
+    :param image_size: width and height of images [pixels]; None for the cameras' own
     :param keywords: others of ``TaskEnv``, such as ``control_hz``
     :returns: a vector environment, by task and 0
     :raises ManipSimError: if something cannot be used, with what fits

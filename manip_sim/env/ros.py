@@ -40,7 +40,7 @@ _PATIENCE_S = 60.0
 
 class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
     """
-    Episodes of a task in a running node; observations, actions and digests are those of TaskEnv.
+    Episodes of a task in a running node, with observations, actions and digests as of TaskEnv.
 
     The node must have been started with ``task``, ``stepping:=lockstep``, the ``publish_rate``
     ``control_hz``, and as ``lockstep_parts`` the arm and its gripper. Actions of joints set the
@@ -54,7 +54,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
     :param node: name of the node, with its namespace
     :param domain_id: of ROS; None for that of the environment
     :param arguments: further ones of :class:`TaskEnv`, such as ``robot``
-    :raises ManipSimError: if something cannot be used, or there is no such node
+    :raises ManipSimError: if something cannot be used, or the node is missing
     """
 
     metadata: dict[str, Any] = {'render_modes': [], 'render_fps': 20}

@@ -53,20 +53,19 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
     :param control_hz: actions per second of simulated time [Hz]
     :param latency: of commands [s], or a mapping with ``command`` and ``state``
     :param cameras: whose images are observed
-    :param image_size: width and height of images [pixels]; None for those of the cameras
+    :param image_size: width and height of images [pixels]; None for the cameras' own
     :param render_mode: ``rgb_array``, or ``human`` where there is a screen
     :param render_camera: what ``rgb_array`` shows
     :param render_size: its width and height [pixels]
-    :param noise: of what is observed, by the names of the node's parameters, such as
+    :param noise: of observations, by the names of the node's parameters, such as
         ``noise.joint_position``
     :param answer_time: how long the policy thinks in simulated time [s], as for
         ``manip_sim.tasks.AnswerTime.of``: a step lasts until the policy is asked again, and its
-        reward is the sum of those of its control periods; ``measured`` is the wall time between
-        two steps
+        reward is summed over its control periods; ``measured`` is the wall time between two steps
     :param chunk: number of actions that :meth:`step` takes at once, shape (chunk, n); None for one
         action, shape (n,)
-    :param image_kinds: what is observed of cameras: ``rgb``, ``depth`` and ``labels``
-    :param composition: what else ``compose`` takes, such as ``timestep_s``
+    :param image_kinds: observed images of cameras: ``rgb``, ``depth`` and ``labels``
+    :param composition: further arguments of ``compose``, such as ``timestep_s``
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar episode: the episode, with its simulation
     :ivar task: name of the task
@@ -230,7 +229,7 @@ def action_space(episode: Episode, chunk: int | None = None) -> gymnasium.spaces
     Return the space of an episode's actions, in their units.
 
     :param chunk: number of actions at once; None for one, without an axis for it
-    :raises ModelError: if it is no whole number above 0
+    :raises ModelError: if it is not a whole number above 0
     """
     low, high = episode.actions.bounds.T
     if chunk is not None:

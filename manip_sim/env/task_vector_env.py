@@ -56,20 +56,20 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
     :param control_hz: actions per second of simulated time [Hz]
     :param latency: of commands [s], or a mapping with ``command`` and ``state``
     :param cameras: whose images are observed
-    :param image_size: width and height of images [pixels]; None for those of the cameras
+    :param image_size: width and height of images [pixels]; None for the cameras' own
     :param render_mode: ``rgb_array``, or None
     :param render_camera: what ``rgb_array`` shows
     :param render_size: its width and height [pixels]
-    :param noise: of what is observed, by the names of the node's parameters, such as
+    :param noise: of observations, by the names of the node's parameters, such as
         ``noise.joint_position``
     :param answer_time: how long the policy thinks in simulated time [s]; ``measured`` is the wall
         time between two steps, for all of them
     :param chunk: number of actions that :meth:`step` takes at once of each, shape (num_envs,
         chunk, n)
-    :param image_kinds: what is observed of cameras: ``rgb``, ``depth`` and ``labels``
+    :param image_kinds: observed images of cameras: ``rgb``, ``depth`` and ``labels``
     :param autoreset_mode: one of ``gymnasium.vector.AutoresetMode``, or its value: ``NextStep``,
         ``SameStep`` or ``Disabled``
-    :param composition: what else ``compose`` takes
+    :param composition: further arguments of ``compose``
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar worlds: the worlds, one for each episode
     :ivar autoreset_mode: when the next episode begins
@@ -312,7 +312,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         :param args: of the method
         :param kwargs: of the method
         :returns: what there is in each environment
-        :raises AttributeError: if there is no such method or attribute
+        :raises AttributeError: if the method or attribute is unknown
         """
         return tuple(value(*args, **kwargs) if callable(value) else value
                      for value in self._attributes(name))
@@ -381,7 +381,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         return self.call('render')
 
     def _picture(self, index: int) -> Any:
-        """Return an image of an environment; None if there is no ``render_mode``."""
+        """Return an image of an environment; None without a ``render_mode``."""
         if self.render_mode is None:
             return None
         if self._film is None:
