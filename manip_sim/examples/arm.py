@@ -32,7 +32,7 @@ _SPEED, _SHORTEST_S = 0.9, 0.8
 _NEAR, _LATE_S = 0.01, 3.0
 #: Fingers are still if they move less than this [rad or m], or than a share of the way that they
 #: have come, for a duration [s] and a number of states: a program that gets little processor time
-#: sees few states. What is held may creep.
+#: sees few states. A held object may creep.
 _STILL, _STILL_SHARE, _STILL_S, _STILL_STATES = 5e-4, 0.01, 0.3, 20
 #: How long to wait for fingers to start moving, in both simulation and wall time [s].
 _UNMOVED_S = 2.0
@@ -47,7 +47,7 @@ _STARTS = 40
 
 
 def _obstacle(force_n: float) -> str:
-    """Return what is to be said of a force on a gripper that does not reach its goal [N]."""
+    """Return a remark on the force on a gripper that does not reach its goal [N]."""
     if force_n < _PUSHED_N:
         return ''
     return (f'; its gripper presses on something with {force_n:.0f} N: if the fingers reach far '
@@ -175,7 +175,7 @@ class Arm:
         self._kinematics = InverseKinematics(
             model, self._latest(_ARM).name, site, dict(zip(others.name, others.position)))
 
-    # ------------------------------------------------------------------ what is seen
+    # ------------------------------------------------------------------ measured state
 
     @property
     def joints(self) -> FloatArray:

@@ -64,7 +64,7 @@ class HandOverDemonstration(Demonstration):
         """
         Hand the cube over twice.
 
-        :raises TaskFailed: if there is no node, a gripper does not hold the cube, or it is not
+        :raises TaskFailed: if the node is missing, a gripper does not hold the cube, or it is not
             at the goal in the end
         """
         left, middle, right = arms = self._left, self._middle, self._right

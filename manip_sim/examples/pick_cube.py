@@ -37,7 +37,7 @@ class CubePicker(Demonstration):
         """
         Pick the cube up and hold it.
 
-        :raises TaskFailed: if there is no node, no cube, or the cube is not held
+        :raises TaskFailed: if the node or the cube is missing, or the cube is not held
         """
         arm = self._arm
         model = self.connect(lambda: arm.is_seen)
