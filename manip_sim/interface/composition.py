@@ -55,7 +55,7 @@ class Composition:
     :ivar scopes: where topics and parameters of each robot are, in the order of the world's robots
     :ivar world: the world
     :ivar steps: physics steps of a control period
-    :ivar task: what is done, or None
+    :ivar task: the task, or None
     """
 
     scopes: list[Scope]
@@ -223,7 +223,7 @@ def compose_arena(parameters: ParameterSource) -> Arena:
     """
     Declare the parameters of the arena that is requested, and return it.
 
-    :param parameters: with those of :func:`declare_node`
+    :param parameters: after :func:`declare_node`
     :raises ManipSimError: if a value cannot be used
     """
     name = parameters.value('arena')

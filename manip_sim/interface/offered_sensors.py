@@ -36,7 +36,7 @@ class SensorSettings:
     :param names: of the instruments that have topics
     :param publish_rate: control periods per second [Hz]
     :raises ModelError: if a description cannot be used, on one line
-    :raises UnknownNameError: if there is no such sensor
+    :raises UnknownNameError: if the sensor is unknown
     :raises ParameterError: if a sensor is faster than ``publish_rate``
     :ivar every: after how many control periods a message comes
     :ivar rates_hz: of the sensors with fewer messages than control periods [Hz]
@@ -144,7 +144,7 @@ class Sensor(TopicSource):
         """
         Read, add noise, and write the message.
 
-        :raises ModelError: if what was read is not a row of finite numbers
+        :raises ModelError: if the reading is not a row of finite numbers
         """
         name = f'{self.topic.name} {self.robot.name} {self.of}'
         random = generator(self.seed, name, simulation.step_count)

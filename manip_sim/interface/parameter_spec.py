@@ -52,7 +52,7 @@ def read_parameters(file: Path) -> dict[str, Any]:
     Where several sections are for it, later ones override earlier ones.
 
     :raises ModelError: if the file cannot be read, or is not plain YAML
-    :raises ParameterError: if nothing in it is for the node, or a section is no mapping
+    :raises ParameterError: if nothing in it is for the node, or a section is not a mapping
     """
     sections = list(sections_of(read_yaml(file, _Loader)))
     if not any(matches(node, NODE) for node, _ in sections):
@@ -78,7 +78,7 @@ def _flat(parameters: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def sections_of(content: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the node names and patterns of a parameters file, and what is below each."""
+    """Yield the node names and patterns of a parameters file, with the content below each."""
     def walk(content: Any, keys: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
         if isinstance(content, dict):
             for key, below in content.items():
@@ -169,7 +169,7 @@ class ParameterSpec:
 
     def type_problem(self, found: str, value: Any) -> str | None:
         """
-        Return what is wrong with the type of a value, or None.
+        Return the problem with the type of a value, or None.
 
         :param found: the type, as ROS calls it
         """
@@ -181,7 +181,7 @@ class ParameterSpec:
         return f"parameter '{self.name}' must be of type {self.type}, got {value!r}{hint}"
 
     def problem_with(self, value: Any) -> str | None:
-        """Return what is wrong with a value that has the right type, or None."""
+        """Return the problem with a value of the right type, or None."""
         try:
             return self._unknown(value) or self._out_of_range(value)
         except ModelError as error:  # In the text that names grippers by arm.
@@ -209,7 +209,7 @@ class ParameterSpec:
         return self._outside(value)
 
     def _outside(self, value: Any) -> str | None:
-        """Return what is wrong with a number, or None."""
+        """Return the problem with the range of a number, or None."""
         if isinstance(value, float) and self.minimum is None and not math.isfinite(value):
             return f"parameter '{self.name}' must be a finite number, got {value}"
         if (self.minimum is not None and self.maximum is not None
@@ -244,7 +244,7 @@ class GivenParameters:
 
     :param given: values by name
     :ivar given: the same, a copy
-    :ivar specs: what was declared, by name
+    :ivar specs: of the declared parameters, by name
     """
 
     def __init__(self, given: Mapping[str, Any]) -> None:
@@ -254,7 +254,7 @@ class GivenParameters:
 
     def declare(self, specs: Sequence[ParameterSpec]) -> None:
         """
-        Declare parameters and read what was given for them.
+        Declare parameters and read their given values.
 
         :raises ParameterError: if a value cannot be used
         """
@@ -274,7 +274,7 @@ class GivenParameters:
 
     def check_names(self) -> None:
         """
-        Reject what was given and nobody declared; forget what is of spawned robots.
+        Reject given parameters that nobody declared; forget parameters of spawned robots.
 
         :raises ParameterError: naming the nearest parameters
         """

@@ -380,7 +380,7 @@ def reflex_parameters(scope: Scope, parts: Sequence[str], arms: Sequence[str]
 
 
 def sensing_parameters(scope: Scope) -> list[ParameterSpec]:
-    """Return the parameters of what is measured of a robot: noise, resolution and latency."""
+    """Return the parameters of a robot's measurements: noise, resolution and latency."""
     return [ParameterSpec(name, 0.0, f'{quantity.meaning} 0 switches it off.', quantity.unit,
                           live=True, minimum=0.0, maximum=quantity.maximum).within(scope)
             for name, quantity in QUANTITIES.items()]
@@ -394,7 +394,7 @@ def speed_parameter(scope: Scope) -> ParameterSpec:
 
 
 def spawned_parameter(scope: Scope) -> ParameterSpec:
-    """Return the parameter that tells those of a robot that came while the node ran."""
+    """Return the parameter that marks a robot that was spawned while the node ran."""
     return ParameterSpec(SPAWNED, True, 'The robot was spawned: a node that starts with a dump of '
                          'the parameters leaves out those of this robot.').within(scope)
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the node publishes, takes and offers, as tables: there is no topic that is not in them.
+Tables of everything that the node publishes, takes and offers.
 
 The node makes its publishers and subscriptions from the rows of :data:`TOPICS`, in their order; a
 further topic is a row and the function of ``manip_sim.ros`` that the row names. It makes its
@@ -48,7 +48,7 @@ TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 #: When topics are published.
 _PERIOD, _TF_RATE, _IMAGES, _SCANS = (
     'publish_rate', 'tf_rate', 'camera.<camera>.rate', 'rate of the lidar')
-#: Readers of what is measured, with noise and latency where these are set.
+#: Readers of measured quantities, with noise and latency where these are set.
 MEASURED = ('joints', 'wrench', 'external_wrench', 'pose', 'twist', 'odometry', 'imu', 'range',
             'magnetic_field', 'values', 'scan', 'points', 'image')
 _SCENE = 'at changes, up to 10 Hz'
@@ -66,7 +66,7 @@ class Topic:
     :ivar meaning: what the messages say, with units and frame
     :ivar needs: what a part must have: ``joints``, ``actuators`` or nothing; ``twist`` is a
         mobile base that moves along x and y and turns; ``object``, ``camera``, ``depth`` and
-        ``sensor`` are no parts, but free bodies, cameras, cameras with depth, and instruments
+        ``sensor`` are not parts, but free bodies, cameras, cameras with depth, and instruments
     :ivar by: name of the function that reads or takes the messages; empty if a publisher of its
         own makes them
     :ivar rate: when they are published; empty if the node subscribes

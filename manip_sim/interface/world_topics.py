@@ -37,7 +37,7 @@ def actions_of(parts: Mapping[str, Part]) -> list[Action]:
 def topics_of(parts: Mapping[str, Part], twist: bool, rows: Iterable[Topic] = TOPICS
               ) -> list[Topic]:
     """
-    Return the topics that the node has for a robot, but for those of objects and cameras.
+    Return the topics that the node has for a robot, but for topics of objects and cameras.
 
     Rows of the table that follow each other are filled in together, part by part, arm by arm.
 
@@ -124,7 +124,7 @@ def topics_of_instruments(simulation: Simulation, robots: Mapping[Scope, Simulat
 
 
 def topics_of_robot(scope: Scope, robot: SimulatedRobot) -> list[Topic]:
-    """Return the topics of a robot in its namespace, and those of the world beside them."""
+    """Return the topics of a robot in its namespace, and the topics of the world beside them."""
     return [replace(topic, name=scope.topic(topic.name))
             for topic in topics_of(robot.parts, bool(robot.twist_joints))]
 
