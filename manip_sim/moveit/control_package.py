@@ -121,8 +121,8 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
 
     :param folder: becomes the package and gives it its name; must be new or empty
     :param given: parameters of the node that serves the same world
-    :returns: what was left out of the URDF, in sentences, and which controllers MoveIt uses,
-        those of the first mode, by joint
+    :returns: omissions from the URDF, in sentences, and the controllers that MoveIt uses, of the
+        first mode, by joint
     :raises ModelError: if the folder cannot be used, or the robot has no joints to control
     """
     folder = folder.resolve()  # Of the present folder, the path has no name.

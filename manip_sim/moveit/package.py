@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A ROS package with all that MoveIt 2 takes for a robot, differing for each composition."""
+"""A ROS package with every file that MoveIt 2 needs for a robot, made for each composition."""
 
 from __future__ import annotations
 
@@ -257,7 +257,7 @@ def write_package(world: World, folder: Path, controlling: Controlling | None = 
     :param world: with one robot
     :param folder: becomes the package and gives it its name; must be new or empty
     :param controlling: the controllers of ros2_control; None for the node's own actions
-    :returns: what was left out, in sentences
+    :returns: omissions from the URDF, in sentences
     :raises ModelError: if the folder cannot be used, or there is nothing to plan for
     """
     folder = folder.resolve()  # Of the present folder, the path has no name.
@@ -269,7 +269,7 @@ def write_package(world: World, folder: Path, controlling: Controlling | None = 
 
 def _contents(world: World, package: str, controlling: Controlling | None
               ) -> tuple[dict[str, bytes], list[str]]:
-    """Return the contents of all files by path, and what was left out."""
+    """Return the contents of all files by path, and the omissions."""
     model, robot = world.compile(), choose_robot(world)
     urdf, meshes = describe(model, robot, package)
     simulation = Simulation(world)

@@ -39,8 +39,8 @@ class Group:
 
     :ivar part: name of the part that it is
     :ivar joints: scalar joints, in the order of the part
-    :ivar active: those of them that are planned for: neither followers nor passive
-    :ivar driven: those that a trajectory for the part's controller names
+    :ivar active: the joints that are planned for: neither followers nor passive
+    :ivar driven: the joints that a trajectory for the part's controller names
     :ivar base: and ``tip``: first and last link, where it is a chain; else empty
     :ivar parent: of a gripper: the group that it is on
     :ivar parent_link: of a gripper: the last link of that group
@@ -167,7 +167,7 @@ class GroupState:
 
 def find_postures(simulation: Simulation, robot: SimulatedRobot) -> list[GroupState]:
     """
-    Return the start posture, and those of each empty gripper opened (-1) and closed (+1).
+    Return the start posture, and postures of each empty gripper opened (-1) and closed (+1).
 
     :param simulation: at its start; it is there again afterwards
     """
