@@ -37,7 +37,7 @@ def write_hdf5(episodes: Iterable[Frames], path: Path) -> int:
     :param episodes: in order
     :param path: of the file, which must not be there
     :returns: the number of control periods
-    :raises RecordError: if there is no episode, or one cannot be written
+    :raises RecordError: without an episode, or if one cannot be written
     """
     import h5py
     total, successes = 0, []
@@ -136,7 +136,7 @@ def convert(paths: Iterable[Path], name: str, target: Path,
     :param target: of the data set; it must not be there
     :param progress: is called with the number of episodes that are done
     :param only_success: leave out episodes without success
-    :returns: numbers of episodes and of control periods, and notes on what was left out
+    :returns: numbers of episodes and of control periods, and notes on omissions
     :raises RecordError: if a record cannot be read, or an episode cannot be written
     """
     if target.exists():

@@ -70,7 +70,7 @@ class Frames:
     :ivar rewards: after each period, shape (periods,)
     :ivar done: whether the task is done after each period, shape (periods,)
     :ivar observed: as a policy observes it, with noise and latency
-    :ivar truth: exactly, at the present instant; None where that is what is observed
+    :ivar truth: exactly, at the present instant; None where observations are exact
     """
 
     def __init__(self, recorded: RecordedEpisode) -> None:

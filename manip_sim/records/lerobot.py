@@ -32,13 +32,13 @@ def write_lerobot(episodes: Iterable[Frames], folder: Path) -> int:
 
     ``observation.state`` holds positions of joints and poses of end effectors;
     ``observation.environment_state`` poses of objects and the goal; ``truth.`` in place of
-    ``observation.`` holds exact values, where noise or latency change what is observed. Numbers
-    but rewards are float64. Videos are H.264, and each episode begins with a key frame.
+    ``observation.`` holds exact values, where noise or latency change observations. Numbers but
+    rewards are float64. Videos are H.264, and each episode begins with a key frame.
 
     :param episodes: in order, of one task world with the same cameras
     :param folder: is created
     :returns: the number of control periods
-    :raises RecordError: if there is no episode, or they do not fit together
+    :raises RecordError: without an episode, or if they do not fit together
     """
     writer = _Writer(folder)
     for frames in episodes:
@@ -199,7 +199,7 @@ def _place(pattern: str, number: int, **names: str) -> str:
 
 
 def _columns(frames: Frames) -> dict[str, Columns]:
-    """Return what is observed and done, a row per control period."""
+    """Return observations and actions, a row per control period."""
     count = len(frames.actions)
     found = {'action': Columns(frames.actions, _action_names(frames))}
     for place, quantities in (('observation.', frames.observed), ('truth.', frames.truth)):

@@ -49,13 +49,13 @@ def record_node(path: Path, name: str, topics: Sequence[str], duration_s: float 
 
     :param path: of the file, which must not be there
     :param name: full name of the node, such as ``/manip_sim``
-    :param topics: that are recorded, ``~`` and relative names as in the node; none for all that it
-        publishes or subscribes to, but those of actions
+    :param topics: that are recorded, ``~`` and relative names as in the node; none for all topics
+        that it publishes or subscribes to, but for topics of actions
     :param duration_s: how long [s]; None for no limit
     :param show: is called with the number of messages and more text from time to time
-    :returns: what was recorded, and whether that is anything
-    :raises RecordError: if the file is there or cannot be written, or there is no such node or
-        topic
+    :returns: a summary, and whether anything was recorded
+    :raises RecordError: if the file is there or cannot be written, or the node or a topic is
+        missing
     """
     if path.exists():
         raise RecordError(f'{path} already exists and is not overwritten')
@@ -112,7 +112,7 @@ class _NodeRecorder:
             try:
                 found.update((topic, types[0]) for topic, types in find(
                     self._name, self._space or '/') if types and '/_action/' not in topic)
-            except RuntimeError:  # There is no such node, or not yet.
+            except RuntimeError:  # The node is missing, or not discovered yet.
                 return {}
         return found
 
@@ -124,7 +124,7 @@ class _NodeRecorder:
             if ended.wait(0.2):
                 return False
             found = self._topics()
-            # Names arrive one by one: what has not changed between two looks is complete.
+            # Names arrive one by one: a list that stays equal between two looks is complete.
             if found and (found == before and not self._asked or self._asked and
                           self._asked <= found.keys()):
                 return True
@@ -230,7 +230,7 @@ class _NodeRecorder:
         self._take_waiting()
 
     def _take_waiting(self) -> None:
-        """Record what has come until now and waits; no more, as topics may be faster than this."""
+        """Record the messages that wait now; no later ones, as topics may be faster than this."""
         now_ns = time.time_ns()
         for subscription in self._node.subscriptions:
             received_ns = 0

@@ -184,7 +184,7 @@ class RecordFile:
 
     Chunks are handed to the operating system once they are complete, at the latest a second after
     their first message, so that the file can be read up to there when the process is killed. If
-    the disk is full, what is incomplete is cut off.
+    the disk is full, incomplete data is cut off.
 
     :param path: of the file
     :param overwrite: replace a file that is there
@@ -275,7 +275,7 @@ class RecordFile:
 
     def describe(self, name: str, values: Mapping[str, str]) -> None:
         """
-        Write what belongs to all that follows, or to all that went before.
+        Write metadata of all messages that follow, or of all earlier ones.
 
         :param name: of the record of metadata
         :param values: its content
@@ -341,10 +341,10 @@ class _WholeWrites:
         return self._size
 
     def flush(self) -> None:
-        """Do nothing: there is no buffer."""
+        """Do nothing, without a buffer."""
 
     def cut(self, size: int) -> None:
-        """Cut off what is behind a size, and close the file."""
+        """Cut the file off at a size [bytes], and close it."""
         os.ftruncate(self._descriptor, size)
         self.close()
 

@@ -38,9 +38,9 @@ _MAGIC = b'\x89MCAP0\r\n'
 @dataclass
 class Recorded:
     """
-    What was recorded of one model.
+    A record of one model.
 
-    :ivar about: what its recorder wrote at its begin
+    :ivar about: metadata that its recorder wrote at its begin
     :ivar model: the model archive, as ``load_archive`` takes it
     :ivar types: of the topics
     :ivar messages: time [ns] and serialized content, by topic, in the order of the file
@@ -221,7 +221,7 @@ class Record:
         """
         Yield the episodes, each once it is read; the last one may have no end.
 
-        :raises RecordError: if it is no record of episodes, of another version, or damaged
+        :raises RecordError: if it is not a record of episodes, of another version, or damaged
         """
         for found in self.contents():
             if not isinstance(found, RecordedEpisode):
@@ -251,7 +251,7 @@ class Record:
         """
         Yield the episodes, or the worlds of a node, each once it is read.
 
-        :raises RecordError: if it is no such record, of another version, or damaged
+        :raises RecordError: if it is not such a record, of another version, or damaged
         """
         return self._read(self._contents)
 
@@ -339,7 +339,7 @@ class Record:
                 ' and ends early' if self.cut_off else ''))
 
     def _items(self, file: BinaryIO) -> Iterator[Any]:
-        """Yield what is in the file up to the end of its data, or to where it is cut off."""
+        """Yield the MCAP records of the file up to the end of its data, or to its cut-off."""
         from mcap.records import Chunk, DataEnd
         from mcap.stream_reader import breakup_chunk, StreamReader
         size = self.path.stat().st_size

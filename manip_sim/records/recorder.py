@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Record the episodes of a task: what is observed at each control period, actions, digests."""
+"""Record the episodes of a task: observations of each control period, actions, digests."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _LOGGER = logging.getLogger('manip_sim.records')
 FORMAT = '1'
 #: Names of metadata: of an episode at its begin, and at its end.
 EPISODE, RESULT = 'manip_sim/episode', 'manip_sim/result'
-#: Name of metadata with what is known of a node.
+#: Name of the metadata of a node.
 NODE = 'manip_sim/node'
 #: Name of the attachment with the model.
 MODEL = 'model.mjz'
@@ -57,10 +57,10 @@ STATE_PARTS = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
 
 class EpisodeRecorder:
     """
-    A recorder of episodes in an MCAP file, with all that it takes to repeat them.
+    A recorder of episodes in an MCAP file, with everything needed to repeat them.
 
     Call :meth:`begin` after ``Episode.reset``, :meth:`period` after each ``Episode.step``, and
-    :meth:`end`. Times are those of the simulation. Used as a context, it closes its file.
+    :meth:`end`. Times are simulation times. Used as a context, it closes its file.
 
     Joints, poses, external wrenches and the goal are recorded as a policy observes them. Where
     noise or latency make that differ, the exact values of the instant are below ``truth/``.
@@ -68,7 +68,7 @@ class EpisodeRecorder:
     one that fails is logged and left out from then on.
 
     :param path: of the file
-    :param episode: what is recorded
+    :param episode: that is recorded
     :param settings: of the run, with which the metadata are extended; JSON
     :param digest_every: control periods between two digests of the state
     :param overwrite: replace a file that is there
@@ -109,7 +109,7 @@ class EpisodeRecorder:
         Begin an episode, at its start.
 
         :param seed: that it was reset with
-        :param images: by camera, shape (h, w, 3); None for those of the observation
+        :param images: by camera, shape (h, w, 3); None for the images of the observation
         :param observation: of the start; None to read it
         :raises RecordError: if the file cannot be written
         """
@@ -143,7 +143,7 @@ class EpisodeRecorder:
         :param action: that was applied; None if commands came in another way
         :param reward: of the present instant; None to compute it
         :param success: whether the task is done; None to compute it
-        :param images: by camera, shape (h, w, 3); None for those of the observation
+        :param images: by camera, shape (h, w, 3); None for the images of the observation
         :param observation: after the period; None to read it
         :param answer_s: wall time that the policy took for the action [s]; None if it is unknown
         :raises RecordError: if the file cannot be written
@@ -204,7 +204,7 @@ _Fields = Callable[[int, FloatArray], Fields]
 
 
 class _Topics:
-    """The topics of an episode; those of a robot are named as in the node."""
+    """The topics of an episode; topics of a robot are named as in the node."""
 
     def __init__(self, file: RecordFile, episode: Episode) -> None:
         self._file = file
@@ -249,7 +249,7 @@ class _Topics:
 
     def write(self, observation: Observation | None,
               images: Mapping[str, NDArray[np.uint8]] | None) -> None:
-        """Write what is observed at the present instant, and where it differs what is true."""
+        """Write the observation at the present instant, and exact values where they differ."""
         seen = observation or self._episode.observation
         self._write_channel(clock_channel(), np.empty(0))
         self.write_numbers(STATE, 'qpos, qvel, mocap', physics_state(self._simulation))
@@ -323,7 +323,7 @@ class _Topics:
                          encoder(kind)({'data': value}))
 
     def _write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
-        """Write images by camera as JPEG; the topics are those of cameras of the node."""
+        """Write images by camera as JPEG, on the topics of the node's cameras."""
         time_ns = self._simulation.time_ns
         for camera, rgb in images.items():
             row = BY_NAME['<camera>/color/image_raw/compressed'].filled_in(camera)

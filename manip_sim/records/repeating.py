@@ -124,7 +124,7 @@ class Replay:
 
 
 def _difference(episode: Episode, state: np.ndarray, digest: str | None) -> str | None:
-    """Return what differs from what was recorded at the present instant, or None."""
+    """Return which recorded value differs at the present instant, or None."""
     if not np.array_equal(physics_state(episode.simulation), state, equal_nan=True):
         return 'the state'
     if digest is not None and digest != episode.digest:
@@ -133,7 +133,7 @@ def _difference(episode: Episode, state: np.ndarray, digest: str | None) -> str 
 
 
 def _reason(recorded: RecordedEpisode, episode: Episode) -> str:
-    """Return why a repetition may differ, from what is known."""
+    """Return why a repetition may differ, by versions, model and machine."""
     here = f'manip_sim {package_version()} with MuJoCo {mujoco.mj_versionString()}'
     if recorded.versions != here:
         return f': it was recorded by {recorded.versions}, this is {here}'

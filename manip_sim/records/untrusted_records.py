@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What is accepted of records, which may come from anybody.
+Limits and checks of records, which may come from anybody.
 
-It bounds bytes, pixels and names, and checks what describes an episode.
+They bound bytes, pixels and names, and check the description of an episode.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from manip_sim.records.recorder import FORMAT
 MAX_RECORD, _MAX_CHUNK, _MAX_MODEL = 2**28, 2**26, 2**26
 #: Most content of one episode or world, and what a message takes beside its content [bytes].
 MAX_BYTES, MESSAGE_BYTES = 2**31, 128
-#: Those of the largest picture that ``manip_sim run --record`` takes.
+#: Pixels of the largest picture that ``manip_sim run --record`` takes.
 _MAX_PIXELS = 8192**2
 #: Length of a name, and least and longest control period [s].
 _MAX_NAME, _PERIODS_S = 255, (1e-6, 100.0)

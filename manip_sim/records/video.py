@@ -140,7 +140,7 @@ def write_side_by_side(file: Path, episodes: Sequence[RecordedEpisode], titles: 
     :param titles: above each
     :param camera: of their models
     :raises RecordError: if an episode has no states, or the package for videos is missing
-    :raises UnknownNameError: if there is no such camera, naming those that are
+    :raises UnknownNameError: if the camera is unknown, naming the available ones
     :raises ManipSimError: if nothing can be rendered
     """
     shown: list[_Shown] = []
