@@ -152,7 +152,7 @@ def _mistakes_of_parameter(word: str) -> Iterator[str]:
     try:
         kinds = {type(item) for item in yaml.safe_load(value)}
     except (TypeError, ValueError, RecursionError, yaml.YAMLError):
-        return  # It is no list.
+        return  # The value is not a list.
     if kinds == {int, float}:
         yield f'{quoted(word)}: write all numbers of a list with a decimal point, such as 0.0'
 

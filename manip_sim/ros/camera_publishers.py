@@ -168,7 +168,7 @@ class Cameras(Feature):
 
     @property
     def failed(self) -> ManipSimError | None:
-        """Why there are no images, or None."""
+        """The reason for missing images, or None."""
         return self._unable or (self._renderer.failed if self._renderer is not None else None)
 
     def start(self) -> None:
@@ -214,7 +214,7 @@ class Cameras(Feature):
         def observe(simulation: Simulation) -> None:
             if thread.is_due(every):
                 self._order(publishers, simulation)
-        # What is seen later must not depend on who subscribes.
+        # Later images must not depend on subscribers.
         thread.observe(record, 1, lambda: publishers.sensing.delays)
         thread.observe(observe, every, publishers.have_subscribers)
 
@@ -229,7 +229,7 @@ class Cameras(Feature):
         now = take_snapshot(simulation)
         if any(measured):
             seen, noise = publishers.sensing.measured(now)
-            # The stamp is that of the cycle that publishes it, as those of states.
+            # As with states, the stamp is the time of the cycle that publishes it.
             renderer.order(publishers.view, replace(seen, time_ns=now.time_ns), *measured, noise)
         if any(exact):
             renderer.order(replace(publishers.view, exact=True), now, *exact)

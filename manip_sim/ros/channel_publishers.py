@@ -124,7 +124,7 @@ class ChannelPublishers(Feature):
                       if other != scope})
 
     def world_changed(self) -> None:
-        """Create the publishers of channels that have come, and destroy those of the others."""
+        """Create the publishers of new channels, and destroy the publishers of removed ones."""
         self._follow(self._context.robots)
 
     def parameters_changed(self, parameters: Sequence[Parameter]) -> None:

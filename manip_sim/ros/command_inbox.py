@@ -7,8 +7,8 @@ Take commands without rclpy's executor.
 An executor goes through all entities of a node, in Python, before and after each wait. Here one
 thread waits for nothing but commands: in lock-step the simulation's thread, which uses them next,
 else a separate thread, so that a flood takes no time from the physics. rclpy has no public
-way to wait for some subscriptions only; with a release of rclpy that lacks what is used for it,
-the executor takes the commands too, and a warning says so.
+way to wait for some subscriptions only; with a release of rclpy that lacks the internals used
+here, the executor takes the commands too, and a warning says so.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class CommandInbox(Inbox):
             self._guard.trigger()
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until a message comes or somebody wakes this, and take what has come."""
+        """Wait until a message comes or somebody wakes this, and take the waiting messages."""
         try:
             self._receive(timeout_s)
         except (InvalidHandle, RCLError):  # Something is being closed in another thread.
@@ -91,7 +91,7 @@ class CommandInbox(Inbox):
 
     def take(self, most: int = 1) -> None:
         """
-        Take what has come, without waiting.
+        Take the messages that have come, without waiting.
 
         :param most: of each topic; a flood must not hold up the physics
         """
@@ -226,7 +226,7 @@ def create_command_inbox(node: Node, log: RejectionLog) -> CommandInbox | None:
         inbox = CommandInbox(node, log)
         try:
             inbox.take()
-        except (AttributeError, TypeError) as error:  # What is there is used in another way.
+        except (AttributeError, TypeError) as error:  # The internals have other signatures.
             inbox.close()
             missing = [one_line(str(error))]
         else:

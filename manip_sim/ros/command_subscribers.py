@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Subscribe to commands: validate and count them, log what is rejected, hand over the rest."""
+"""Subscribe to commands: validate and count them, log rejected ones, hand over the rest."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from manip_sim.interface.topics import Scope
 from manip_sim.physics.parts import Part
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 
-#: Parameters of parts whose values are those of the parts that a part consists of.
+#: Parameters of parts that set the same parameters of the parts that a part consists of.
 _COUPLED = ('control_mode.{}', 'command_timeout.{}', 'stream_interval.{}', 'stream_hold.{}',
             *(f'reflex.{{}}.{field.name}' for field in fields(ReflexLimits)))
 
@@ -103,12 +103,12 @@ class Parameters:
 
     @property
     def names(self) -> list[str]:
-        """The names of all parameters but those of QoS."""
+        """The names of all parameters but for QoS."""
         return [*self._specs]
 
     def check_names(self) -> None:
         """
-        Reject parameters that the user gave and nobody declared; forget those of spawned robots.
+        Reject given parameters that nobody declared; forget parameters of spawned robots.
 
         :raises ParameterError: naming the nearest ones
         """
@@ -130,7 +130,7 @@ class Parameters:
 
     def couple(self, scope: Scope, parts: Mapping[str, Part]) -> None:
         """
-        Let parameters of a part set those of the parts that it consists of, and of its other name.
+        Let parameters of a part set the same ones of its parts, and under its other name.
 
         At the start, a value given for one arm overrides one given for both, and a timeout that
         is the default of the control mode follows it.
@@ -215,7 +215,7 @@ class Parameters:
 
     @property
     def values(self) -> dict[str, Any]:
-        """The present values of all that was declared, by name, as YAML or JSON has them."""
+        """The present values of all declared parameters, by name, as YAML or JSON has them."""
         found = {name: self.value(name) for name in self._specs}
         return {name: value if isinstance(value, (str, bool, int, float)) else list(value)
                 for name, value in found.items()}

@@ -230,7 +230,7 @@ class Diagnostics(Feature):
             self._context.log.warn(status.name, 'rate', f'{status.name}: {status.message}')
 
     def _report_new(self, name: str, report: CartesianReport) -> None:
-        """Warn of what has kept an end effector from its target since the last status."""
+        """Warn of causes since the last status that keep an end effector from its target."""
         for kind, count in report.counts.items():
             if count > self._last_faults.get(f'{name} {kind}', 0):
                 self._last_faults[f'{name} {kind}'] = count

@@ -45,7 +45,7 @@ class EntityServices:
     """
     The services that list robots and objects, describe and measure them, and move free ones.
 
-    :param types: those of the package
+    :param types: the message types of the package
     """
 
     def __init__(self, context: NodeContext, types: StandardTypes) -> None:
@@ -62,7 +62,7 @@ class EntityServices:
             MutuallyExclusiveCallbackGroup())
 
     def forget_gone(self) -> None:
-        """Forget what was said about entities that are not there any more."""
+        """Forget the set information of entities that are gone."""
         there = self._simulation.entities.names
         self._infos = {name: info for name, info in self._infos.items() if name in there}
 
@@ -247,7 +247,7 @@ def matching(pattern: str, names: list[str]) -> list[str]:
         if len(pattern) > _MAX_FILTER_LENGTH:
             raise ValueError(f'longer than {_MAX_FILTER_LENGTH} characters')
         expression = re2.compile(pattern, options)
-    except (re2.error, ValueError) as error:  # A text that is no UTF-8 is a ValueError.
+    except (re2.error, ValueError) as error:  # A text that is not UTF-8 raises ValueError.
         reason = error.args[0].decode() if type(error) is re2.error else error
         raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
                         f'filter {quoted(pattern)}: {one_line(str(reason))}') from error

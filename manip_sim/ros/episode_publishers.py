@@ -99,7 +99,7 @@ class TaskPublisher(Feature):
     the task from the parameter ``seed``, where :meth:`restart` does them.
 
     :param context: with a thread that has not been started
-    :param task: what is done
+    :param task: that is performed
     """
 
     def __init__(self, context: NodeContext, task: Task) -> None:
@@ -137,8 +137,8 @@ class JournalPublisher(Feature):
     """
     The publisher of ``~/journal``: JSON with the keys ``number``, from 0, and ``entries``.
 
-    The entries are those of :class:`~manip_sim.runtime.pending_changes.Journal`. It begins, with
-    the present state, for each new subscriber, and ends when the last one has gone.
+    A :class:`~manip_sim.runtime.pending_changes.Journal` makes the entries. It begins, with the
+    present state, for each new subscriber, and ends when the last one has gone.
 
     :param context: with all parameters declared
     :param task: that is served, or None
@@ -180,5 +180,5 @@ class JournalPublisher(Feature):
         self._number += 1
 
     def close(self) -> None:
-        """Publish what is left."""
+        """Publish the remaining entries."""
         self._journal.end()

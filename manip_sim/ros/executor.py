@@ -94,8 +94,8 @@ class GuardedExecutor(SingleThreadedExecutor):
     """
     A single-threaded executor: a callback that raises is logged and counted, the next one runs.
 
-    This holds for all callbacks, also for those of rclpy, such as the parameter services. The
-    client of a service that raised gets no answer. Data that cannot be read is logged and counted
+    This holds for all callbacks, also within rclpy, such as of the parameter services. The client
+    of a service that raised gets no answer. Data that cannot be read is logged and counted
     too: rclpy only shows that a subscription or service was ready and that nothing could be taken
     from it. Unreadable data that waits together counts once.
 
@@ -124,7 +124,7 @@ class GuardedExecutor(SingleThreadedExecutor):
         self.wake()
 
     def _is_ending(self) -> bool:
-        # Not a function made for each call: rclpy would forget what is ready if it were another.
+        # Not a function made for each call: with another one rclpy would forget ready entities.
         return self._ending
 
     def spin_once(self, timeout_sec: float | None = None) -> None:

@@ -38,7 +38,7 @@ class PublishingThread:
     """
     A thread that publishes messages in the order in which they are added.
 
-    What is published, and in which order, is as without it. rclpy would keep Python's global lock
+    Messages and their order are the same as without it. rclpy would keep Python's global lock
     while it publishes; :func:`manip_sim.rclpy_internals.publish_bytes` does not.
 
     :param most: publications that may wait, from 2; who adds more has to wait for earlier ones
@@ -50,7 +50,7 @@ class PublishingThread:
         self._thread = threading.Thread(target=self._run, name='publishing')
         self._begun = self._ended = False
         self._lock = threading.Lock()
-        #: How many were added, and what is set when those up to the last multiple of half are out.
+        #: How many were added; the event is set when all up to the last multiple of half are out.
         self._count = 0
         self._published = threading.Event()
         self._published.set()
@@ -76,7 +76,7 @@ class PublishingThread:
             self._wait(before)
 
     def _mark(self) -> threading.Event:
-        """Return what is set when all that was added before has been published."""
+        """Return an event that is set once all earlier messages have been published."""
         done = threading.Event()
         self._waiting.put(done.set)
         return done
@@ -86,7 +86,7 @@ class PublishingThread:
             pass
 
     def flush(self) -> None:
-        """Wait until all that was added before has been published."""
+        """Wait until all earlier messages have been published."""
         if self._begun and not self._ended and threading.current_thread() is not self._thread:
             self._wait(self._mark())
 
@@ -96,7 +96,7 @@ class PublishingThread:
         return not self._begun or self._ended or self._thread.is_alive()
 
     def stop(self) -> None:
-        """Publish what waits, and end; what is added later is published by the caller."""
+        """Publish the waiting messages, and end; the caller publishes later ones."""
         with self._lock:
             begun, self._ended = self._begun and not self._ended, True
         if begun:

@@ -36,8 +36,8 @@ class Neighbours:
     Conflicts with other nodes; each is logged once for as long as it lasts.
 
     A conflict is reported when two looks in a row find it, because discovery has no order: the
-    name of a node may come after its endpoints. As long as neither the graph nor what was found
-    changes, a look is a comparison of the names and numbers of its endpoints.
+    name of a node may come after its endpoints. As long as neither the graph nor the conflicts
+    change, a look is a comparison of the names and numbers of its endpoints.
 
     :param scopes: namespace of the topics of each robot
     """

@@ -74,7 +74,7 @@ class PlanningScenePublisher:
         return any(counts)
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish what has changed, or the whole world to a new subscriber."""
+        """Publish the changes, or the whole world to a new subscriber."""
         stamp, scene = stamp_of(simulation.time_ns), self._scene
         if scene is None or simulation.model is not self._model:
             self._release(stamp)
@@ -108,7 +108,7 @@ class PlanningScenePublisher:
         return scene
 
     def _release(self, stamp: Any) -> None:
-        """Detach everything: what was held may have been deleted."""
+        """Detach everything: held objects may have been deleted."""
         for name in self._scene.holds if self._scene is not None else ():
             self._detach(name, stamp)
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Log what was rejected or has failed: bounded in lines, in length and in memory."""
+"""Log rejections and failures: bounded in lines, in length and in memory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def kind_of(error: BaseException) -> str:
     """
     Return a key for the kind of an error: its class and the line that raised it.
 
-    Unlike the text of the error, it does not depend on what was received.
+    Unlike the text of the error, it does not depend on the received message.
     """
     place = error.__traceback__
     if place is None:

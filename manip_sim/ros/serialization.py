@@ -103,7 +103,7 @@ def _check_counts(data: bytes) -> None:
         raise CommandError(f'a trajectory may have at most {MAX_POINTS} points, got {count}')
 
 
-#: Bytes that name the encoding, and those of the length of a sequence or text.
+#: Bytes that name the encoding, and bytes of the length of a sequence or text.
 _ENCODING_SIZE = _LENGTH_SIZE = 4
 #: Of the types of fields [bytes].
 _SIZES = {'boolean': 1, 'octet': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2, 'int32': 4,
@@ -152,7 +152,7 @@ class SerializedMessage:
         self._patched.cut(_ENCODING_SIZE + _end('', made, 0))
         try:
             return bool(made == deserialize_message(self.at(time_ns, numbers), type(made)))
-        except RuntimeError:  # rclpy's, as the bytes are no such message.
+        except RuntimeError:  # rclpy cannot read the bytes as such a message.
             return False
 
     def at(self, time_ns: int, numbers: FloatArray) -> Any:

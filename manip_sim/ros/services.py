@@ -23,7 +23,7 @@ class SimulationServices(Feature):
     """
     Services that control the simulation.
 
-    They are those of the table ``manip_sim.interface.topics.SERVICES`` that answer at once.
+    The table ``manip_sim.interface.topics.SERVICES`` lists them, and services that answer later.
     """
 
     def __init__(self, context: NodeContext) -> None:
@@ -61,7 +61,7 @@ class SimulationServices(Feature):
         return json.dumps(self._thread.call(self._simulation.faults.summary))
 
     def close(self) -> None:
-        """Log what was injected in the last episode."""
+        """Log the faults that were injected in the last episode."""
         for fault in self._simulation.faults.summary():
             self._logger.info(f'fault of this episode: {json.dumps(fault)}')
 

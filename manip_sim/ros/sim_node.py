@@ -119,7 +119,7 @@ class SimNode(Node):
 
     def _create_context(self, composition: Composition, robots: dict[Scope, SimulatedRobot]
                         ) -> NodeContext:
-        """Create the threads, which do not run yet, and all that the features share."""
+        """Create the threads, which do not run yet, and the context that the features share."""
         value = self.declared.value
         frame_prefix = check_frame_prefix(value('frame_prefix'))
         inbox = create_command_inbox(self, self.rejections)

@@ -121,7 +121,7 @@ class RequestedRobot:
             self._values[self.KEY] if self._given is None else load_requested(
                 self._given, self._files, name), self._values.get('gripper', DEFAULT),
             self._values.get('base', DEFAULT), prefix=f'{name}_', idn=name)
-        # A message cannot leave out the height, so zero is no choice.
+        # A message cannot leave out the height, so zero does not count as a choice.
         robot.set_base_xpos(pose.position, may_be_raised=not pose.position[2])
         robot.set_base_quat(pose.quat_xyzw)
         return robot
@@ -218,8 +218,8 @@ class SpawningServices:
     simulation's thread takes the new world over between two control periods, with everything else
     as it was.
 
-    :param files: those that a request may name
-    :param types: those of the package
+    :param files: that a request may name
+    :param types: the message types of the package
     :ivar group: of the services
     """
 
@@ -329,7 +329,7 @@ def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], _Item
     if resource.uri:
         path = _path(resource.uri)
         return False, lambda: _from_file(path, files)
-    # The text is used where there is no file.
+    # The text is used without a file.
     text = OneText(resource.resource_string.strip(), 'resource_string')
     if not text.content:
         raise Rejection(SpawnCode.NO_RESOURCE, 'give a file (uri) or a text (resource_string)')

@@ -130,7 +130,7 @@ class TagsMode(IntEnum):
 
 
 class FeatureCode(IntEnum):
-    """Constants of the message ``SimulatorFeatures`` for what is supported here."""
+    """Constants of the message ``SimulatorFeatures`` for the supported features."""
 
     SPAWNING = 0
     DELETING = 1
@@ -207,9 +207,9 @@ class StandardTypes:
 
 def resource_of(message: Any, field: str) -> Any:
     """
-    Return what has the uri and the text of a message; in older versions the message has them.
+    Return the part of a message with the uri and the text; in older versions the message itself.
 
-    :param field: that has them in newer versions
+    :param field: name of that part in newer versions
     """
     return getattr(message, field, message)
 
@@ -299,7 +299,7 @@ def answering(fill: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
 
 
 def answering_later(fill: Callable[[Any, Any], Awaitable[None]]) -> Callable[[Any, Any], Any]:
-    """Return the callback of a service as :func:`answering`, for what is awaited."""
+    """Return the callback of a service as :func:`answering`, for a coroutine."""
     async def answer(request: Any, response: Any) -> Any:
         with result_filled(response.result):
             await fill(request, response)

@@ -49,7 +49,7 @@ class SimulationInterfaces:
     A step is one control period. Scope ``ALL`` of a reset, and the state ``STOPPED``, restart
     simulation time; scope ``STATE`` lets it go on, as ``~/reset`` does.
 
-    :param types: those of the package
+    :param types: the message types of the package
     :ivar no_world: whether the world has been unloaded
     """
 
@@ -203,15 +203,15 @@ _MOST_FILES = 1000
 
 class WorldServices:
     """
-    The services that list, load and unload worlds, and what is there to spawn and where.
+    The services that list, load and unload worlds, and list models and poses for spawning.
 
-    A world is an arena. Loading one deletes all objects and the robots that were spawned; those of
-    the start stay where their parameters put them.
+    A world is an arena. Loading one deletes all objects and the robots that were spawned; the
+    robots of the start stay where their parameters put them.
 
     :param states: whose state is STOPPED after a world was loaded, and NO_WORLD after one was
         unloaded
-    :param files: those that a request may name
-    :param types: those of the package
+    :param files: that a request may name
+    :param types: the message types of the package
     :param group: of the services that spawn, because each plan is made from the one before
     """
 
@@ -324,7 +324,7 @@ class WorldServices:
         response.poses = poses
 
     def _get_pose_bounds(self, request: Any, _: Any) -> None:
-        """Answer with empty bounds: the standard's word for what has none."""
+        """Answer with empty bounds, by which the standard means a pose without bounds."""
         sites = self._thread.call(self._sites)
         if request.name not in sites:
             raise UnknownNameError('named pose', request.name, sites)
@@ -358,7 +358,7 @@ class StandardServices(Feature):
     """
     The services of the standard under ``~/``; without their package a note.
 
-    :param files: those that a request may name
+    :param files: that a request may name
     """
 
     def __init__(self, context: NodeContext, files: FilesBelow) -> None:

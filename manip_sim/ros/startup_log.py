@@ -100,7 +100,7 @@ def _parts(scope: Scope, robot: SimulatedRobot, value: Value) -> Iterator[str]:
 
 def _inferred(world: World, robot: RobotModel | None = None) -> Iterator[str]:
     """
-    Yield what was inferred about each model that comes from a file, but for lost shapes.
+    Yield the inferences about each model that comes from a file, but for lost shapes.
 
     Arms without a gripper, which have no topics of an end effector, are named with the remedy.
 
