@@ -214,7 +214,7 @@ class GoalTracker:
         """
         Abort all goals.
 
-        :param robot: only those of this robot, given by its name; None: of all
+        :param robot: name of the robot whose goals are aborted; None for all robots
         """
         def abort() -> None:
             for goal in self.goals:

@@ -42,13 +42,13 @@ class CameraView:
 @dataclass(frozen=True, eq=False)
 class Shot:
     """
-    What a camera saw.
+    A picture of a camera, with its instant.
 
     :ivar view: the camera
     :ivar snapshot: of the instant
-    :ivar picture: colours, depth, labels: at least what was requested
+    :ivar picture: colours, depth, labels: at least the requested ones
     :ivar took_s: wall time of the rendering [s]; 0 if an earlier picture is used again
-    :ivar noise: what is to be added to the picture, or None
+    :ivar noise: to be added to the picture, or None
     """
 
     view: CameraView
@@ -126,7 +126,7 @@ class CameraThread:
         :param rgb: whether colours are needed
         :param depth: whether depth is needed
         :param labels: whether the ids of bodies are needed
-        :param noise: that the shot hands on; what is rendered is exact
+        :param noise: that the shot hands on; the rendered picture is exact
         """
         if self.failed is not None:
             return

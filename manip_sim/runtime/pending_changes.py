@@ -77,7 +77,7 @@ class Journal:
         self.flush()
 
     def end(self) -> None:
-        """Write what is left, and keep nothing from now on."""
+        """Write the remaining entries, and keep none from now on."""
         self.flush()
         self._write = None
 
@@ -172,7 +172,7 @@ class PendingChanges:
         """
         Run an operation, and note it.
 
-        Arguments, results and errors are those of ``SimulationThread.change``.
+        Arguments, results and errors are as of ``SimulationThread.change``.
         """
         failed = True
         try:

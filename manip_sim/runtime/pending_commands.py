@@ -100,7 +100,7 @@ class PendingCommands:
     Any thread may add commands; all else is for the simulation's thread.
 
     :param simulation: whose robots they are for
-    :param lockstep_parts: by robot, the parts that must have had a command; None: there is no
+    :param lockstep_parts: by robot, the parts that must have had a command; None without
         lock-step
     """
 
@@ -143,7 +143,7 @@ class PendingCommands:
         """
         Keep validated commands.
 
-        Arguments, results and errors are those of ``SimulationThread.submit``.
+        Arguments, results and errors are as of ``SimulationThread.submit``.
         """
         name, buffers = self._simulation.robot.name if robot is None else robot, self._buffers
         if name not in buffers or name not in self._simulation.robots:

@@ -184,7 +184,7 @@ class SimulationThread:
         :returns: the handle of each command
         :raises CommandError: if a command was made for another robot; in lock-step, if that is not
             the present state, or if all commands for it have come already
-        :raises UnknownNameError: if there is no such robot
+        :raises UnknownNameError: if the robot is unknown
         """
         handles = self.changes.commands.add(commands, stamp_ns, robot)
         if self.stepping == 'lockstep' and threading.current_thread() is not self._thread:

@@ -135,7 +135,7 @@ class TrajectoryView:
     :ivar desired: position, velocity and acceleration of the trajectory, each of shape (n,)
     :ivar position: measured [rad or m], shape (n,)
     :ivar velocity: measured [rad/s or m/s], shape (n,)
-    :ivar index: of the point that the trajectory goes to, of those of the request
+    :ivar index: of the point that the trajectory goes to, among the points of the request
     """
 
     time_ns: int
