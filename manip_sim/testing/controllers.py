@@ -39,7 +39,7 @@ class ControllerProcess(subprocess.Popen[Any]):
 
     :param command: such as ``['ros2', 'run', 'my_package', 'my_controller']``
     :param arguments: further arguments of ``subprocess.Popen``
-    :ivar is_known: whether the test has sent it a signal or waited for it: its end is no failure
+    :ivar is_known: whether the test has sent it a signal or waited for it, and expects its end
     """
 
     is_known = False
@@ -140,7 +140,7 @@ class Controllers:
 
     def check(self) -> None:
         """
-        Check that no controller has failed; what has been raised once is not raised again.
+        Check that no controller has failed; each error is raised once.
 
         :raises Exception: that of a callback, or of any thread
         :raises ManipSimError: if a process has ended with an error that the test does not know

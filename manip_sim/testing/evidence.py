@@ -110,7 +110,7 @@ class RecordedTopics:
         self.last_new_s = time.monotonic()
 
     def begin(self) -> None:
-        """Record what is published now."""
+        """Record the topics that are published now."""
         for topic, types in self._node.get_topic_names_and_types():
             if types[0] in _RECORDED and self._node.count_publishers(topic):
                 self._record(topic, _RECORDED[types[0]])
@@ -142,7 +142,7 @@ class RecordedTopics:
         Return the messages of a topic up to now, a copy.
 
         :param topic: such as ``right/eef_pose``, with or without a slash before it
-        :raises UnknownNameError: if there is no such topic
+        :raises UnknownNameError: if the topic is unknown
         """
         name = f'/{topic.lstrip("/")}'
         if name not in self._messages:

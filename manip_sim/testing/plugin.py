@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The plugin of pytest: the fixture ``sim_node``, and what is saved of tests that fail."""
+"""The plugin of pytest: the fixture ``sim_node``, and the files saved for failed tests."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from manip_sim.testing.served_node import NodeInProcess, NodeProcess, ServedNode
 
 #: How many control periods pass at once: fewer than the messages that a publisher keeps.
 _AT_ONCE = 5
-#: Longest wait for a message at once; what is waited for may also come about otherwise [s].
+#: Longest wait for a message at once; the awaited condition may also come about otherwise [s].
 _LOOK_S = 0.05
 #: How long until a question that has no answer is asked again; DDS may lose it [s].
 _AGAIN_S = 2.0
@@ -231,7 +231,7 @@ class SimulationUnderTest:
 
     def reset(self) -> None:
         """
-        Put the simulation back to its start; time and what was recorded go on.
+        Put the simulation back to its start; time and recording go on.
 
         :raises ManipSimError: if the node refuses
         """
@@ -244,7 +244,7 @@ class SimulationUnderTest:
 
     def crash(self) -> None:
         """
-        Kill the node (SIGKILL), and start it again: its time and what was recorded begin anew.
+        Kill the node (SIGKILL), and start it again: its time and the recording begin again.
 
         The controllers under test go on, and find another node of the same name.
 
@@ -256,14 +256,14 @@ class SimulationUnderTest:
         self._wait_for_the_start()
         self._parameters('publish_rate')
 
-    # ------------------------------------------------------------------ what was published
+    # ------------------------------------------------------------------ published messages
 
     def messages(self, topic: str) -> list[Any]:
         """
         Return the messages of a recorded topic up to now, one for each control period, a copy.
 
         :param topic: such as ``right/eef_pose``; joint states, wrenches, poses and twists
-        :raises UnknownNameError: if there is no such topic
+        :raises UnknownNameError: if the topic is unknown
         """
         return self._recorded.messages(topic)
 
@@ -284,7 +284,7 @@ class SimulationUnderTest:
         :param topic: such as ``manip_sim/mjcf``
         :param qos: profile, or depth of the history
         :raises UnknownNameError: if nobody publishes it with this type
-        :raises ManipSimError: if there is no message, or the node has ended
+        :raises ManipSimError: if no message comes, or the node has ended
         """
         messages: list[Any] = []
         subscriptions: list[Any] = []
@@ -309,7 +309,7 @@ class SimulationUnderTest:
         Return the states of joints up to now.
 
         :param topic: such as ``arm/joint_states``
-        :raises UnknownNameError: if there is no such topic
+        :raises UnknownNameError: if the topic is unknown
         """
         return joint_history(self.messages(topic))
 
@@ -318,7 +318,7 @@ class SimulationUnderTest:
         Return the wrenches at a tool up to now.
 
         :param topic: such as ``left/wrench``
-        :raises UnknownNameError: if there is no such topic
+        :raises UnknownNameError: if the topic is unknown
         """
         return wrench_history(self.messages(topic))
 
@@ -349,10 +349,10 @@ class SimulationUnderTest:
         :param service_type: such as ``std_srvs.srv.Trigger``
         :param name: such as ``manip_sim/tare_wrench``
         :param request: None for an empty one
-        :param again: ask again if there is no answer for some seconds, as DDS may lose it; the
+        :param again: ask again if no answer comes for some seconds, as DDS may lose it; the
             service may then be executed twice
         :raises UnknownNameError: if nobody offers it with this type
-        :raises ManipSimError: if there is no answer, or the node has ended
+        :raises ManipSimError: if no answer comes, or the node has ended
         """
         return self._call(service_type, name, request, again, self._patience_s)
 
@@ -389,7 +389,7 @@ class SimulationUnderTest:
                 if self._others(self.node.get_subscriptions_info_by_topic(topic[0]))]
 
     def _others(self, infos: list[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
-        """Return those of publishers or subscriptions that are not of :attr:`node`."""
+        """Return the publishers or subscriptions of nodes other than :attr:`node`."""
         return [info for info in infos if info.node_name != self.node.get_name()]
 
     def _wait_for_name(self, kind: str, name: str, interface: Any,
@@ -397,9 +397,9 @@ class SimulationUnderTest:
         """
         Wait until somebody has a topic or service.
 
-        :param kind: what is waited for, such as ``service``
+        :param kind: noun for it, such as ``service``
         :param interface: its type; None for any
-        :param listed: returns the names and types of those that are there
+        :param listed: returns the names and types that are there
         :raises UnknownNameError: if nobody has it, with the nearest names, of this type if any has
         :raises ManipSimError: if it has another type
         """
@@ -439,7 +439,7 @@ class SimulationUnderTest:
         """
         Start a controller as a process in the domain of the node; it is ended with the test.
 
-        So are the processes that it starts, such as those of ``ros2 run`` and ``ros2 launch``.
+        So are its child processes, which ``ros2 run`` and ``ros2 launch`` have.
 
         :param command: such as ``['ros2', 'run', 'my_package', 'my_controller']``
         :param arguments: further arguments of ``subprocess.Popen``
@@ -472,7 +472,7 @@ class SimulationUnderTest:
 
     def save_evidence(self, folder: Path) -> list[str]:
         """
-        Save what was recorded, and a picture of the present instant.
+        Save the recorded messages, and a picture of the present instant.
 
         :param folder: is created
         :returns: a line about the nodes in the domain, and one for each file
