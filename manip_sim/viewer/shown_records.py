@@ -72,7 +72,7 @@ class RecordedPictures:
 
 class Shown(ABC):
     """
-    What is shown of one model.
+    Instants, plots and pictures of one model.
 
     :ivar model: its archive
     :ivar times: of the instants, from the first [s], shape (n,), n >= 1
@@ -99,7 +99,7 @@ class Shown(ABC):
 
     @abstractmethod
     def lines(self, instant: int) -> list[Line]:
-        """Return what is said of an instant."""
+        """Return the lines of text for an instant."""
 
 
 class ShownEpisode(Shown):
@@ -171,7 +171,7 @@ class ShownWorld(Shown):
     A world of a node, by the messages that it sent: joints, free bodies and images.
 
     :param world: as it was recorded
-    :raises RecordError: if there are no joint states or no model, or a message cannot be read
+    :raises RecordError: without joint states or a model, or if a message cannot be read
     """
 
     def __init__(self, world: RecordedWorld) -> None:
@@ -185,7 +185,7 @@ class ShownWorld(Shown):
         self._every = -(-most // _MOST_INSTANTS)
         found = {topic: _rising(world.decoded(topic, _PLOTTED[kind]), self._every)
                  for topic, kind in world.types.items() if kind in _PLOTTED}
-        # What is exact is set after what is measured.
+        # Exact joint states are set after measured ones.
         self._joints = [found[topic] for topic in sorted(filter(_is_joints, found),
                                                          key=lambda name: 'truth/' in name)]
         instants = max((times for times, _ in self._joints), key=len)
@@ -264,7 +264,7 @@ class Entry:
 
     def read(self) -> Shown:
         """
-        Return what is shown of it.
+        Return its instants, plots and pictures.
 
         :raises RecordError: if it cannot be read
         """
@@ -330,7 +330,7 @@ def _rising(messages: list[Any], every: int = 1) -> tuple[FloatArray, list[Any]]
     """
     Return messages with finite numbers and rising stamps, one of several, with their times [s].
 
-    While a node is paused, and in lock-step, it repeats states; what is not newer is left out.
+    While a node is paused, and in lock-step, it repeats states; only newer ones are kept.
     """
     times: list[float] = []
     kept: list[Any] = []
@@ -366,7 +366,7 @@ _PLOTTED = {full_name(name): name for name in (
 
 def _add_messages(found: dict[str, Plotted], topic: str, messages: list[Any], times: FloatArray
                   ) -> None:
-    """Add what is plotted of a topic."""
+    """Add the plots of a topic."""
     *scope, last = topic.strip('/').split('/')
     name = ' '.join(scope)
     if not messages:

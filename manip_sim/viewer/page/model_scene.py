@@ -164,7 +164,7 @@ _SAME_ARROW_M = 2e-4
 
 
 class Overlays:
-    """What is drawn over the scene."""
+    """Points and arrows over the scene."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene

@@ -191,7 +191,7 @@ class Page:
     def _show_overlays(self, now_s: float, latest: Latest) -> None:
         if self._look_back.shown is not None:
             self._overlays.clear()
-            if self._pulling is not None:  # What is in the picture is elsewhere now.
+            if self._pulling is not None:  # The picture shows bodies where they were.
                 self._pulling.release()
             return
         points, arrows = self._view.chosen(latest)
@@ -201,7 +201,7 @@ class Page:
         self._overlays.show(points, arrows)
 
     def _forget(self) -> None:
-        """Let the last minute begin now: what was shown before is another world."""
+        """Let the last minute begin now, as earlier instants show another world."""
         if self._posture is not None:
             self._look_back.forget(self._posture.model.nq)
 

@@ -118,7 +118,7 @@ class Following:
         Tell whether the input is to show the measured value.
 
         :param now_s: wall time [s]
-        :param moving: whether what is measured changes, or cannot because of a pause
+        :param moving: whether the measured value changes, or cannot because of a pause
         """
         if self._until_s is None:
             return True
@@ -153,7 +153,7 @@ class Poses:
         return sorted(self._poses)
 
     def get(self, name: str) -> dict[str, float]:
-        """Return the positions by joint; empty if there is no such pose."""
+        """Return the positions by joint; empty if the pose is unknown."""
         return dict(self._poses.get(name, {}))
 
     def save(self, name: str, joints: Mapping[str, float]) -> None:
@@ -220,9 +220,9 @@ class PosePanel:
 
     A pose has the joints with a slider of all parts that take positions.
 
-    :param poses: what is saved
+    :param poses: that are saved
     :param robots: of the node
-    :param notify: called with what could not be done, for people
+    :param notify: called with a message for people, if something could not be done
     """
 
     def __init__(self, gui: Any, poses: Poses, robots: Sequence[Robot], commands: PageCommands,

@@ -30,7 +30,7 @@ class SimulationPanel:
     """
     A line of state and the buttons of the whole simulation.
 
-    :param commands: receives what people command; None: there are no buttons
+    :param commands: receives what people command; None for a panel without buttons
     """
 
     def __init__(self, gui: Any, commands: PageCommands | None, events: Events) -> None:
@@ -70,7 +70,7 @@ class SavePanel:
     """
     Buttons that save a picture of the scene and a record of the node.
 
-    :param commands: receives what people command; None: there is no button for records
+    :param commands: receives what people command; None for a panel without that button
     :param picture: lets a browser, by its number, save what it shows
     """
 
@@ -101,10 +101,10 @@ _WRENCHES = ('force', 'torque')
 
 class ViewPanel:
     """
-    Check boxes for what is shown.
+    Buttons that aim the camera, and check boxes of the visible things.
 
     :param dark: whether the page is dark
-    :param targets: those of the end effectors, by title
+    :param targets: of the end effectors, by title
     :param set_dark: makes the page dark or light
     :param look: aims the camera of a browser, by its number and the name of a view
     """

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Text on the page: all that came over ROS is shown as it is, never as Markdown or HTML.
+Text on the page: text from ROS is shown as it is, never as Markdown or HTML.
 
 Markdown of viser renders HTML and reads pictures of this machine, so the page has none. This is
 the only module that gives HTML to viser.

@@ -52,7 +52,7 @@ class Aiming:
 
         Objects that come and go leave the world the same.
 
-        :param posture: what is seen
+        :param posture: of the world in view
         """
         world = set(posture.scalar_joints), _fixed_bodies(posture.model)
         if world != self._world:
@@ -77,7 +77,7 @@ class Aiming:
 
         :param number: of the browser; one that is gone is ignored
         :param view: one of :data:`VIEWS`
-        :param posture: what is seen
+        :param posture: of the world in view
         """
         client = self._server.get_clients().get(number)
         if client is not None and view in VIEWS:

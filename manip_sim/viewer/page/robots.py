@@ -81,7 +81,7 @@ class Robot:
     :ivar parts: that do not overlap
     :ivar end_effectors: the arms that take Cartesian targets
     :ivar twist: velocities that the base takes along x and y and about z at most [m/s, m/s,
-        rad/s]; None where there is no such base
+        rad/s]; None without such a base
     """
 
     space: str

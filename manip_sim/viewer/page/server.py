@@ -120,7 +120,7 @@ def _first(path: str) -> str:
 
 def _is_of_interest(record: logging.LogRecord) -> bool:
     """
-    Return whether to log: whoever sends what is no request must not fill the log.
+    Return whether to log: a client that sends invalid requests must not fill the log.
 
     Other errors while a browser is served become a line.
     """

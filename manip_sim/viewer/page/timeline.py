@@ -93,7 +93,7 @@ class PlotPanel:
         self._shown = ''
 
     def show(self, now_s: float, latest: Latest) -> None:
-        """Record what was chosen, and draw it if it is due; ``now_s`` is wall time [s]."""
+        """Record the chosen quantity, and draw it if it is due; ``now_s`` is wall time [s]."""
         found = self._choices.get(self._choice.value)
         if found is None or not self._live.value:
             return
@@ -198,7 +198,7 @@ class Timeline:
         Take other instants.
 
         :param times: of the instants, ascending [s], shape (n,), n >= 1
-        :param values: those of the slider, ascending, length n
+        :param values: of the slider, ascending, length n
         :param index: of the instant to show first
         """
         self._times, self._values = times, values
@@ -250,8 +250,8 @@ class LookBack:
     """
     The last minute of a node: a person stops the view, not the node, and scrubs back.
 
-    What is kept goes on to grow while the view is stopped; what is scrubbed through does not
-    change.
+    The history goes on to grow while the view is stopped; the part that is scrubbed through does
+    not change.
     """
 
     def __init__(self, gui: Any, events: Events) -> None:

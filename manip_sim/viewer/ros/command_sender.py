@@ -124,7 +124,7 @@ class CommandSender:
                 type=ParameterType.PARAMETER_STRING, string_value=mode))]))
 
     def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
-        """Publish goals of joints; see :class:`PageCommands`, as for all that follows."""
+        """Publish goals of joints; see :class:`PageCommands`, as for all further methods."""
         message = JointState(name=list(goals), **{field: list(goals.values())})
         self._publish(name_of(space, '<part>/joint_command', part), message)
 

@@ -83,8 +83,8 @@ def layout_of(base: str, published: Collection[str], subscribed: Collection[str]
 
     :param base: namespace of the node, with a slash at its end
     :param published: absolute names of the topics that it publishes
-    :param subscribed: absolute names of the topics that it takes; those that are no names of ROS
-        are ignored, as is what is too much
+    :param subscribed: absolute names of the topics that it takes; invalid names are ignored, and
+        so are names beyond the limits
     """
     published, subscribed = (sorted(filter(_NAME.fullmatch, names))[:_MAX_TOPICS]
                              for names in (published, subscribed))
@@ -134,7 +134,7 @@ _MAX_URDF_BYTES = 2**23
 
 class Discovery:
     """
-    What is known about the node.
+    The properties of the node that have been discovered.
 
     :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
@@ -171,7 +171,7 @@ class Discovery:
         self._newest = bytes(message.data)
 
     def load_model(self) -> None:
-        """Take a model that has been compiled; begin with the newest one of all that came."""
+        """Take a model that has been compiled; begin to compile the newest one that came."""
         if self.checking is not None and self.checking.done():
             checked, self.checking = self.checking, None
             try:
@@ -202,7 +202,7 @@ class Discovery:
         except RuntimeError:  # Its topics are discovered before the node.
             return
         seen = layout_of(self.base, published, subscribed)
-        # Names arrive one by one: what has not changed between two looks is complete.
+        # Names arrive one by one: a layout that stays equal between two looks is complete.
         settled, self._seen = seen == self._seen, seen
         if settled and seen.robots:
             self._learn(seen)

@@ -75,7 +75,7 @@ def pose(message: PoseStamped) -> PoseInWorld:
     """
     Return the pose of a message.
 
-    :raises MessageError: if a number is not finite or the quaternion is no orientation
+    :raises MessageError: if a number is not finite or the quaternion is not an orientation
     """
     at, turn = message.pose.position, message.pose.orientation
     position = numbers([at.x, at.y, at.z], 'position')
@@ -170,7 +170,7 @@ class Readers:
     The subscriptions of the viewer.
 
     :param node: the viewer's own
-    :ivar log: bounds what is logged
+    :ivar log: of rejected messages, bounded
     :ivar rejected: how many messages could not be used
     """
 

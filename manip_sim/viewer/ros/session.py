@@ -61,7 +61,7 @@ class NodeRecording:
         return self._process is not None
 
     def record(self, wanted: bool) -> None:
-        """Begin a record, or end the present one; what is so already is ignored."""
+        """Begin a record, or end the present one; do nothing if that is so already."""
         if self._process is None and wanted:
             name = self._node.rpartition('/')[2]
             file = self._folder / f'{name}_{time.strftime("%Y%m%d_%H%M%S")}.mcap'

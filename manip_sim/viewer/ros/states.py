@@ -36,7 +36,7 @@ class States:
     :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
     :param base: its namespace, with a slash at its end
-    :ivar latest: what has come
+    :ivar latest: the latest messages
     :ivar frames: the frame of the poses of end effectors, by namespace and arm
     """
 
