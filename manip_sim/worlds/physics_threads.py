@@ -19,7 +19,7 @@ class PhysicsThreads:
     :param count: number of threads, the calling one included; None for one per processor that
         this process may use
     :ivar count: number of threads
-    :raises ModelError: if it is no whole number from 1
+    :raises ModelError: if it is not a whole number from 1
     """
 
     def __init__(self, count: int | None) -> None:

@@ -92,7 +92,7 @@ class RobotInWorlds:
         :param mode: such as ``effort``
         :param where: in which worlds, shape (count,); None for all
         :raises CommandError: if the part is a gripper, or ``where`` has another shape or type
-        :raises UnknownNameError: if there is no such part or mode
+        :raises UnknownNameError: if the part or mode is unknown
         """
         for robot, wanted in zip(self._robots, chosen(where, len(self))):
             if wanted:
@@ -112,7 +112,7 @@ class RobotInWorlds:
         :param parameters: of the law, by name, a number or one for each world, shape (count,)
         :raises CommandError: if the part is a gripper, or an array has another shape or type
         :raises ModelError: as of :meth:`SimulatedRobot.set_law`; no world has changed then
-        :raises UnknownNameError: if there is no such part or parameter
+        :raises UnknownNameError: if the part or parameter is unknown
         """
         own = law_of(law)
         worlds = np.flatnonzero(chosen(where, len(self))).tolist()
@@ -129,7 +129,7 @@ class RobotInWorlds:
 
         :param part: such as ``arm``
         :raises ModelError: if no law moves it in some world, or not the same one in all
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         found = [robot.law_parameters(part) for robot in self._robots]
         names = {robot.joints.modes_of(robot.joints.indices_of(part)) for robot in self._robots}
@@ -172,7 +172,7 @@ class LawParametersInWorlds(MutableMapping[str, FloatArray]):
     """
     The parameters of the law that moves a part in many worlds, by name, shape (count,) each.
 
-    :param worlds: those of each world
+    :param worlds: the parameters in each world
     :param each: returns a number for each world, of a number or an array
     """
 
@@ -189,8 +189,8 @@ class LawParametersInWorlds(MutableMapping[str, FloatArray]):
 
         :param values: a number or one for each world, shape (count,)
         :raises CommandError: if they have another shape
-        :raises ModelError: if a value is no finite number; no world has changed then
-        :raises UnknownNameError: if there is no such parameter
+        :raises ModelError: if a value is not a finite number; no world has changed then
+        :raises UnknownNameError: if the parameter is unknown
         """
         checked = [world.checked(name, value)
                    for world, value in zip(self._worlds, self._each(name, values))]
@@ -307,7 +307,7 @@ class _Stream(NamedTuple):
 
 class Commands(RowByRow):
     """
-    Commands for joints, grippers and bases, named as those of ``robot.parse``.
+    Commands for joints, grippers and bases, with the method names of ``robot.parse``.
 
     :param robots: the robot in each world
     :param table: ``Physics.standing`` of each world, shape (count, 5)
@@ -332,7 +332,7 @@ class Commands(RowByRow):
             (count, n)
         :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if a shape is wrong or a number is not finite
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         numbers = self._rows(action, f'{part}: actions')
         self._apply(lambda robot, world: [robot.parse.action(part, numbers[world])], where,
@@ -379,7 +379,7 @@ class Commands(RowByRow):
         """Let commands that run in worlds that go on have other numbers; return where they do."""
         try:
             stream = self._going_on.get((*names, field, part))
-        except TypeError:  # One by one, the message says what is wrong.
+        except TypeError:  # The error is raised world by world, with a clear message.
             stream = None
         goes_on = np.zeros(len(mask), dtype=bool)
         if stream is None or values.ndim != 2 or values.shape[1] != len(stream.clamps) or (
@@ -488,8 +488,8 @@ class Commands(RowByRow):
 
         :param twist: along x and y [m/s] and about z [rad/s], shape (count, 3)
         :param period_s: length of a control period [s]; None for that of the last one
-        :raises CommandError: if a shape is wrong, a number is not finite, or there is no base
-            whose mode takes it
+        :raises CommandError: if a shape is wrong, a number is not finite, or no base has a mode
+            that takes it
         """
         numbers = self._rows(twist, 'base: twists')
         if numbers.shape[1:] != (3,):
@@ -500,7 +500,7 @@ class Commands(RowByRow):
 
 class CartesianCommands(RowByRow):
     """
-    Commands for the end effectors of arms, named as those of ``robot.parse_cartesian``.
+    Commands for the end effectors of arms, with the method names of ``robot.parse_cartesian``.
 
     :param robots: the robot in each world
     :param table: ``Physics.standing`` of each world, shape (count, 5)
@@ -522,8 +522,8 @@ class CartesianCommands(RowByRow):
         :param quat_xyzw: in the frame, of length 1, shape (count, 4)
         :param frame: a link of the robot or a frame on one; empty for ``world``
         :param period_s: length of a control period [s]; None for that of the last one
-        :raises CommandError: if the frame is unknown, or the numbers are not those of poses
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises CommandError: if the frame is unknown, or the numbers are not poses
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         places = self._rows(position, f'{arm}: positions')
         turns = self._rows(quat_xyzw, f'{arm}: quaternions')
@@ -540,7 +540,7 @@ class CartesianCommands(RowByRow):
         :param frame: whose axes the velocity is in; empty for ``world``
         :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if the frame is unknown, or a number is not finite or too great
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         speeds = self._rows(linear, f'{arm}: linear velocities')
         turns = self._rows(angular, f'{arm}: angular velocities')
@@ -561,7 +561,7 @@ class CartesianCommands(RowByRow):
         :param frame: whose axes the velocity is in; empty for ``world``
         :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: as ``robot.parse_cartesian.until_contact``
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         speeds = self._rows(linear, f'{arm}: linear velocities')
         turns = self._rows(angular, f'{arm}: angular velocities')
@@ -578,9 +578,9 @@ class CartesianCommands(RowByRow):
         :param torque: about ``grip_site`` [N m], shape (count, 3)
         :param frame: whose axes the wrench is in; empty for ``world``
         :param period_s: length of a control period [s]; None for that of the last one
-        :raises CommandError: if the frame is unknown, a number is not finite, or the arm is no
-            impedance
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises CommandError: if the frame is unknown, a number is not finite, or the arm is not
+            an impedance
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         forces = self._rows(force, f'{arm}: forces')
         torques = self._rows(torque, f'{arm}: torques')
@@ -597,7 +597,7 @@ class CartesianCommands(RowByRow):
         :param limits: velocities there [m/s, rad/s], shape (count, 6)
         :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: as ``robot.parse_cartesian.force_mode``
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         axes, wrenches, speeds = (self._rows(of, f'{arm}: {what}') for of, what in (
             (selection, 'selections'), (wrench, 'wrenches'), (limits, 'limits')))
@@ -612,7 +612,7 @@ class CartesianCommands(RowByRow):
         :param action: six numbers in [-1, 1]: along x, y, z and about x, y, z, shape (count, 6)
         :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if a shape is wrong or a number is not finite
-        :raises UnknownNameError: if there is no such arm with a gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         numbers = self._rows(action, f'{arm}: pose actions')
         mask = chosen(where, len(self._robots))

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Check what is given for each of several worlds: arrays with a leading axis, and masks."""
+"""Check values for several worlds: arrays with a leading axis, and masks."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def rows(values: ArrayLike, count: int, what: str) -> FloatArray:
     """
     Return numbers with a leading axis of worlds.
 
-    :param what: what they are, for the message
+    :param what: noun for them, for the message
     :returns: shape (count, ...), a copy
-    :raises CommandError: if they are no numbers, or there is not one row for each world
+    :raises CommandError: if they are not numbers, or not one row for each world
     """
     numbers = command_numbers(values, what)
     if numbers.ndim == 0 or len(numbers) != count:

@@ -25,7 +25,7 @@ from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.control_state import is_foreign, is_frozen, owner_of, ViewPickler
 
-#: What has no state, or one that all copies share: descriptions of what exists.
+#: Types without state, or with one that all copies share, such as descriptions.
 _SHARED = (type, types.FunctionType, types.BuiltinFunctionType, types.ModuleType, enum.Enum,
            np.dtype, World)
 _PLAIN = {type(None), bool, int, float, str, bytes, bytearray, tuple, list, dict, set, frozenset}

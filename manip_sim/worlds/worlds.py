@@ -42,11 +42,11 @@ class Worlds:
     :param count: number of copies
     :param threads: that compute the physics; None for one per processor that the process may use
     :param visual: keep the geoms that cannot collide, for rendering; they slow down each step
-    :ivar simulations: one for each world, for what there is no array of; a change there is one of
+    :ivar simulations: one for each world, for values without an array; a change there affects
         that world alone
     :ivar robots: the robots, each in all worlds, by name
-    :raises ModelError: if ``count`` or ``threads`` is no whole number from 1, or with the reason
-        why the world cannot be simulated
+    :raises ModelError: if ``count`` or ``threads`` is not a whole number from 1, or with the
+        reason why the world cannot be simulated
     """
 
     def __init__(self, world: World, count: int, threads: int | None = None,
@@ -128,7 +128,7 @@ class Worlds:
 
         :param field: its name
         :returns: shape (count, ...), a copy
-        :raises UnknownNameError: if there is no such array
+        :raises UnknownNameError: if the array is unknown
         :raises ValueError: if its shape differs from world to world, as that of contacts
         """
         datas = [simulation.data for simulation in self.simulations]
@@ -143,14 +143,14 @@ class Worlds:
 
     def advance(self, steps: int, where: ArrayLike | None = None) -> None:
         """
-        Run one control period in each world; afterwards all of the data is of the new instant.
+        Run one control period in each world; afterwards all data belongs to the new instant.
 
         A world that diverges is held at its last good state, at rest, until it is reset or
         restored; the others go on. See :attr:`diverged` and :attr:`reasons`.
 
         :param steps: number of physics steps, from 1
         :param where: which worlds go on, shape (count,); None for all
-        :raises CommandError: if ``where`` has another shape or type, or ``steps`` is no whole
+        :raises CommandError: if ``where`` has another shape or type, or ``steps`` is not a whole
             number from 1
         :raises SimulationEnded: after :meth:`close`
         """
@@ -179,7 +179,7 @@ class Worlds:
         :param where: which worlds are reset, shape (count,); None for all. Seeds of others are
             ignored
         :raises CommandError: if ``where`` has another shape or type
-        :raises ModelError: if there is not one seed for each world, or one is no whole number
+        :raises ModelError: if there is not one seed for each world, or one is not a whole number
             from 0; no world is reset then
         :raises SimulationEnded: after :meth:`close`
         """
