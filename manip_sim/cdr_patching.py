@@ -47,7 +47,7 @@ class PatchedBytes:
         self._nanoseconds = np.flatnonzero(self._words == nanoseconds)
 
     def cut(self, size: int) -> None:
-        """Leave out what is behind the message."""
+        """Cut off the bytes behind the message."""
         self._content = self._content[:size]
 
     def at(self, time_ns: int, numbers: FloatArray) -> bytes:

@@ -15,8 +15,8 @@ class Derived:
     """
     Values that are made when they are needed, by key.
 
-    They are no state: without a ``__dict__``, nothing that walks through the state looks into
-    this. So a restored state does not forget them; what depends on it is compared with it.
+    They do not belong to the state: without a ``__dict__``, a walk through the state stops here.
+    So restoring a state keeps them; values that depend on the state are compared with it.
 
     :ivar of: the values, which their owner clears when the model has changed
     """
@@ -28,7 +28,7 @@ class Derived:
 
     def made_of(self, make: Callable[..., T], *parts: Any) -> T:
         """
-        Return what is made of some objects, the same as before as long as they are the same.
+        Return the value made of some objects, the same as before while they are the same.
 
         :param make: its maker, one for each kind of parts
         """

@@ -4,7 +4,7 @@
 """
 The exceptions that a caller can act on.
 
-Each message says what was requested, what was found and what is available.
+Each message names the request, the finding and the available choices.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class DivergenceError(ManipSimError):
 
 
 class SimulationEnded(ManipSimError):
-    """The simulation is no longer running."""
+    """The simulation has ended."""
 
 
 class RecordError(ManipSimError):
@@ -60,7 +60,7 @@ class UnknownNameError(ModelError, KeyError):
     """
     A name is not among those available.
 
-    :ivar kind: what was looked up, such as ``robot``
+    :ivar kind: of thing that was looked up, such as ``robot``
     :ivar name: the name that was requested
     :ivar available: the names that exist
     """
@@ -79,10 +79,10 @@ class UnknownNameError(ModelError, KeyError):
 
 def describe_choices(name: object, available: Iterable[str]) -> str:
     """
-    Suggest the nearest available names, and list what is available, in at most 240 characters.
+    Suggest the nearest names, and list the available ones, in at most 240 characters.
 
     :returns: a sentence part such as ``did you mean 'Panda'? available: Panda, UR5e``, with
-        ``... and 3 more`` in place of the names for which there is no room
+        ``... and 3 more`` in place of the names that do not fit
     """
     names = [choice for choice in available if choice]  # An empty one stands for nothing at all.
     near = [f"'{candidate}'" for candidate in _nearest(str(name)[:_COMPARED_CHARACTERS], names)]

@@ -72,7 +72,7 @@ def rpy_of(rotation: FloatArray) -> FloatArray:
     """
     Return roll, pitch and yaw about fixed axes [rad], shape (3,).
 
-    Pitch and roll are those of the matrix after undoing the yaw, so that the three together are
+    Pitch and roll are taken from the matrix after undoing the yaw, so that the three together are
     still exact where the pitch is 90 degrees, and roll and yaw are about one axis.
 
     :param rotation: matrix, shape (3, 3)

@@ -46,7 +46,7 @@ def one_line(text: str, limit: int = _LINE_LIMIT) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a count and what is counted, such as ``1 body`` and ``2 bodies``."""
+    """Return a count and the counted noun, such as ``1 body`` and ``2 bodies``."""
     if count == 1:
         return f'{count} {noun}'
     return f'{count} {noun[:-1]}ies' if noun.endswith('dy') else f'{count} {noun}s'

@@ -4,9 +4,9 @@
 """
 Parts of rclpy without a public name, in one place.
 
-They are those of rclpy 7.1 and 9.1, of ROS 2 Jazzy and Kilted, and of the sources of rclpy for
-ROS 2 Lyrical. Where a release lacks one of those that only save time, :func:`missing_for_waits`
-or :func:`missing_for_publishing` names it, and what rclpy offers publicly is used.
+They exist in rclpy 7.1 and 9.1, of ROS 2 Jazzy and Kilted, and in the sources of rclpy for ROS 2
+Lyrical. Where a release lacks a part that only saves time, :func:`missing_for_waits` or
+:func:`missing_for_publishing` names it, and the public way of rclpy is used.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def start_rclpy(**options: Any) -> None:
     """
     try:
         rclpy.init(**options)
-    except RuntimeError as error:  # That of the log is no RCLError in some releases.
+    except RuntimeError as error:  # In some releases the log does not raise RCLError.
         reason = without_source(error)
         if not _LOG.search(reason):
             raise
@@ -128,7 +128,7 @@ def describe_unheard(node: Node) -> str:
     Return which topics have endpoints of nodes none of whose messages come, and what to do.
 
     :param node: that has been there for some seconds: messages come after the endpoints
-    :returns: a clause for the end of a line, or nothing if there are no such nodes
+    :returns: a clause for the end of a line; empty without such nodes
     """
     topics = [topic for topic, _ in node.get_topic_names_and_types() if any(map(is_unheard, (
         *node.get_publishers_info_by_topic(topic), *node.get_subscriptions_info_by_topic(topic))))]

@@ -58,7 +58,7 @@ def asset_path(kind: str, name: str) -> Path:
 
 def cache_folder(kind: str) -> Path:
     """
-    Return the user's folder of what was made from other files; it need not exist.
+    Return the user's folder of files derived from others; it need not exist.
 
     :param kind: ``meshes``, which were made from others, or ``laws``, compiled ones of control
     """

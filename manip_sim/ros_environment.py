@@ -26,7 +26,7 @@ _WITHOUT = 'FASTDDS_BUILTIN_TRANSPORTS=UDPv4 and ROS_AUTOMATIC_DISCOVERY_RANGE=S
 #: Remedy for nodes that are found, but whose messages do not arrive.
 SHARE_MEMORY = ('nodes of one machine need one /dev/shm: start containers with --ipc host, and as '
                 f'one user, or set {_WITHOUT} for all nodes')
-#: Names by which pip installs the modules that are no part of ROS.
+#: Names by which pip installs the modules from outside ROS.
 _FROM_PIP = {'mujoco': 'mujoco', 'numpy': 'numpy', 'PIL': 'pillow', 'pydantic': 'pydantic',
              'yaml': 'pyyaml'}
 #: Folder of Fast DDS for messages between processes, room that a node and its clients need there,
@@ -102,7 +102,7 @@ def _is_locked(file: Path) -> bool:
 
 
 def _installed_middleware() -> list[str]:
-    """Return the RMW implementations that the indexes of ROS list; none if there is no index."""
+    """Return the RMW implementations that the indexes of ROS list; none without an index."""
     prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
     return sorted({file.name for prefix in prefixes if prefix for file in Path(
         prefix, 'share', 'ament_index', 'resource_index', 'rmw_typesupport').glob('*')
@@ -137,7 +137,7 @@ def apt_names(*packages: str) -> str:
     """
     Return the names by which apt knows packages of ROS, separated by blanks.
 
-    They are those of the ROS 2 that is sourced, else of the variable that says which.
+    They are for the ROS 2 that is sourced, else for the one that the variable names.
     """
     sourced = os.environ.get('ROS_DISTRO', '')
     distribution = sourced if _DISTRIBUTION.fullmatch(sourced) else '$ROS_DISTRO'

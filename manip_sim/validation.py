@@ -102,7 +102,7 @@ def whole_number(value: object, least: int, what: str, error: type[ManipSimError
     """
     Return a whole number.
 
-    :raises ManipSimError: that exception, if it is no whole number from there
+    :raises ManipSimError: that exception, if it is not a whole number from there
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
         raise error(f'{what} must be a whole number from {least}, got {shown(value)}')
@@ -115,7 +115,7 @@ def positive_number(value: Any, what: str, error: type[ManipSimError] = ModelErr
     Return a number above 0.
 
     :param or_zero: whether 0 is allowed too
-    :raises ManipSimError: that exception, if it is no such finite number
+    :raises ManipSimError: that exception, if it is not such a finite number
     """
     if (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
             or not (0 < value <= sys.float_info.max or or_zero and value == 0)):
@@ -153,7 +153,7 @@ def whole_nanoseconds(timestep_s: float) -> float:
 
 
 def steps_of(period_s: float, timestep_s: float) -> int | None:
-    """Return of how many timesteps a period is, or None if that is no whole number within 1e-6."""
+    """Return the number of timesteps of a period, or None if it is not whole within 1e-6."""
     steps = period_s / timestep_s
     whole = max(1, round(steps))
     return whole if abs(steps - whole) <= 1e-6 * whole else None
