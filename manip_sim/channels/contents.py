@@ -83,7 +83,7 @@ def odometry(child_frame: str) -> Make:
     """Return what makes odometry of a pose and a twist in the axes of a frame, shape (13,)."""
     def make(head: Fields, numbers: FloatArray) -> Fields:
         return {'header': head, 'child_frame_id': child_frame,
-                **{name: {name: of(head, part)[name]} for name, of, part in (
+                **{name: {name: fields_of(head, part)[name]} for name, fields_of, part in (
                     ('pose', pose, numbers[:7]), ('twist', twist, numbers[7:]))}}
     return make
 
@@ -181,10 +181,10 @@ def ring_cloud(lidar: Lidar) -> Make:
     rings, samples, _ = lidar.directions.shape
 
     def make(head: Fields, ranges: FloatArray) -> Fields:
-        found = np.where(np.isfinite(ranges), ranges, np.nan).reshape(rings, samples)
+        finite = np.where(np.isfinite(ranges), ranges, np.nan).reshape(rings, samples)
         points = np.zeros((rings, samples), _RING_POINT)
         for axis, name in enumerate('xyz'):
-            points[name] = found * lidar.directions[..., axis]
+            points[name] = finite * lidar.directions[..., axis]
         points['ring'] = np.arange(rings)[:, np.newaxis]
         return point_cloud(head, points)
     return make

@@ -112,8 +112,8 @@ def odometry_channel(simulation: Simulation, robot: SimulatedRobot, scope: Scope
     :param base: name of the frame of the base
     """
     def exact() -> FloatArray:
-        found = reader.read(simulation.model, simulation.data)
-        return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
+        state = reader.read(simulation.model, simulation.data)
+        return np.concatenate([state.position, state.quat_xyzw, state.linear, state.angular])
 
     robot.sensing.add('odom', exact)
     row, sensing = BY_NAME['odom'], robot.sensing
@@ -131,10 +131,10 @@ def object_channels(simulation: Simulation, prefix: str = '') -> list[Channel]:
 
     :param prefix: of the names of frames
     """
-    found = simulation.surroundings
+    surroundings = simulation.surroundings
     rows = [row for row in (
         *topics_of_objects(filter(TOKEN.fullmatch, simulation.entities.free_names)),
-        *topics_of_surroundings(found)) if row.direction == PUBLISHED]
+        *topics_of_surroundings(surroundings)) if row.direction == PUBLISHED]
     # Actuators that come and go are last.
     return [object_channel(simulation, row, prefix) for row in sorted(
         rows, key=lambda row: row.by == 'loose_actuators')]
@@ -147,13 +147,15 @@ def object_channel(simulation: Simulation, row: Topic, prefix: str = '') -> Chan
     :param row: of the table, filled in
     :param prefix: of the names of frames
     """
-    found, names = simulation.surroundings, simulation.surroundings.other_actuators
+    surroundings, names = simulation.surroundings, simulation.surroundings.other_actuators
     if row.by == 'arena_joints':
-        return Channel(row, lambda _: found.state(), contents.joint_state(found.joints),
-                       3 * len(found.joints))
+        joints = surroundings.joints
+        return Channel(row, lambda _: surroundings.state(), contents.joint_state(joints),
+                       3 * len(joints))
     if row.by == 'loose_actuators':
         return Channel(
-            row, lambda _: found.state_of_actuators() if found.other_actuators == names else None,
+            row, lambda _: (surroundings.state_of_actuators()
+                            if surroundings.other_actuators == names else None),
             contents.joint_state(names), 3 * len(names))
     make, count = _ARM[row.by.removeprefix('object_')]
 
@@ -162,7 +164,7 @@ def object_channel(simulation: Simulation, row: Topic, prefix: str = '') -> Chan
         if row.of in entities.free_names:
             of_body = entities.pose if row.by == 'object_pose' else entities.twist
             return of_body(simulation.data, row.of)
-        return found.pose(row.of) if row.of in found.mocap_names else None
+        return surroundings.pose(row.of) if row.of in surroundings.mocap_names else None
     return Channel(row, read, make, count, prefix + ROOT)
 
 
@@ -189,13 +191,13 @@ def instrument_channels(simulation: Simulation, robots: Mapping[Scope, Simulated
 
 
 def _measured(name: str, simulation: Simulation) -> FloatArray | None:
-    found = simulation.sensors.instrument(name)
-    return None if found is None else simulation.instruments.measured(found)
+    instrument = simulation.sensors.instrument(name)
+    return None if instrument is None else simulation.instruments.measured(instrument)
 
 
 def _exact(name: str, simulation: Simulation) -> FloatArray | None:
-    found = simulation.sensors.instrument(name)
-    return None if found is None else found.read(simulation.data)
+    instrument = simulation.sensors.instrument(name)
+    return None if instrument is None else instrument.read(simulation.data)
 
 
 def lidar_channel(simulation: Simulation, fixed: LidarModel, period_s: float, prefix: str = ''
@@ -206,15 +208,15 @@ def lidar_channel(simulation: Simulation, fixed: LidarModel, period_s: float, pr
     :param period_s: length of a control period [s]
     :param prefix: of the names of frames
     """
-    name, model, found = fixed.name, simulation.model, simulation.lidars
-    lidar, rings = found[name], fixed.rays.rings
+    name, model, lidars = fixed.name, simulation.model, simulation.lidars
+    lidar, rings = lidars[name], fixed.rays.rings
     every = periods_per_message(1.0 / period_s, fixed.rate_hz)
     (row,) = topics_of_lidars({name: rings > 1})
     return Channel(
-        row, _reading(found.measured, name), contents.laser_scan(lidar, every * period_s)
+        row, _reading(lidars.measured, name), contents.laser_scan(lidar, every * period_s)
         if rings == 1 else contents.ring_cloud(lidar), lidar.rays.samples * rings,
         prefix + FrameNames(model).sites[model.site(name).id], every, patches=False).beside(
-            _reading(found.exact, name), row, Scope(), found.sensing(name), bool(fixed.noise))
+            _reading(lidars.exact, name), row, Scope(), lidars.sensing(name), bool(fixed.noise))
 
 
 def offered_channel(offered: Offered, simulation: Simulation, seed: int, prefix: str = ''
