@@ -62,12 +62,12 @@ class Formatter:
         On first use, ``format_action`` is called with ones and minus ones, and its state restored.
         """
         if self._closing is None:
-            found = []
+            commands = []
             with self._state_kept():
                 for sign in (1.0, -1.0):
                     self.start_at(np.zeros(self._count))
-                    found.append(self._fault(np.full(self.dof, sign))[0])
-            self._closing = np.sign(found[0] - found[1])
+                    commands.append(self._fault(np.full(self.dof, sign))[0])
+            self._closing = np.sign(commands[0] - commands[1])
         return self._closing
 
     def format(self, action: FloatArray) -> FloatArray | None:

@@ -77,10 +77,11 @@ class CommandParser(JointCommandParser):
         # format_action knows subsystems, of which one arm of two is only a part.
         subsystem = part if part in SUBSYSTEMS else 'arm'
         whole = self._joints.indices_of(subsystem)
-        own = np.flatnonzero(np.isin(whole, indices))
+        places = np.flatnonzero(np.isin(whole, indices))
         padded = np.zeros(len(whole))
-        padded[own] = action
-        return self._robot.format_action(subsystem, padded, self._joints.ranges(whole, modes))[own]
+        padded[places] = action
+        ranges = self._joints.ranges(whole, modes)
+        return self._robot.format_action(subsystem, padded, ranges)[places]
 
     def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
                    positions: ArrayLike, velocities: ArrayLike | None = None,
@@ -124,8 +125,8 @@ class CommandParser(JointCommandParser):
         times = finite_command_numbers(times, times.size, f'{part}: time_from_start')
         check_times(times)
         shape = (len(times), len(names))
-        wanted = _points(part, 'positions', positions, shape)
-        goal, clamped = clamp(wanted, joints.clamps(indices, modes))
+        asked = _points(part, 'positions', positions, shape)
+        goal, clamped = clamp(asked, joints.clamps(indices, modes))
         goal_velocities = (
             None if velocities is None else _points(part, 'velocities', velocities, shape))
         goal_accelerations = (
@@ -143,7 +144,7 @@ class CommandParser(JointCommandParser):
         return JointTrajectory(
             robot=self._robot, parts=joints.parts_of(indices), indices=indices,
             trajectory=trajectory, columns=np.arange(len(names)), start_ns=start_ns,
-            slowed=slowed, clamped=clamped, clamped_example=clamped_example(names, wanted, goal))
+            slowed=slowed, clamped=clamped, clamped_example=clamped_example(names, asked, goal))
 
     def twist(self, forward: float, side: float, yaw: float) -> Command:
         """

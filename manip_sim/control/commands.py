@@ -163,10 +163,10 @@ class JointImpedance(JointSetpoint):
         kept = np.isfinite(self.values)
         if not kept.any():
             return None
-        own = JointSetpoint(robot=self.robot, parts=self.parts, indices=self.indices,
-                            sent_ns=self.sent_ns, messages=self.messages, handle=self.handle,
-                            modes=self.modes, values=self.values)
-        return own if kept.all() else own._only(kept)
+        setpoint = JointSetpoint(robot=self.robot, parts=self.parts, indices=self.indices,
+                                 sent_ns=self.sent_ns, messages=self.messages, handle=self.handle,
+                                 modes=self.modes, values=self.values)
+        return setpoint if kept.all() else setpoint._only(kept)
 
     def over(self, older: Command) -> JointImpedance:
         """Return the command with what an older one for the same joints says beside it."""

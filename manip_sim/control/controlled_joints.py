@@ -104,10 +104,10 @@ class ControlledJoints:
         if 'base' not in parts:
             return None
         words = [set((joint or '').split('_')) for joint in parts['base'].driven_joints]
-        found = [[i for i, w in enumerate(words) if key in w] for key in _TWIST_JOINTS]
-        if any(len(indices) != 1 for indices in found):
+        candidates = [[i for i, w in enumerate(words) if key in w] for key in _TWIST_JOINTS]
+        if any(len(indices) != 1 for indices in candidates):
             return None
-        return self._indices_of['base'][[indices[0] for indices in found]]
+        return self._indices_of['base'][[indices[0] for indices in candidates]]
 
     @property
     def setpoints(self) -> SetpointGenerator:
@@ -158,8 +158,8 @@ class ControlledJoints:
     def _of_modes(self, find: Callable[[str], FloatArray], indices: IntArray,
                   modes: Sequence[str] | None) -> FloatArray:
         modes = self.modes if modes is None else modes
-        found = {mode: find(mode) for mode in set(modes)}
-        return np.array([found[modes[i]][i] for i in indices]).reshape(-1, 2)
+        by_mode = {mode: find(mode) for mode in set(modes)}
+        return np.array([by_mode[modes[i]][i] for i in indices]).reshape(-1, 2)
 
     def acceleration_limits(self, indices: IntArray) -> FloatArray:
         """Return the acceleration limits of setpoints [rad/s^2 or m/s^2], shape (n,), a copy."""

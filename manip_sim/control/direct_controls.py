@@ -75,28 +75,28 @@ class DirectControls:
         :raises CommandError: if the numbers do not fit the names
         :raises UnknownNameError: if a name is unknown
         """
-        given = {'position': position, 'velocity': velocity, 'effort': effort}
+        columns = {'position': position, 'velocity': velocity, 'effort': effort}
         if not names or len(set(names)) != len(names):
             raise CommandError(f'{self._part}: a joint command needs names, each of them once')
-        for quantity, values in given.items():
+        for quantity, values in columns.items():
             if len(values) not in (0, len(names)):
                 raise CommandError(f'{self._part}: expected {len(names)} numbers in {quantity}, '
                                    f'one for each name, or none, got {len(values)}')
-        return dict(self._controls(names, given))
+        return dict(self._controls(names, columns))
 
-    def _controls(self, names: Sequence[str], given: dict[str, Sequence[float]]
+    def _controls(self, names: Sequence[str], columns: dict[str, Sequence[float]]
                   ) -> Iterator[tuple[str, float]]:
         model = self._physics.model
         for index, name in enumerate(names):
-            wanted, actuator = self.control(name)
-            for quantity, values in given.items():
+            accepted, actuator = self.control(name)
+            for quantity, values in columns.items():
                 value = float(values[index]) if len(values) else math.nan
                 if math.isinf(value):
                     raise CommandError(f"{self._part}: {quantity} of '{name}' must be finite")
                 if math.isnan(value):
                     continue
-                if quantity != wanted:
-                    raise CommandError(f"{self._part}: '{name}' takes a {wanted}, got a "
+                if quantity != accepted:
+                    raise CommandError(f"{self._part}: '{name}' takes a {accepted}, got a "
                                        f'{quantity}')
                 if model.actuator_ctrllimited[actuator]:
                     value = min(max(value, float(model.actuator_ctrlrange[actuator, 0])),

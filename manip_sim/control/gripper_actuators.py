@@ -189,8 +189,8 @@ class GripperActuators:
     def why_no_setpoint(self, index: int) -> str:
         """Return why an actuator has no setpoint, in words."""
         damping = self._physics.model.actuator_biasprm[self.ids[index], 2]
-        what = 'a velocity' if damping < 0.0 and self._bias[index, 1] == 0.0 else 'a force'
-        return f"actuator '{self.name(index)}' is no position servo, its control is {what}"
+        control = 'a velocity' if damping < 0.0 and self._bias[index, 1] == 0.0 else 'a force'
+        return f"actuator '{self.name(index)}' is no position servo, its control is {control}"
 
     def _length_terms(self, index: int) -> list[tuple[int, float]]:
         model, actuator = self._physics.model, int(self.ids[index])
@@ -215,10 +215,10 @@ class GripperActuators:
             first = driven_by.setdefault(key, index)
             if first != index and (self.is_servo[first] or self.is_servo[index]):
                 model = self._physics.model
-                what = ('tendon', model.tendon) if key[0] else ('joint', model.joint)
+                noun, of_id = ('tendon', model.tendon) if key[0] else ('joint', model.joint)
                 raise ModelError(
                     f"actuators '{self.name(first)}' and '{self.name(index)}' of "
-                    f"{self._part.name} both drive {what[0]} '{what[1](key[1]).name}' and one of "
+                    f"{self._part.name} both drive {noun} '{of_id(key[1]).name}' and one of "
                     'them is a position servo, which the other one disturbs: keep only one')
 
     def _range(self, index: int) -> tuple[float, float]:

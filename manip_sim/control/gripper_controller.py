@@ -180,8 +180,8 @@ class GripperController:
         :param handle: of the command
         :param reason: why, for the handle
         """
-        own = self.commands.withdraw(handle, reason)
-        if own.size and self._moving and not self._pressing.any():
+        withdrawn = self.commands.withdraw(handle, reason)
+        if withdrawn.size and self._moving and not self._pressing.any():
             self._action, self._in_step = None, False
             self._set_goal(self._actuators.setpoints(data), to_end=False)
 

@@ -50,8 +50,8 @@ class GripperJoints:
 
     def ranges(self, names: Sequence[str]) -> FloatArray:
         """Return the ranges of joints [rad or m], infinite where there is none, shape (n, 2)."""
-        found = [self._physics.model.joint(name) for name in names]
-        return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in found])
+        joints = [self._physics.model.joint(name) for name in names]
+        return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in joints])
 
     def reach(self, name: str) -> tuple[float, float]:
         """Return the range that a joint can move in [rad or m], infinite if it is unknown."""

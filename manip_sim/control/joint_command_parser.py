@@ -115,32 +115,32 @@ class JointCommandParser:
         :param part: whose joints may be named; None for all
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
-        what = part or 'joint_command'
-        names = as_names(names, what)
-        given: dict[str, FloatArray] = {}
-        for field, of in zip(FIELDS, (position, velocity, effort)):
-            if not (isinstance(of, (tuple, array)) and not of):
-                given[field] = command_numbers(of, f'{what}: {field}')
-        if not len(names) and all(np.isnan(numbers).all() for numbers in given.values()):
+        label = part or 'joint_command'
+        names = as_names(names, label)
+        columns: dict[str, FloatArray] = {}
+        for field, column in zip(FIELDS, (position, velocity, effort)):
+            if not (isinstance(column, (tuple, array)) and not column):
+                columns[field] = command_numbers(column, f'{label}: {field}')
+        if not len(names) and all(np.isnan(numbers).all() for numbers in columns.values()):
             return []
         modes = self._joints.modes  # They may change while this thread reads the command.
         addressed = self._addressed(part, names, modes)
-        if len(given) == 1:  # As most commands are: a number for each joint, all in one field.
-            (field, numbers), = given.items()
+        if len(columns) == 1:  # As most commands are: a number for each joint, all in one field.
+            (field, numbers), = columns.items()
             if numbers.shape == (len(names),) and addressed.all_use == field and (
                     np.isfinite(numbers).all()):
                 return _commands(self._robot, addressed, numbers)
         values = np.full(len(names), np.nan)
-        for field, numbers in given.items():
+        for field, numbers in columns.items():
             if not numbers.size:
                 continue
-            placed = self._placed(what, field, numbers, addressed)
+            placed = self._placed(label, field, numbers, addressed)
             uses = addressed.uses[field]
             surplus = ~(uses | np.isnan(placed))
             if np.count_nonzero(surplus):
                 place = np.flatnonzero(surplus)[0]
                 raise CommandError(
-                    f"{what}: joint '{names[place]}' is in {addressed.modes[place]} mode, which "
+                    f"{label}: joint '{names[place]}' is in {addressed.modes[place]} mode, which "
                     f'does not use the field {field}: leave it empty, or NaN for this joint')
             values[uses] = placed[uses]
         missing = np.isnan(values)
@@ -179,31 +179,31 @@ class JointCommandParser:
         :raises CommandError: if a joint is unknown, named twice or in another mode, or the numbers
             do not match, are infinite, or are not positive gains
         """
-        what = part or 'joint_impedance'
-        names, joints = as_names(names, what), self._joints
+        label = part or 'joint_impedance'
+        names, joints = as_names(names, label), self._joints
         check_names(names, [joints.names[i] for i in (
-            range(len(joints.names)) if part is None else joints.indices_of(part))], what)
+            range(len(joints.names)) if part is None else joints.indices_of(part))], label)
         modes, indices = joints.modes, joints.find(names)
         for name, index in zip(names, indices.tolist()):
             if modes[index] != IMPEDANCE.name:
-                raise CommandError(f"{what}: joint '{name}' is in {modes[index]} mode, not in "
+                raise CommandError(f"{label}: joint '{name}' is in {modes[index]} mode, not in "
                                    f'{IMPEDANCE.name} mode')
-        given = {field: _column(what, field, values, len(names)) for field, values in (
+        columns = {field: _column(label, field, values, len(names)) for field, values in (
             ('position', position), ('velocity', velocity), ('effort', effort),
             ('stiffness', stiffness), ('damping', damping))}
         for field in ('stiffness', 'damping'):
-            low = given[field] <= 0.0
+            low = columns[field] <= 0.0
             if low.any():
                 place = int(np.argmax(low))
                 raise CommandError(
-                    f"{what}: {field} of joint '{names[place]}' must be greater than 0, got "
-                    f'{given[field][place]:g}')
-        inside, clamped, example = dict(given), 0, ''
+                    f"{label}: {field} of joint '{names[place]}' must be greater than 0, got "
+                    f'{columns[field][place]:g}')
+        inside, clamped, example = dict(columns), 0, ''
         for field, ranges in (('position', joints.clamps(indices, modes)),
                               ('velocity', joints.ranges_of('velocity', indices)),
                               ('effort', joints.ranges_of('effort', indices))):
-            inside[field] = np.clip(given[field], ranges[:, 0], ranges[:, 1])  # NaN stays.
-            before, after = np.nan_to_num(given[field]), np.nan_to_num(inside[field])
+            inside[field] = np.clip(columns[field], ranges[:, 0], ranges[:, 1])  # NaN stays.
+            before, after = np.nan_to_num(columns[field]), np.nan_to_num(inside[field])
             if (before != after).any():
                 clamped += int(np.count_nonzero(before != after))
                 example = example or f'{field} of {clamped_example(names, before, after)}'
@@ -271,9 +271,9 @@ class JointCommandParser:
              ) -> Iterable[_Group]:
         places = [i for i, name in enumerate(names) if name not in self._gripper_of]
         if places:
-            own = tuple(names[i] for i in places)
-            indices = self._joints.find(own)
-            yield _Group(self._joints.parts_of(indices), np.array(places), own,
+            joint_names = tuple(names[i] for i in places)
+            indices = self._joints.find(joint_names)
+            yield _Group(self._joints.parts_of(indices), np.array(places), joint_names,
                          self._joints.clamps(indices, modes), indices,
                          tuple(meant[i] for i in places))
 
@@ -309,10 +309,10 @@ def as_names(names: Sequence[str], what: str) -> tuple[str, ...]:
     :raises CommandError: if they are not a sequence of texts
     """
     try:
-        given = tuple(names)
-        ''.join(given)  # It takes nothing but texts.
+        texts = tuple(names)
+        ''.join(texts)  # It takes nothing but texts.
         if not isinstance(names, str):
-            return given
+            return texts
     except TypeError:
         pass
     raise CommandError(f'{what}: names of joints must be a sequence of texts, got {shown(names)}')
@@ -340,14 +340,14 @@ def check_names(names: Sequence[str], available: Sequence[str], what: str) -> No
 
 def _commands(robot: RobotModel, addressed: _Addressed, values: FloatArray) -> list[Command]:
     """Return the commands for the goals of all joints that are addressed."""
-    found: list[Command] = []
+    commands: list[Command] = []
     for group in addressed.groups:
-        given = values[group.places]
-        inside, clamped = clamp(given, group.clamps)
+        goals = values[group.places]
+        inside, clamped = clamp(goals, group.clamps)
         common: dict[str, Any] = {
             'robot': robot, 'parts': group.parts, 'indices': group.indices, 'values': inside,
             'clamped': clamped,
-            'clamped_example': clamped_example(group.names, given, inside) if clamped else ''}
-        found.append(GripperSetpoint(joints=group.names, **common) if group.modes is None
-                     else JointSetpoint(modes=group.modes, **common))
-    return found
+            'clamped_example': clamped_example(group.names, goals, inside) if clamped else ''}
+        commands.append(GripperSetpoint(joints=group.names, **common) if group.modes is None
+                        else JointSetpoint(modes=group.modes, **common))
+    return commands

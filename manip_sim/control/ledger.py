@@ -127,13 +127,13 @@ class Ledger:
         :param reason: why, for the handle
         :returns: the joints that it was the last to take
         """
-        own = np.array([index for index, owner in enumerate(self._owners) if owner is handle],
-                       dtype=np.int64)
+        indices = np.array([index for index, owner in enumerate(self._owners) if owner is handle],
+                           dtype=np.int64)
         self.running = [command for command in self.running if command.handle is not handle]
         self.waiting = [command for command in self.waiting if command.handle is not handle]
         handle.end(Status.ABORTED, reason)
-        self._own(own, CommandHandle(Status.ABORTED, reason))
-        return own
+        self._own(indices, CommandHandle(Status.ABORTED, reason))
+        return indices
 
     def end(self, status: Status, reason: str = '') -> None:
         """End the handles of all commands; what the joints do is up to the caller."""

@@ -200,7 +200,7 @@ class Modes(Mapping[str, ControlMode]):
         """
         if not isinstance(mode, ControlMode):
             raise ModelError(f'a control mode must derive from ControlMode, got {mode!r:.60}')
-        name, field = (getattr(mode, of, None) for of in ('name', 'field'))
+        name, field = (getattr(mode, attribute, None) for attribute in ('name', 'field'))
         if not (isinstance(name, str) and name.isidentifier()):
             raise ModelError(f'the name of a control mode must be a word, got {name!r:.60}')
         if field not in FIELDS:

@@ -88,7 +88,7 @@ def bounded_gains(stiffness: FloatArray, damping: FloatArray, inertia: FloatArra
 def changes(joint: str, before: tuple[float, float], after: tuple[float, float], limited: bool,
             timestep_s: float) -> str:
     """Return the sentence that reports lowered gains of a joint: kp and kv before and after."""
-    parts = [f'{what} {old:.4g} to {new:.4g}' for what, old, new in zip(
+    parts = [f'{gain} {old:.4g} to {new:.4g}' for gain, old, new in zip(
         ('stiffness', 'damping'), before, after) if new != old]
     where = ' at its force limit' if limited else ''
     return (f"servo of joint '{joint}': {' and '.join(parts)}, as the gains of its file are not "

@@ -302,8 +302,8 @@ def wait_in_worlds(setpoints: Sequence[SetpointGenerator], indices: IntArray, go
     """
     law = _law_of_goals()
     if PLAIN:
-        for world, own, period_s in zip(setpoints, goals, periods_s.tolist()):
-            law.wait(world.joints, indices, own, period_s, float(messages), stamp_s, velocities)
+        for world, goal, period_s in zip(setpoints, goals, periods_s.tolist()):
+            law.wait(world.joints, indices, goal, period_s, float(messages), stamp_s, velocities)
     else:
         law.wait_in_worlds(np.array([world.row for world in setpoints]), np.array(indices), goals,
                            periods_s, float(messages), float(stamp_s), velocities)

@@ -84,10 +84,10 @@ class SuctionCups:
         :param fraction: in [0, 1]; 0 lets air in
         :param most_force: of each cup [N]; 0 for no other limit
         """
-        model, wanted = self._physics.model, fraction * self.full
+        model, control = self._physics.model, fraction * self.full
         if most_force:
-            wanted = np.minimum(wanted, most_force / model.actuator_gainprm[self._actuators, 0])
-        return np.where(wanted > 0.0, wanted, model.actuator_ctrlrange[self._actuators, 0])
+            control = np.minimum(control, most_force / model.actuator_gainprm[self._actuators, 0])
+        return np.where(control > 0.0, control, model.actuator_ctrlrange[self._actuators, 0])
 
     def lead(self, controls: FloatArray, lowest: FloatArray, data: mujoco.MjData) -> None:
         """

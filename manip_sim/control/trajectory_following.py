@@ -58,17 +58,17 @@ class TrajectoryFollowing:
             if start_s >= now_s + duration_s - 1e-9:
                 continue
             self._commands.start(command)
-            own = command.own_trajectory()
-            setpoint = own.as_setpoint(tuple(modes[i] for i in own.indices))
-            if self._continues_stream(own, start_s, now_s):
+            started = command.own_trajectory()
+            setpoint = started.as_setpoint(tuple(modes[i] for i in started.indices))
+            if self._continues_stream(started, start_s, now_s):
                 self._setpoints.go_to(setpoint.indices, setpoint.values, period_s,
-                                      own.messages, own.sent_s)
+                                      started.messages, started.sent_s)
                 self._commands.begin(setpoint)
-            elif own.trajectory.end_s <= now_s - start_s:
+            elif started.trajectory.end_s <= now_s - start_s:
                 self._setpoints.come_back(setpoint.indices, setpoint.values)
                 self._commands.begin(setpoint)
             else:
-                self._begin(own, start_s, now_s)
+                self._begin(started, start_s, now_s)
 
     def _continues_stream(self, own: JointTrajectory, start_s: float, now_s: float) -> bool:
         """Tell whether a trajectory is the next point of a stream of them."""

@@ -110,8 +110,8 @@ class Law:
         :raises ModelError: if a value is not a finite number
         :raises UnknownNameError: if the parameter is unknown
         """
-        found = {**self.defaults, **{name: self.checked(name, v) for name, v in given.items()}}
-        return np.array([*found.values()], dtype=float)
+        values = {**self.defaults, **{name: self.checked(name, v) for name, v in given.items()}}
+        return np.array([*values.values()], dtype=float)
 
 
 def law(parameters: Mapping[str, float] | Callable[..., object] | None = None, memory: int = 0,
@@ -180,9 +180,9 @@ class Laws(Mapping[str, Law]):
         :returns: the law
         :raises ModelError: if it is neither, or has another number of arguments
         """
-        own = law_of(given)
-        self._laws[own.name] = own
-        return own
+        added = law_of(given)
+        self._laws[added.name] = added
+        return added
 
     def __getitem__(self, name: str) -> Law:
         if name not in self._laws:
@@ -200,16 +200,16 @@ class Laws(Mapping[str, Law]):
 
 
 def _loaded(offer: Offer) -> Law:
-    found = offer.load()
-    if not isinstance(found, Law):
+    loaded = offer.load()
+    if not isinstance(loaded, Law):
         try:
-            found = Law(found, compiled=False)
+            loaded = Law(loaded, compiled=False)
         except ModelError as error:
             raise ModelError(f'law {offer} cannot be used: {error}') from error
         _LOGGER.warning('law %s is a plain function and runs as Python in each physics step, '
                         'which is slow: decorate it with manip_sim.laws.law', offer)
-    found.name = offer.name
-    return found
+    loaded.name = offer.name
+    return loaded
 
 
 #: The laws.

@@ -42,12 +42,12 @@ class Arms:
         :param indices: of the joints, shape (n,)
         """
         key = tip and tip.name, indices.tobytes()
-        found: tuple[FloatArray, Arm] | None = self._derived.of.get(key)
-        if found is None or found[0] is not self._servos.passive_damping:
+        cached: tuple[FloatArray, Arm] | None = self._derived.of.get(key)
+        if cached is None or cached[0] is not self._servos.passive_damping:
             # That of a restored state is another one.
-            found = self._derived.of[key] = (
+            cached = self._derived.of[key] = (
                 self._servos.passive_damping, self._make_arm(tip, indices))
-        return found[1]
+        return cached[1]
 
     def _make_arm(self, tip: Frame | None, indices: IntArray) -> Arm:
         servos, model, dofs = self._servos, self._physics.model, self._servos.dofs[indices]

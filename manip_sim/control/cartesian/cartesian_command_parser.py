@@ -60,11 +60,11 @@ class CartesianParser:
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         indices = self._indices_of(arm)
-        found = self._frames.find(frame, f'{arm}: a target pose')
+        target_frame = self._frames.find(frame, f'{arm}: a target pose')
         pose = Pose.checked(position, quat_xyzw)
         return CartesianPose(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            frame=found, position=pose.position,
+            frame=target_frame, position=pose.position,
             rotation=matrix_of(xyzw_to_wxyz(pose.quat_xyzw)))
 
     def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = ''
@@ -81,14 +81,14 @@ class CartesianParser:
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         indices = self._indices_of(arm)
-        found = self._frames.find(frame, f'{arm}: a target twist')
+        target_frame = self._frames.find(frame, f'{arm}: a target twist')
         twist = Twist.checked(linear, angular)
         settings = self._settings[arm]
         halves = [_shortened(twist.linear, settings.linear_velocity),
                   _shortened(twist.angular, settings.angular_velocity)]
         return CartesianTwist(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            frame=found,
+            frame=target_frame,
             twist=np.concatenate([vector for vector, _ in halves]),
             clamped=sum(clamped for _, clamped in halves))
 
@@ -110,8 +110,8 @@ class CartesianParser:
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         twist = self.twist(arm, linear, angular, frame)
-        limits = {what: positive_number(value, f'{arm}: the {what} of a motion until contact',
-                                        CommandError) for what, value in (
+        limits = {name: positive_number(value, f'{arm}: the {name} of a motion until contact',
+                                        CommandError) for name, value in (
             ('force', force), ('distance', distance), ('duration', duration_s))}
         return GuardedTwist(
             robot=twist.robot, parts=twist.parts, indices=twist.indices, arm=arm,
@@ -131,14 +131,14 @@ class CartesianParser:
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         indices = self._indices_of(arm)
-        found = self._frames.find(frame, f'{arm}: a target wrench')
+        target_frame = self._frames.find(frame, f'{arm}: a target wrench')
         wrench = np.concatenate([
             finite_command_numbers(force, 3, f'{arm}: the force of a target wrench'),
             finite_command_numbers(torque, 3, f'{arm}: the torque of a target wrench')])
         self._check_impedance(arm, 'a target wrench')
         return CartesianWrench(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            frame=found, wrench=wrench)
+            frame=target_frame, wrench=wrench)
 
     def force_mode(self, arm: str, selection: ArrayLike, wrench: ArrayLike, limits: ArrayLike
                    ) -> ForceMode:
@@ -156,7 +156,8 @@ class CartesianParser:
         """
         indices = self._indices_of(arm)
         numbers = [
-            finite_command_numbers(of, 6, f'{arm}: the {what} of force mode') for of, what in (
+            finite_command_numbers(value, 6, f'{arm}: the {name} of force mode')
+            for value, name in (
                 (selection, 'selection'), (wrench, 'wrench'), (limits, 'limits'))]
         chosen = numbers[0] == 1.0
         if not (chosen | (numbers[0] == 0.0)).all():

@@ -561,9 +561,9 @@ class CartesianController:
         leads = targets.tasks[number]['acts'] == LEADS
         behind = bool(slowed) and (
             follows == TWISTS or follows == STREAMS and leads and not close)
-        what = ('the twist' if follows == TWISTS else 'the stream of poses' if behind
-                else 'the motion to the target')
-        self._see(command, what, targets.held[number, k, command.indices] if held else _NOBODY,
+        motion = ('the twist' if follows == TWISTS else 'the stream of poses' if behind
+                  else 'the motion to the target')
+        self._see(command, motion, targets.held[number, k, command.indices] if held else _NOBODY,
                   bool(singular), behind)
         if follows == TWISTS:
             return

@@ -154,8 +154,8 @@ def target_of(command: CartesianCommand, chain: KinematicChain, model: mujoco.Mj
 
 def _moves(chain: KinematicChain, frame: Frame, model: mujoco.MjModel) -> bool:
     """Return whether an arm moves a frame."""
-    own = set(model.jnt_bodyid[np.isin(model.jnt_qposadr, chain.qpos)].tolist())
+    moved_bodies = set(model.jnt_bodyid[np.isin(model.jnt_qposadr, chain.qpos)].tolist())
     body = frame.body
-    while body and body not in own:
+    while body and body not in moved_bodies:
         body = int(model.body_parentid[body])
     return body != 0
