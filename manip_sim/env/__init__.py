@@ -35,8 +35,8 @@ def register_tasks() -> None:
 
     Call it again after defining a task of your own; registered environments stay.
     """
-    given = {DESCRIBED: {}, **{env_id(task): {'task': task} for task in task_names()}}
-    for name, keywords in given.items():
+    environments = {DESCRIBED: {}, **{env_id(task): {'task': task} for task in task_names()}}
+    for name, keywords in environments.items():
         if name not in gymnasium.registry:
             gymnasium.register(
                 id=name, entry_point='manip_sim.env.task_env:TaskEnv',

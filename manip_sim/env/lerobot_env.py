@@ -42,15 +42,15 @@ class LeRobotEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.observation_space = _space(self._renamed(env.episode.observation))
 
     def _renamed(self, observation: Observation) -> dict[str, Any]:
-        found: dict[str, Any] = {'agent_pos': np.concatenate([
+        renamed: dict[str, Any] = {'agent_pos': np.concatenate([
             observation['joint_position'], observation['eef_pose'].ravel()])}
         surroundings = [observation[key].ravel() for key in ('object_pose', 'goal')
                         if key in observation]
         if surroundings:
-            found['environment_state'] = np.concatenate(surroundings)
+            renamed['environment_state'] = np.concatenate(surroundings)
         images = {key.removeprefix(IMAGE): value for key, value in observation.items()
                   if key.startswith(IMAGE)}
-        return {**found, 'pixels': images} if images else found
+        return {**renamed, 'pixels': images} if images else renamed
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
               ) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -61,9 +61,9 @@ class LeRobotEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         :param options: LeRobot's own are ignored
         :raises UnknownNameError: if there are other options
         """
-        own = {key: value for key, value in (options or {}).items()
-               if not key.startswith(_OWN_OPTIONS)}
-        observation, info = self.env.reset(seed=seed, options=own)
+        task_options = {key: value for key, value in (options or {}).items()
+                        if not key.startswith(_OWN_OPTIONS)}
+        observation, info = self.env.reset(seed=seed, options=task_options)
         return self._renamed(observation), info
 
     def step(self, action: NDArray[Any]) -> tuple[dict[str, Any], float, bool, bool,

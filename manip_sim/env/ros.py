@@ -128,10 +128,10 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
             and all(publisher.get_subscription_count() for publisher, *_ in self._commands),
             f'there is no node {self._name} with a task')
         asked = (self._like.task.name, self._like.task.robot.type_name)
-        found = (self._task['task'], self._task['robot'])
-        if asked != found:
+        served = (self._task['task'], self._task['robot'])
+        if asked != served:
             self.close()
-            raise ManipSimError(f'{self._name} does {found[0]} with {found[1]}, not {asked[0]} '
+            raise ManipSimError(f'{self._name} does {served[0]} with {served[1]}, not {asked[0]} '
                                 f'with {asked[1]}')
 
     def _offer_actions(self, namespace: str, several: bool) -> None:
@@ -150,10 +150,10 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
             else:
                 self._command(f'{topic}/joint_command', JointState, functools.partial(
                     _joint_command, item.names, actions.mode, item.goals))
-                of = prefix.replace('/', '.')
+                scope = prefix.replace('/', '.')
                 # Actions come in each period; in this process arms have no timeout.
-                self._settings |= {f'{of}control_mode.{item.arm}': actions.mode,
-                                   f'{of}command_timeout.{item.arm}': 0.0}
+                self._settings |= {f'{scope}control_mode.{item.arm}': actions.mode,
+                                   f'{scope}command_timeout.{item.arm}': 0.0}
             dof = item.robot.grippers[f'{item.arm}/gripper'].dof
             if dof:
                 self._command(f'{topic}/gripper/command', Float64MultiArray,
@@ -201,13 +201,13 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
                   for key, topics in self._keys.items() if topics}
         images = {key: values.pop(key)[0].copy() for key in [*values] if key.startswith(IMAGE)}
         joints = np.concatenate(values.pop('joint_states'), axis=1)
-        found = dict(zip(('joint_position', 'joint_velocity', 'joint_effort'), joints.copy()))
-        found |= {key: np.stack(rows) for key, rows in values.items()}
-        scene = {'object_pose': found.pop('object_pose')} if 'object_pose' in found else {}
+        states = dict(zip(('joint_position', 'joint_velocity', 'joint_effort'), joints.copy()))
+        states |= {key: np.stack(rows) for key, rows in values.items()}
+        scene = {'object_pose': states.pop('object_pose')} if 'object_pose' in states else {}
         if self._task['goal']:
             scene['goal'] = np.array(self._task['goal'])
         self._scenes.append(scene | images)
-        return found | {key: value.copy() for key, value in self._scenes[0].items()}
+        return states | {key: value.copy() for key, value in self._scenes[0].items()}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[Observation, dict[str, Any]]:
@@ -221,8 +221,8 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         """
         check_options(options)
         super().reset(seed=seed)
-        own = int(self.np_random.integers(SEEDS)) if seed is None else int(seed)
-        for name, value in {'seed': own, **self._settings}.items():
+        start_seed = int(self.np_random.integers(SEEDS)) if seed is None else int(seed)
+        for name, value in {'seed': start_seed, **self._settings}.items():
             answer = self._call(self._set, SetParameters.Request(
                 parameters=[Parameter(name, value=value).to_parameter_msg()]))
             if not answer.results[0].successful:
@@ -234,7 +234,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._periods = 0
         observation = self._observe(before)
         success = self._task['success']
-        return observation, {'seed': own, 'success': success, 'is_success': success,
+        return observation, {'seed': start_seed, 'success': success, 'is_success': success,
                              'digest': self.digest()}
 
     def step(self, action: ArrayLike
@@ -284,10 +284,10 @@ def _joint_command(names: list[str], mode: str, goals: slice, numbers: FloatArra
 
 
 def _pixels(shape: tuple[int, ...], message: Image) -> NDArray[np.uint8]:
-    found = message.height, message.width, 3
-    if found != shape:
-        raise ManipSimError(f'{message.header.frame_id}: the node has images of {found[1]} x '
-                            f'{found[0]} pixels, not {shape[1]} x {shape[0]}; see image_size')
+    size = message.height, message.width, 3
+    if size != shape:
+        raise ManipSimError(f'{message.header.frame_id}: the node has images of {size[1]} x '
+                            f'{size[0]} pixels, not {shape[1]} x {shape[0]}; see image_size')
     return np.frombuffer(message.data, np.uint8).reshape(shape)
 
 
@@ -298,6 +298,6 @@ def _joints(message: JointState) -> list[Any]:
 def _numbers(message: Any) -> list[float]:
     """Return the numbers of a pose, twist or wrench behind a header."""
     *_, name = message.get_fields_and_field_types()
-    found = getattr(message, name)
-    parts = [getattr(found, part) for part in found.get_fields_and_field_types()]
+    content = getattr(message, name)
+    parts = [getattr(content, part) for part in content.get_fields_and_field_types()]
     return [getattr(part, axis) for part in parts for axis in part.get_fields_and_field_types()]

@@ -116,14 +116,14 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         """
         check_options(options)
         super().reset(seed=seed)
-        own = int(self.np_random.integers(SEEDS)) if seed is None else seed
-        self.episode.reset(own)
-        self._answers.reset(own)
+        start_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
+        self.episode.reset(start_seed)
+        self._answers.reset(start_seed)
         self._begun = True
         self._show()
         observation = self.episode.observation
         self._asked_s = time.perf_counter()
-        return observation, {'seed': own, **self._info(True)}
+        return observation, {'seed': start_seed, **self._info(True)}
 
     def step(self, action: ArrayLike
              ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

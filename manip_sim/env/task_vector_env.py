@@ -164,12 +164,12 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         """Return which environments are to begin."""
         if _MASK not in (options or {}):
             return np.ones(self.num_envs, dtype=bool)
-        given = (options or {})[_MASK]
-        mask = given if isinstance(given, np.ndarray) else None
+        value = (options or {})[_MASK]
+        mask = value if isinstance(value, np.ndarray) else None
         if mask is None or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
             raise ModelError(
                 f'{_MASK} must be an array of booleans of shape ({self.num_envs},), got ' + (
-                    shown(given) if mask is None else f'{mask.dtype} of shape {mask.shape}'))
+                    shown(value) if mask is None else f'{mask.dtype} of shape {mask.shape}'))
         if not mask.any():
             raise ModelError(f'{_MASK} chooses no environment')
         if not (self._begun | mask).all():
@@ -191,13 +191,14 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
     def _begin(self, index: int, seed: int | None) -> dict[str, Any]:
         if seed is not None:
             self._randoms[index], _ = gymnasium.utils.seeding.np_random(int(seed))
-        own = int(self._randoms[index].integers(SEEDS)) if seed is None else int(seed)
+        start_seed = int(self._randoms[index].integers(SEEDS)) if seed is None else int(seed)
         episode = self._episodes[index]
-        episode.reset(own)
-        self._answers[index].reset(own)
+        episode.reset(start_seed)
+        self._answers[index].reset(start_seed)
         self._begun[index], self._ended[index] = True, False
         success = episode.success
-        return {'seed': own, 'success': success, 'is_success': success, 'digest': episode.digest}
+        return {'seed': start_seed, 'success': success, 'is_success': success,
+                'digest': episode.digest}
 
     def step(self, actions: ArrayLike) -> _Result:
         """
@@ -356,15 +357,15 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                 'render': lambda index: lambda: self._picture(index)}
 
     def _attributes(self, name: str) -> Sequence[Any]:
-        own = self._own()
+        getters = self._own()
         if name in self._given:
             return self._given[name]
-        if name in own:
-            return [own[name](index) for index in range(self.num_envs)]
+        if name in getters:
+            return [getters[name](index) for index in range(self.num_envs)]
         if name in _SHARED:
             return [getattr(self, name)] * self.num_envs
         raise AttributeError(f'environments have no {quoted(name)}: ' + describe_choices(
-            name, [*own, *_SHARED, *self._given]))
+            name, [*getters, *_SHARED, *self._given]))
 
     def digest(self) -> list[str]:
         """Return the digest of each present state, as ``Simulation.digest`` gives it."""
