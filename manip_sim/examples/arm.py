@@ -218,20 +218,20 @@ class Arm:
         start = self.joints if start is None else start
         low, high = self._kinematics.ranges
         random = np.random.default_rng(0)
-        found: list[FloatArray] = []
+        solutions: list[FloatArray] = []
         for number in range(1 + _STARTS):
             begin = start if number == 0 else random.uniform(low, high)
             for rotation in rotations:
                 try:
-                    found.append(self._kinematics.solve(begin, position, rotation))
+                    solutions.append(self._kinematics.solve(begin, position, rotation))
                 except ValueError as error:
                     problem = error
-            if number == 0 and found:
+            if number == 0 and solutions:
                 break
-        if not found:
+        if not solutions:
             raise TaskFailed(f'{self.name}: {problem}' if self.name else str(problem))
-        found = [self._kinematics.nearest(joints, start) for joints in found]
-        return min(found, key=lambda joints: float(np.abs(joints - start).max()))
+        solutions = [self._kinematics.nearest(joints, start) for joints in solutions]
+        return min(solutions, key=lambda joints: float(np.abs(joints - start).max()))
 
     def move(self, goal: FloatArray) -> None:
         """
