@@ -107,8 +107,8 @@ def _compose_task(parameters: ParameterSource, steps: int) -> Composition:
     from manip_sim.tasks import create_task  # It takes a while, and most nodes have none.
     value, node = parameters.value, {spec.name: spec.default for spec in node_parameters()}
     for name in ('robots', 'arena', 'cube', 'objects'):
-        given = value(name)
-        if (list(given) if isinstance(node[name], list) else given) != node[name]:
+        setting = value(name)
+        if (list(setting) if isinstance(node[name], list) else setting) != node[name]:
             raise ParameterError(f"parameter '{name}' cannot be combined with 'task', which "
                                  'brings arena, robots and objects')
     # A task brings its starts.
@@ -132,7 +132,7 @@ def _settings(value: Callable[[str], Any]) -> dict[str, Any]:
               'randomization': value('randomization'), 'faults': value('faults')}
     return {'timestep_s': value('timestep'), 'gravity_compensation': value('gravity_compensation'),
             'seed': value('seed'), 'cameras': described_cameras(value('cameras')),
-            **{name: found for name, found in chosen.items() if found}}
+            **{name: setting for name, setting in chosen.items() if setting}}
 
 
 def _check_rates(world: World, publish_rate: float) -> None:

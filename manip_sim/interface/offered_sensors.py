@@ -79,9 +79,10 @@ def _described(values: Mapping[str, Any]) -> tuple[str, float | None, float]:
         noise: Annotated[Number, Field(ge=0.0, le=_MAX_NOISE, allow_inf_nan=False)] = 0.0
 
     name = values.get('name')
-    found = checked(SensorDescription, values,
-                    'sensor without a name' if name is None else f'sensor {quoted(str(name))}')
-    return found.name, found.rate, found.noise
+    description = checked(
+        SensorDescription, values,
+        'sensor without a name' if name is None else f'sensor {quoted(str(name))}')
+    return description.name, description.rate, description.noise
 
 
 GROUP = 'manip_sim.sensors'
@@ -199,7 +200,7 @@ def offered_topics(robots: Mapping[Scope, SimulatedRobot], listed: Iterable[Topi
     :param warn: is called with a line about each class that cannot be used
     """
     owners: dict[str, object] = dict.fromkeys((topic.name for topic in listed), 'manip_sim')
-    found: list[Offered] = []
+    offered: list[Offered] = []
     for offer in offers(GROUP).values():
         try:
             source = _load(offer)
@@ -207,12 +208,12 @@ def offered_topics(robots: Mapping[Scope, SimulatedRobot], listed: Iterable[Topi
                 owner = owners.setdefault(topic.name, offer)
                 if owner is not offer:
                     raise ModelError(f"its topic '{topic.name}' is that of {owner}")
-                if topic.name not in {other.topic.name for other in found}:
-                    found.append(Offered(topic, offer, source, scope, robot))
+                if topic.name not in {other.topic.name for other in offered}:
+                    offered.append(Offered(topic, offer, source, scope, robot))
         except ManipSimError as error:
             warn(f'sensor {offer} cannot be used: {error}')
-            found = [other for other in found if other.offer is not offer]
-    return found
+            offered = [other for other in offered if other.offer is not offer]
+    return offered
 
 
 def _load(offer: Offer) -> type[TopicSource]:

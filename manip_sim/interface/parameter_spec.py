@@ -59,14 +59,14 @@ def read_parameters(file: Path) -> dict[str, Any]:
         has = f'is for {quoted_names([node for node, _ in sections])}' if sections else (
             f"has no key '{_PARAMETERS}' below the name of a node")
         raise ParameterError(f'{file} has no parameters for {NODE}, it {has}')
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for node, parameters in sections:
         if matches(node, NODE):
             if not isinstance(parameters, dict):
                 raise ParameterError(f'{file}: {quoted(node)}: {_PARAMETERS} must hold names and '
                                      'values')
-            found.update(_flat(parameters))
-    return found
+            values.update(_flat(parameters))
+    return values
 
 
 def _flat(parameters: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -107,8 +107,8 @@ class Topic:
         :raises ValueError: if the topic has no placeholder
         """
         begin, _, end = self.name.partition(self._placeholder)
-        of = name.removeprefix(begin).removesuffix(end)
-        return of if name == f'{begin}{of}{end}' else ''
+        owner = name.removeprefix(begin).removesuffix(end)
+        return owner if name == f'{begin}{owner}{end}' else ''
 
 
 @dataclass(frozen=True)

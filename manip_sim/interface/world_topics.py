@@ -46,16 +46,16 @@ def topics_of(parts: Mapping[str, Part], twist: bool, rows: Iterable[Topic] = TO
     :param rows: of the table
     """
     arms = [name.split('/')[0] for name, part in parts.items() if part.gripper is not None]
-    found: list[Topic] = []
+    topics: list[Topic] = []
     for per, group in groupby(rows, lambda row: row.per):
         patterns = list(group)
         if not per:
-            found += (row for row in patterns if row.needs not in _OF_WORLD
-                      and (twist or row.needs != 'twist'))
+            topics += (row for row in patterns if row.needs not in _OF_WORLD
+                       and (twist or row.needs != 'twist'))
         elif per in (PART, ARM):
-            found += (row.filled_in(name) for name in (parts if per == PART else arms)
-                      for row in patterns if _has(row, name, parts))
-    return found
+            topics += (row.filled_in(name) for name in (parts if per == PART else arms)
+                       for row in patterns if _has(row, name, parts))
+    return topics
 
 
 def topics_of_objects(names: Iterable[str]) -> list[Topic]:
@@ -117,10 +117,12 @@ def topics_of_instruments(simulation: Simulation, robots: Mapping[Scope, Simulat
                  for sensor in robot.sensor_names}
     of_arms = {reader.ft_frame for robot in robots.values()
                for reader in robot.end_effectors.values()}
-    return [(found, scopes.get(found.sensors[0], Scope()), row.filled_in(found.topic))
-            for found in simulation.sensors.instruments for row in TOPICS
-            if row.per == SENSOR and row.by == found.kind and found.sensors[0] not in elsewhere
-            and not (found.kind == WRENCH and found.elements[0] in of_arms)]
+    return [(instrument, scopes.get(instrument.sensors[0], Scope()),
+             row.filled_in(instrument.topic))
+            for instrument in simulation.sensors.instruments for row in TOPICS
+            if row.per == SENSOR and row.by == instrument.kind
+            and instrument.sensors[0] not in elsewhere
+            and not (instrument.kind == WRENCH and instrument.elements[0] in of_arms)]
 
 
 def topics_of_robot(scope: Scope, robot: SimulatedRobot) -> list[Topic]:
@@ -190,10 +192,10 @@ def hardware_of(simulation: Simulation, robot: SimulatedRobot, scope: Scope, plu
              if part.gripper is None and part.atomic == (name,) for joint in part.joints}
     wrenches = {f'{arm}_{topic}': resolve(scope.topic(f'{arm}/{topic}'))
                 for arm in robot.end_effectors for topic in ('wrench', 'external_wrench')}
-    own = set(robot.sensor_names)
-    imus = {found.name: resolve(scope.topic(row.name))
-            for found, _, row in topics_of_instruments(simulation, {scope: robot})
-            if found.kind == 'imu' and found.sensors[0] in own}
+    sensors = set(robot.sensor_names)
+    imus = {instrument.name: resolve(scope.topic(row.name))
+            for instrument, _, row in topics_of_instruments(simulation, {scope: robot})
+            if instrument.kind == 'imu' and instrument.sensors[0] in sensors}
     return Hardware(
         robot.command_interfaces(), resolve(scope.topic('joint_states')),
         resolve(scope.topic('joint_command')), plugin, node, modes, wrenches, lockstep, imus,
