@@ -50,8 +50,8 @@ def disabled_pairs(world: World, robot: RobotModel, links: Mapping[int, str],
         for pair in sampler.touching(posture.position):
             reasons.setdefault(pair, 'Default')
     always, never = sampler.always_and_never()
-    for found, reason in ((always, 'Always'), (never, 'Never')):
-        for pair in found:
+    for pairs, reason in ((always, 'Always'), (never, 'Never')):
+        for pair in pairs:
             reasons.setdefault(pair, reason)
     return reasons
 
@@ -64,9 +64,9 @@ def _without_filters(world: World, robot: RobotModel) -> tuple[Any, list[tuple[i
     """
     spec = world.compose(objects=False)
     root = spec.body(robot.root_body)
-    own = {body.name for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]}
+    bodies = {body.name for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]}
     for geom in spec.geoms:
-        collides = bool(geom.contype or geom.conaffinity) and geom.parent.name in own
+        collides = bool(geom.contype or geom.conaffinity) and geom.parent.name in bodies
         geom.contype = geom.conaffinity = int(collides)
         geom.margin = _MARGIN_M
     excluded = [(exclude.bodyname1, exclude.bodyname2) for exclude in spec.excludes]
@@ -74,8 +74,8 @@ def _without_filters(world: World, robot: RobotModel) -> tuple[Any, list[tuple[i
         spec.delete(exclude)
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     model = compile_spec(spec, world.name)
-    return model, [(int(model.body(one).id), int(model.body(other).id))
-                   for one, other in excluded]
+    return model, [(int(model.body(first).id), int(model.body(second).id))
+                   for first, second in excluded]
 
 
 def _adjacent(model: mujoco.MjModel, bodies: list[int]) -> Iterator[tuple[int, int]]:

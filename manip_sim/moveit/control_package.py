@@ -133,8 +133,8 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
     name = robot_in(urdf.xml)
     groups = list(_controllers(robot, hardware, _driven(urdf.xml),
                                effective_inertias(simulation), {
-                                   found.name: found.frame
-                                   for found in simulation.sensors.instruments}))
+                                   instrument.name: instrument.frame
+                                   for instrument in simulation.sensors.instruments}))
     by_mode: dict[str, list[str]] = {}
     for controller, _, mode, _ in groups:
         if mode:
@@ -164,13 +164,13 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
 
 
 def _controlling(controllers: Iterable[_Controller]) -> Controlling:
-    found: dict[str, tuple[str, str, list[str]]] = {}
+    by_joint: dict[str, tuple[str, str, list[str]]] = {}
     for name, kind, _, settings in controllers:
         joints = settings.get('joints') or [settings[key] for key in ('joint',) if key in settings]
         for joint in joints:
-            found.setdefault(joint, (
+            by_joint.setdefault(joint, (
                 name, GRIPPER_COMMANDS if kind == GRIPPER else TRAJECTORIES, [*joints]))
-    return found
+    return by_joint
 
 
 def _driven(urdf: str) -> set[str]:
@@ -212,7 +212,7 @@ def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[s
                  inertias: Mapping[str, float], frames: Mapping[str, str]
                  ) -> Iterator[_Controller]:
     yield 'joint_state_broadcaster', BROADCASTER, '', {}
-    own = hardware.plugin == OWN_PLUGIN
+    own_plugin = hardware.plugin == OWN_PLUGIN
     for name, part in robot.parts.items():
         if part.atomic != (name,) or not part.joints:
             continue
@@ -222,14 +222,14 @@ def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[s
             yield _gripper(f'{title}_controller', joints)
         elif joints:
             # The plugin from apt has the interfaces of one mode, which are all used at once.
-            for mode in _MODES if own else [hardware.interfaces[joints[0]]]:
-                yield (f'{title}_{mode}_controller', TRAJECTORY, mode if own else ALL,
+            for mode in _MODES if own_plugin else [hardware.interfaces[joints[0]]]:
+                yield (f'{title}_{mode}_controller', TRAJECTORY, mode if own_plugin else ALL,
                        _trajectory(joints, mode, inertias))
-    for sensor in hardware.wrench_topics if own else ():
+    for sensor in hardware.wrench_topics if own_plugin else ():
         arm = sensor.partition('_')[0]
         yield f'{sensor}_broadcaster', WRENCH, '', {
             'sensor_name': sensor, 'frame_id': robot.end_effectors[arm].wrench_frame}
-    for sensor in hardware.imu_topics if own else ():
+    for sensor in hardware.imu_topics if own_plugin else ():
         yield f'{sensor}_broadcaster', IMU, '', {'sensor_name': sensor, 'frame_id': frames[sensor]}
 
 

@@ -157,17 +157,17 @@ _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 def kinematics(groups: Iterable[Group]) -> Settings:
     """Return ``kinematics.yaml``: a solver for each chain."""
-    found: Settings = {}
+    solvers: Settings = {}
     for group in groups:
         if not group.tip:
             continue
-        found[group.name] = {
+        solvers[group.name] = {
             'kinematics_solver': 'kdl_kinematics_plugin/KDLKinematicsPlugin',
             'kinematics_solver_search_resolution': 0.005,
             'kinematics_solver_timeout': 0.05}
         if len(group.joints) < _FULL_POSE:
-            found[group.name]['position_only_ik'] = True
-    return found
+            solvers[group.name]['position_only_ik'] = True
+    return solvers
 
 
 def joint_limits(groups: Iterable[Group], robot: SimulatedRobot, velocity: Mapping[str, float]
@@ -323,10 +323,10 @@ def _read(urdf: Urdf) -> tuple[str, dict[str, float], dict[str, float]]:
 
 def _meshes(model: mujoco.MjModel) -> dict[str, tuple[str, bytes]]:
     """Return the name and content of an STL file for each mesh, whatever it was read from."""
-    found = {ELLIPSOID: ('unit_sphere.stl', binary_stl(unit_sphere()))}
+    files = {ELLIPSOID: ('unit_sphere.stl', binary_stl(unit_sphere()))}
     for mesh in np.unique(model.geom_dataid[model.geom_type == _MESH]).tolist():
-        found[model.mesh(mesh).name] = (f'mesh_{mesh}.stl', stl_of(model, mesh))
-    return found
+        files[model.mesh(mesh).name] = (f'mesh_{mesh}.stl', stl_of(model, mesh))
+    return files
 
 
 def _mesh_file(package: str, name: str) -> MeshFile:

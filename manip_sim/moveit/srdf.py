@@ -80,10 +80,10 @@ def find_groups(model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf
             groups.append(finder.subsystem(name, part))
     arms = [group for group in groups if group.part in ('right', 'left')]
     if len(arms) == 2:
-        one, other = arms
+        first, second = arms
         groups.append(Group(
-            'arm', 'arm', one.joints + other.joints, one.active + other.active,
-            one.driven + other.driven, subgroups=(one.name, other.name)))
+            'arm', 'arm', first.joints + second.joints, first.active + second.active,
+            first.driven + second.driven, subgroups=(first.name, second.name)))
     return groups + finder.grippers([group.name for group in groups]), [
         joint for joint in robot.joint_names
         if joint not in finder.followers and joint not in finder.actuated]
@@ -124,7 +124,7 @@ class _Finder:
         model = self._robot.robot_model
         if not isinstance(model, ManipulatorModel):
             return []
-        found = []
+        gripper_groups = []
         for arm, gripper in model.grippers.items():
             part = self._robot.parts[f'{arm}/gripper']
             parent = arm if arm in groups else 'arm'
@@ -133,11 +133,11 @@ class _Finder:
             links = tuple(link for body in below
                           if (link := self._tree.link_of_body[body]) != eef)
             commanded = self._robot.grippers[part.name].joints.names
-            found.append(Group(
+            gripper_groups.append(Group(
                 'gripper' if len(model.arms) == 1 else f'{arm}_gripper', part.name, part.joints,
                 self._active(part, commanded), commanded, links=links,
                 parent=parent if parent in groups else '', parent_link=eef))
-        return [group for group in found if group.parent and group.links]
+        return [group for group in gripper_groups if group.parent and group.links]
 
 
 def _path(tree: KinematicTree, link: str) -> list[Any]:
