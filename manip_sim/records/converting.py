@@ -93,27 +93,27 @@ def _environment(frames: Frames) -> dict[str, Any]:
 
 
 def _observations(frames: Quantities, fingers: set[str]) -> dict[str, NDArray[Any]]:
-    found: dict[str, NDArray[Any]] = {}
+    observations: dict[str, NDArray[Any]] = {}
     for kind, source in (('pos', frames.positions), ('vel', frames.velocities)):
         for number, quantity in enumerate(source.values()):
             is_finger = np.array([name in fingers for name in quantity.names], dtype=bool)
-            found[f'robot{number}_joint_{kind}'] = quantity.values[:, ~is_finger]
+            observations[f'robot{number}_joint_{kind}'] = quantity.values[:, ~is_finger]
             if is_finger.any():
-                found[f'robot{number}_gripper_q{kind}'] = quantity.values[:, is_finger]
+                observations[f'robot{number}_gripper_q{kind}'] = quantity.values[:, is_finger]
     robots = list(frames.positions)
     for name, quantity in frames.end_effectors.items():
         robot, _, arm = name.rpartition('/')
         number = robots.index(robot) if robot in robots else 0
         several = sum(other.rpartition('/')[0] == robot for other in frames.end_effectors) > 1
         prefix = f'robot{number}_{arm}_eef' if several else f'robot{number}_eef'
-        found[f'{prefix}_pos'] = quantity.values[:, :3]
-        found[f'{prefix}_quat'] = quantity.values[:, 3:]
+        observations[f'{prefix}_pos'] = quantity.values[:, :3]
+        observations[f'{prefix}_quat'] = quantity.values[:, 3:]
     if frames.objects:
-        found['object'] = np.concatenate(
+        observations['object'] = np.concatenate(
             [quantity.values for quantity in frames.objects.values()], axis=1)
     if frames.goal is not None:
-        found['goal'] = frames.goal.values
-    return found
+        observations['goal'] = frames.goal.values
+    return observations
 
 
 def _camel(name: str) -> str:
@@ -185,10 +185,10 @@ def records_in(paths: Iterable[Path]) -> list[Path]:
     :param paths: of files and folders
     :raises RecordError: if a folder has no records
     """
-    found: list[Path] = []
+    records: list[Path] = []
     for path in paths:
         files = sorted(path.rglob('*.mcap')) if path.is_dir() else [path]
         if not files:
             raise RecordError(f'{path}: this folder has no *.mcap file')
-        found += files
-    return found
+        records += files
+    return records

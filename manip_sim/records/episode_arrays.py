@@ -85,8 +85,8 @@ class Frames:
         self.rewards = finite(np.array([
             m.data for m in recorded.decoded(REWARD, 'std_msgs/Float64')]), REWARD)
         self.done = np.array([m.data for m in recorded.decoded(SUCCESS, 'std_msgs/Bool')], bool)
-        for values, what in ((self.rewards, 'rewards'), (self.done, 'results')):
-            self._check(len(values), what, self._count)
+        for values, noun in ((self.rewards, 'rewards'), (self.done, 'results')):
+            self._check(len(values), noun, self._count)
         self.observed, truth = Quantities(), Quantities()
         for topic in recorded.types:
             names = topic.strip('/').split('/')
@@ -106,8 +106,8 @@ class Frames:
             messages = self.recorded.decoded(topic, 'sensor_msgs/JointState')
             self._check(len(messages), topic)
             names = list(messages[0].name)
-            for found, member in ((into.positions, 'position'), (into.velocities, 'velocity')):
-                self._add(found, robot, topic, Columns(
+            for series, member in ((into.positions, 'position'), (into.velocities, 'velocity')):
+                self._add(series, robot, topic, Columns(
                     _rows([getattr(m, member) for m in messages], topic, len(names)), names))
         elif last == 'eef_pose' and scope:
             name = '/'.join(scope if len(scope) > 1 else [next(iter(self.robots), ''), *scope])
@@ -132,17 +132,17 @@ class Frames:
                                  for p in poses]),
                        [f'{name}/{axis}' for axis in ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')])
 
-    def _check(self, found: int, what: str, wanted: int | None = None) -> None:
-        wanted = self._count + 1 if wanted is None else wanted
-        if found != wanted:
-            raise RecordError(f'episode {self.recorded.number} has {found} messages of {what} for '
-                              f'{self._count} control periods, it should have {wanted}')
+    def _check(self, count: int, what: str, expected: int | None = None) -> None:
+        expected = self._count + 1 if expected is None else expected
+        if count != expected:
+            raise RecordError(f'episode {self.recorded.number} has {count} messages of {what} for '
+                              f'{self._count} control periods, it should have {expected}')
 
     @property
     def robots(self) -> dict[str, dict[str, list[str]]]:
         """The names of joints by robot and part."""
-        found: dict[str, Any] = json.loads(self.recorded.about['robots'])
-        return found
+        robots: dict[str, Any] = json.loads(self.recorded.about['robots'])
+        return robots
 
     @property
     def fingers(self) -> set[str]:
@@ -169,11 +169,11 @@ class Frames:
         self._check(len(messages), topic)
         shape: tuple[int, ...] = ()
         for message in messages[:-1]:
-            found = image(bytes(message.data), f'an image of {camera}')
-            if found.shape != (shape or found.shape):
+            picture = image(bytes(message.data), f'an image of {camera}')
+            if picture.shape != (shape or picture.shape):
                 raise RecordError(f'images of {camera} differ in size')
-            shape = found.shape
-            yield found
+            shape = picture.shape
+            yield picture
 
 
 def _rows(rows: list[Any], topic: str, count: int) -> FloatArray:

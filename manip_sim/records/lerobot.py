@@ -201,22 +201,22 @@ def _place(pattern: str, number: int, **names: str) -> str:
 def _columns(frames: Frames) -> dict[str, Columns]:
     """Return observations and actions, a row per control period."""
     count = len(frames.actions)
-    found = {'action': Columns(frames.actions, _action_names(frames))}
+    columns = {'action': Columns(frames.actions, _action_names(frames))}
     for place, quantities in (('observation.', frames.observed), ('truth.', frames.truth)):
         if quantities is None:
             continue
-        found[f'{place}state'] = _joined(
+        columns[f'{place}state'] = _joined(
             [*quantities.positions.values(), *quantities.end_effectors.values()])
         surroundings = [*quantities.objects.values(),
                         *([] if quantities.goal is None else [quantities.goal])]
         if surroundings:
-            found[f'{place}environment_state'] = _joined(surroundings)
+            columns[f'{place}environment_state'] = _joined(surroundings)
     done = np.zeros((count, 1), bool)
     done[-1] = True
-    found['next.reward'] = Columns(frames.rewards.astype(np.float32)[:, None], ['reward'])
-    found['next.done'] = Columns(done, ['done'])
-    found['next.success'] = Columns(frames.done[:, None], ['success'])
-    return found
+    columns['next.reward'] = Columns(frames.rewards.astype(np.float32)[:, None], ['reward'])
+    columns['next.done'] = Columns(done, ['done'])
+    columns['next.success'] = Columns(frames.done[:, None], ['success'])
+    return columns
 
 
 def _action_names(frames: Frames) -> list[str]:
@@ -247,10 +247,10 @@ def _fixed_lists(values: NDArray[Any]) -> Any:
 
 def _statistics(values: NDArray[Any]) -> dict[str, Any]:
     numbers = values.astype(np.float64)
-    found = {'min': numbers.min(axis=0), 'max': numbers.max(axis=0), 'mean': numbers.mean(axis=0),
+    stats = {'min': numbers.min(axis=0), 'max': numbers.max(axis=0), 'mean': numbers.mean(axis=0),
              'std': numbers.std(axis=0)}
-    found.update((f'q{round(100 * q):02d}', np.quantile(numbers, q, axis=0)) for q in _QUANTILES)
-    return {**{name: value.tolist() for name, value in found.items()}, 'count': [len(values)]}
+    stats.update((f'q{round(100 * q):02d}', np.quantile(numbers, q, axis=0)) for q in _QUANTILES)
+    return {**{name: value.tolist() for name, value in stats.items()}, 'count': [len(values)]}
 
 
 class _ImageStatistics:
@@ -273,11 +273,11 @@ class _ImageStatistics:
         share = self._histogram / self._histogram.sum(axis=1, keepdims=True)
         below = share.cumsum(axis=1)
         mean = share @ levels
-        found: dict[str, Any] = {
+        stats: dict[str, Any] = {
             'min': [levels[np.flatnonzero(row)[0]] for row in share],
             'max': [levels[np.flatnonzero(row)[-1]] for row in share], 'mean': mean,
             'std': np.sqrt(np.maximum(share @ levels**2 - mean**2, 0.0))}
-        found.update((f'q{round(100 * q):02d}', [
+        stats.update((f'q{round(100 * q):02d}', [
             levels[min(int(np.searchsorted(row, q)), 255)] for row in below]) for q in _QUANTILES)
-        return {**{name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items()},
+        return {**{name: np.reshape(value, (3, 1, 1)).tolist() for name, value in stats.items()},
                 'count': [self._count]}

@@ -106,15 +106,15 @@ class _NodeRecorder:
 
     def _topics(self) -> dict[str, str]:
         """Return the topics of the node with their types; none if it is not there."""
-        found: dict[str, str] = {}
+        topic_types: dict[str, str] = {}
         for find in (self._node.get_publisher_names_and_types_by_node,
                      self._node.get_subscriber_names_and_types_by_node):
             try:
-                found.update((topic, types[0]) for topic, types in find(
+                topic_types.update((topic, types[0]) for topic, types in find(
                     self._name, self._space or '/') if types and '/_action/' not in topic)
             except RuntimeError:  # The node is missing, or not discovered yet.
                 return {}
-        return found
+        return topic_types
 
     def wait(self, ended: EndSignals) -> bool:
         """Wait for the node and the topics that were asked for; tell whether they are there."""
@@ -123,14 +123,14 @@ class _NodeRecorder:
         while time.monotonic() < end_s:
             if ended.wait(0.2):
                 return False
-            found = self._topics()
+            topics = self._topics()
             # Names arrive one by one: a list that stays equal between two looks is complete.
-            if found and (found == before and not self._asked or self._asked and
-                          self._asked <= found.keys()):
+            if topics and (topics == before and not self._asked or self._asked and
+                           self._asked <= topics.keys()):
                 return True
-            if found and not before:
+            if topics and not before:
                 end_s = time.monotonic() + _TOPICS_S
-            before = found
+            before = topics
         if not before:
             nodes = [f'{space.rstrip("/")}/{name}'
                      for name, space in self._node.get_node_names_and_namespaces()
@@ -247,9 +247,9 @@ class _NodeRecorder:
         """Complete the file and return what it holds."""
         assert self._file is not None
         self._file.close()
-        topics = sum(found is not None for found in self._subscriptions.values())
-        what = f'{counted(self.messages, "message")} of {counted(topics, "topic")}'
-        return '\n'.join([*self._notes, f'{self._file.path} ({what}, '
+        topics = sum(subscription is not None for subscription in self._subscriptions.values())
+        summary = f'{counted(self.messages, "message")} of {counted(topics, "topic")}'
+        return '\n'.join([*self._notes, f'{self._file.path} ({summary}, '
                           f'{time.monotonic() - self._begin_s:.1f} s, {self._size()})'])
 
 
@@ -259,7 +259,7 @@ def _message_class(kind: str) -> Any:
 
 
 def _common(profiles: Sequence[QoSProfile], what: str, more: Any, less: Any) -> Any:
-    return more if profiles and all(getattr(found, what) == more for found in profiles) else less
+    return more if profiles and all(getattr(qos, what) == more for qos in profiles) else less
 
 
 def _described(profile: QoSProfile) -> dict[str, Any]:

@@ -76,9 +76,9 @@ class Recorded:
         return list(self._each(topic, type_name))
 
     def _each(self, topic: str, type_name: str) -> Iterator[Any]:
-        found = self.types.get(topic)
-        if found not in (None, full_name(type_name)):
-            raise RecordError(f'{topic} should be {full_name(type_name)}, not {quoted(found)}')
+        kind = self.types.get(topic)
+        if kind not in (None, full_name(type_name)):
+            raise RecordError(f'{topic} should be {full_name(type_name)}, not {quoted(kind)}')
         decode = _decoder(type_name)
         return (decode(content) for _, content in self.messages.get(topic, ()))
 
@@ -138,8 +138,8 @@ class RecordedEpisode(Recorded):
 
         :param key: ``arguments``, ``latency``, ``settings`` or ``drawn``
         """
-        found: dict[str, Any] = json.loads(self.about.get(key, '{}'))
-        return found
+        values: dict[str, Any] = json.loads(self.about.get(key, '{}'))
+        return values
 
     def arrays(self, topic: str) -> FloatArray:
         """
@@ -148,11 +148,11 @@ class RecordedEpisode(Recorded):
         :param topic: of the type ``std_msgs/Float64MultiArray``
         :raises RecordError: if the messages are not of that type and of one length
         """
-        found = [np.array(message.data, dtype=np.float64)
-                 for message in self._each(topic, 'std_msgs/Float64MultiArray')]
-        if len({len(numbers) for numbers in found}) > 1:
+        arrays = [np.array(message.data, dtype=np.float64)
+                  for message in self._each(topic, 'std_msgs/Float64MultiArray')]
+        if len({len(numbers) for numbers in arrays}) > 1:
             raise RecordError(f'{topic} has arrays of different lengths')
-        return np.stack(found) if found else np.empty((0, 0))
+        return np.stack(arrays) if arrays else np.empty((0, 0))
 
     @property
     def actions(self) -> FloatArray:
@@ -170,12 +170,12 @@ class RecordedEpisode(Recorded):
             return None
         begins = {time_ns: period for period, (time_ns, _) in enumerate(
             self.messages.get(STATE, ()))}
-        found: dict[int, list[tuple[int, FloatArray]]] = {}
+        actions: dict[int, list[tuple[int, FloatArray]]] = {}
         for (time_ns, _), numbers in zip(self.messages.get(TAKEN, ()), self.arrays(TAKEN)):
             if time_ns not in begins or not (len(numbers) and 0 <= numbers[0] < 2**31):
                 raise RecordError(f'{TAKEN} has what is no action of a control period')
-            found.setdefault(begins[time_ns], []).append((int(numbers[0]), numbers[1:]))
-        return found
+            actions.setdefault(begins[time_ns], []).append((int(numbers[0]), numbers[1:]))
+        return actions
 
     @property
     def states(self) -> FloatArray:
@@ -186,9 +186,9 @@ class RecordedEpisode(Recorded):
     def digests(self) -> dict[int, str]:
         """Digests by control period; 0 is the start."""
         start = self.messages.get(STATE, [(0, b'')])[0][0]
-        found = self.decoded(DIGEST, 'std_msgs/String')
+        digests = self.decoded(DIGEST, 'std_msgs/String')
         return {round((time_ns - start) / (self.period_s * 1e9)): message.data
-                for (time_ns, _), message in zip(self.messages.get(DIGEST, ()), found)}
+                for (time_ns, _), message in zip(self.messages.get(DIGEST, ()), digests)}
 
 
 def _decoder(type_name: str) -> Callable[[bytes], Any]:
@@ -223,12 +223,12 @@ class Record:
 
         :raises RecordError: if it is not a record of episodes, of another version, or damaged
         """
-        for found in self.contents():
-            if not isinstance(found, RecordedEpisode):
+        for content in self.contents():
+            if not isinstance(content, RecordedEpisode):
                 raise RecordError(
-                    f'{self.path} is a record of the node {quoted(found.node)}, which has no '
+                    f'{self.path} is a record of the node {quoted(content.node)}, which has no '
                     'episodes; manip_sim replay repeats it, and sim_view --record shows it')
-            yield found
+            yield content
 
     @property
     def of_node(self) -> bool:

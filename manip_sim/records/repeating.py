@@ -74,7 +74,7 @@ class Replay:
             raise RecordError(f'episode {recorded.number} has {len(actions)} actions and '
                               f'{len(states)} states')
         episode, digests = self._fresh(recorded), recorded.digests
-        found: tuple[int, str] | None = None
+        first: tuple[int, str] | None = None
         try:
             for period in range(len(states)):
                 if period:
@@ -83,22 +83,22 @@ class Replay:
                     for steps, action in due:
                         episode.take(action, steps)
                     episode.advance()
-                what = _difference(episode, states[period], digests.get(period))
-                if what is not None and found is None:
-                    found = period, what
+                value = _difference(episode, states[period], digests.get(period))
+                if value is not None and first is None:
+                    first = period, value
         except (CommandError, DivergenceError) as error:
-            found = found or (episode.periods + 1, str(error))
-        if found is None and recorded.result is not None and (
+            first = first or (episode.periods + 1, str(error))
+        if first is None and recorded.result is not None and (
                 episode.digest != recorded.result['digest']):
-            found = episode.periods, 'the digest'
+            first = episode.periods, 'the digest'
         success = episode.success
-        if found is None and recorded.result is not None and success != recorded.success:
-            found = episode.periods, 'success'
-        if found is None:
+        if first is None and recorded.result is not None and success != recorded.success:
+            first = episode.periods, 'success'
+        if first is None:
             return Repetition(recorded, episode.periods, success)
-        period, what = found
+        period, value = first
         where = f'in period {period} of {len(states) - 1}' if period else 'at the start'
-        return Repetition(recorded, episode.periods, success, f'{what} first differs {where}'
+        return Repetition(recorded, episode.periods, success, f'{value} first differs {where}'
                           + _reason(recorded, episode), period)
 
     def _fresh(self, recorded: RecordedEpisode) -> Episode:
@@ -232,12 +232,12 @@ class JournalReplay:
         except _Stop as error:
             self._leave(str(error))
         except Exception as error:  # A record may hold anything.
-            what = (str(error) if isinstance(error, ManipSimError)
-                    else f'{type(error).__name__} {one_line(str(error), 200)}')
+            reason = (str(error) if isinstance(error, ManipSimError)
+                      else f'{type(error).__name__} {one_line(str(error), 200)}')
             if self._world is None:
-                self.problems.append(f'the journal cannot be repeated here: {what}')
+                self.problems.append(f'the journal cannot be repeated here: {reason}')
             else:
-                self._leave(f'the journal cannot be repeated: {what}')
+                self._leave(f'the journal cannot be repeated: {reason}')
 
 
 class _World:

@@ -100,7 +100,7 @@ def check_about(about: Mapping[str, str]) -> None:
 def _is_deep(value: Any, room: int = _MAX_DEPTH) -> bool:
     inner = value.values() if isinstance(value, dict) else value if isinstance(
         value, list) else ()
-    return not room or any(_is_deep(one, room - 1) for one in inner)
+    return not room or any(_is_deep(item, room - 1) for item in inner)
 
 
 def _are_names(value: Any) -> bool:

@@ -155,16 +155,16 @@ def write_side_by_side(file: Path, episodes: Sequence[RecordedEpisode], titles: 
         raise RecordError(f"a video needs the package {error.name}: "
                           "pip install 'manip_sim[records]'") from error
     finally:
-        for one in shown:
-            one.close()
+        for view in shown:
+            view.close()
 
 
 def _write(file: Path, shown: Sequence[_Shown], titles: Sequence[str], period_s: float) -> None:
     video = VideoFile(file, 0, max(1, round(1.0 / period_s)), (_SIZE[1], _SIZE[0] * len(shown), 3))
-    for period in range(max(len(one.states) for one in shown)):
-        images = [_titled(one.image(period), f'{one_line(title, _TITLE_LENGTH)}\n'
-                          f'{min(period, len(one.states) - 1) * period_s:.2f} s')
-                  for one, title in zip(shown, titles)]
+    for period in range(max(len(view.states) for view in shown)):
+        images = [_titled(view.image(period), f'{one_line(title, _TITLE_LENGTH)}\n'
+                          f'{min(period, len(view.states) - 1) * period_s:.2f} s')
+                  for view, title in zip(shown, titles)]
         video.add(np.concatenate(images, axis=1), period == 0)
     video.close()
 
