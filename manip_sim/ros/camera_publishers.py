@@ -55,9 +55,9 @@ class ImageOutputs:
 
     def wanted(self) -> tuple[bool, bool, bool]:
         """Return whether colours, depth and labels have subscribers."""
-        wanted = {part for channel, output in self._topics if output.wanted
-                  for part in channel.parts}
-        return 'rgb' in wanted, 'depth' in wanted, 'labels' in wanted
+        parts = {part for channel, output in self._topics if output.wanted
+                 for part in channel.parts}
+        return 'rgb' in parts, 'depth' in parts, 'labels' in parts
 
     def publish(self, head: Fields, picture: Picture, noise: ImageNoise | None) -> None:
         rgb, depth = picture.rgb, picture.depth
@@ -178,7 +178,7 @@ class Cameras(Feature):
         try:
             self._renderer = CameraThread(
                 choose_gl(), VisibleWorld(self._context.simulation.plan),
-                [found.view for found in self._publishers.values()], self._publish,
+                [camera.view for camera in self._publishers.values()], self._publish,
                 self._report_failure)
         except ManipSimError as error:
             self._unable = error

@@ -167,7 +167,7 @@ class ChannelPublishers(Feature):
 
     def look(self) -> bool:
         """Check which channels have subscribers, and return whether any has."""
-        self._subscribed = tuple(found for found in self._all.values() if found.look())
+        self._subscribed = tuple(publisher for publisher in self._all.values() if publisher.look())
         return bool(self._subscribed)
 
     def publish(self, simulation: Simulation) -> None:
@@ -200,7 +200,7 @@ class InstrumentPublishers(ChannelPublishers):
     def __init__(self, context: NodeContext) -> None:
         simulation = context.simulation
         settings = SensorSettings(context.parameters.value('sensors'), [
-            found.name for found, *_ in topics_of_instruments(simulation, context.robots)],
+            sensor.name for sensor, *_ in topics_of_instruments(simulation, context.robots)],
             1.0 / context.thread.period_s)
         if settings.noise:
             simulation.instruments.set_noise(settings.noise)

@@ -81,8 +81,8 @@ class Parameters:
         for spec in specs:
             self._specs[spec.name] = spec
             if spec.name in overrides:
-                given = overrides[spec.name] = self._as_declared(overrides[spec.name])
-                problem = _problem(spec, given)
+                parameter = overrides[spec.name] = self._as_declared(overrides[spec.name])
+                problem = _problem(spec, parameter)
                 if problem:
                     raise ParameterError(problem)
             self._node.declare_parameter(spec.name, spec.default, _descriptor(spec))
@@ -90,8 +90,8 @@ class Parameters:
     def undeclare(self, scope: Scope) -> None:
         """Remove all parameters of a robot that came while the node ran."""
         begin = scope.parameter('')
-        self._of_parts = {name: found for name, found in self._of_parts.items()
-                          if found.scope != scope}
+        self._of_parts = {name: coupled for name, coupled in self._of_parts.items()
+                          if coupled.scope != scope}
         self._set_timeouts = {name for name in self._set_timeouts if not name.startswith(begin)}
         self.forget(begin)
 
@@ -135,20 +135,20 @@ class Parameters:
         At the start, a value given for one arm overrides one given for both, and a timeout that
         is the default of the control mode follows it.
         """
-        given = parameter_overrides(self._node)
-        found = {}
+        overrides = parameter_overrides(self._node)
+        coupled = {}
         for pattern in _COUPLED:
             names = {part: name for part in parts
                      if (name := scope.parameter(pattern.format(part))) in self._specs}
             for part, name in names.items():
                 atomic = parts[part].atomic
-                found[name] = _PartParameter(
+                coupled[name] = _PartParameter(
                     scope, pattern.replace('.{}', ''), part, atomic == (part,),
-                    tuple(names[one] for one in atomic if one in names),
-                    tuple(names[one] for one in names if {*parts[one].atomic} <= {*atomic}))
-        self._of_parts.update(found)
-        self._node.set_parameters([given[name] for name in sorted(
-            found, key=lambda name: found[name].is_atomic) if name in given])
+                    tuple(names[other] for other in atomic if other in names),
+                    tuple(names[other] for other in names if {*parts[other].atomic} <= {*atomic}))
+        self._of_parts.update(coupled)
+        self._node.set_parameters([overrides[name] for name in sorted(
+            coupled, key=lambda name: coupled[name].is_atomic) if name in overrides])
         for part in parts:
             mode, timeout = (scope.parameter(pattern.format(part)) for pattern in _COUPLED[:2])
             if timeout in self._set_timeouts and self.value(timeout) == default_timeout(
@@ -184,28 +184,29 @@ class Parameters:
 
         Of several in one change, that of fewer parts acts, and of equal parts the last one.
         """
-        values = {given.name: self._as_declared(given) for given in parameters}
+        values = {change.name: self._as_declared(change) for change in parameters}
         known = self._of_parts
-        for given in sorted([given for given in values.values() if given.name in known],
-                            key=lambda given: -len(known[given.name].atomic)):
-            for name in known[given.name].same:
-                values[name] = Parameter(name, given.type_, given.value)
+        for change in sorted([change for change in values.values() if change.name in known],
+                             key=lambda change: -len(known[change.name].atomic)):
+            for name in known[change.name].same:
+                values[name] = Parameter(name, change.type_, change.value)
         self._following = set()
-        for given in () if self.showing else [*values.values()]:
-            found = known.get(given.name)
-            if found is None or found.group != 'control_mode' or given.value not in [*MODES]:
+        for change in () if self.showing else [*values.values()]:
+            coupled = known.get(change.name)
+            if coupled is None or coupled.group != 'control_mode' or change.value not in [*MODES]:
                 continue
-            timeout = found.scope.parameter(f'command_timeout.{found.part}')
-            if found.is_atomic and timeout not in {*values, *self._set_timeouts}:
+            timeout = coupled.scope.parameter(f'command_timeout.{coupled.part}')
+            if coupled.is_atomic and timeout not in {*values, *self._set_timeouts}:
                 self._following.update(known[timeout].same)
                 values.update({name: Parameter(
-                    name, value=default_timeout(found.part, given.value))
+                    name, value=default_timeout(coupled.part, change.value))
                     for name in known[timeout].same})
         # Parts that consist of several have the values in which these agree.
-        for name, found in known.items():
-            if not found.is_atomic and name not in values and {*found.atomic} & {*values}:
-                ones = [values.get(one) or self._node.get_parameter(one) for one in found.atomic]
-                if all(one.value == ones[0].value for one in ones):
+        for name, coupled in known.items():
+            if not coupled.is_atomic and name not in values and {*coupled.atomic} & {*values}:
+                ones = [values.get(atom) or self._node.get_parameter(atom)
+                        for atom in coupled.atomic]
+                if all(parameter.value == ones[0].value for parameter in ones):
                     values[name] = Parameter(name, ones[0].type_, ones[0].value)
         return [*values.values()]
 
@@ -216,9 +217,9 @@ class Parameters:
     @property
     def values(self) -> dict[str, Any]:
         """The present values of all declared parameters, by name, as YAML or JSON has them."""
-        found = {name: self.value(name) for name in self._specs}
+        present = {name: self.value(name) for name in self._specs}
         return {name: value if isinstance(value, (str, bool, int, float)) else list(value)
-                for name, value in found.items()}
+                for name, value in present.items()}
 
     def value(self, name: str) -> Any:
         return self._node.get_parameter(name).value

@@ -113,9 +113,9 @@ class Diagnostics(Feature):
             self._physics(f'{name}: simulation'),
             *(self._part(f'{name}: {commands.scope.topic(part)}', commands, part, now_s, elapsed_s)
               for commands in self._commands for part in commands.statistics),
-            *(_status(f'{name}: {of}', 'commands',
-                      self._counts(f'{name}: {of}', statistics, now_s, elapsed_s))
-              for of, statistics in self._surroundings.statistics.items()),
+            *(_status(f'{name}: {group}', 'commands',
+                      self._counts(f'{name}: {group}', statistics, now_s, elapsed_s))
+              for group, statistics in self._surroundings.statistics.items()),
             *self._images(f'{name}: cameras', elapsed_s),
             self._others(f'{name}: other nodes')])
         message.header.stamp = stamp_of(self._thread.progress.time_ns)

@@ -42,7 +42,7 @@ def missing_note(missing: Mapping[str, str]) -> str:
 
     :param missing: by package, such as ``tf2_msgs``, what does not exist without it
     """
-    without = ', '.join(f'{what} ({package})' for package, what in missing.items())
+    without = ', '.join(f'{feature} ({package})' for package, feature in missing.items())
     return (f'without packages that are not installed, there are no {without}; they are not '
             f'available from pip: apt install {apt_names(*missing)}, or build them')
 

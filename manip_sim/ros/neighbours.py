@@ -74,15 +74,15 @@ class Neighbours:
         return list(self._reported.values())
 
     def _look(self, topics: Mapping[str, Sequence[str]]) -> None:
-        found = {**self._same_name(), **self._same_topics(), **self._unheard(),
-                 **{text: text for text in islice(chain(
-                     self._mismatches(topics), self._missed_services()), _MOST)}}
-        confirmed = {what: text for what, text in found.items() if what in self._found}
-        for what in confirmed.keys() - self._reported.keys():
-            self._node.get_logger().warning(confirmed[what])
-        if found != self._found or self._unheard_since_s is not None and 'unheard' not in found:
+        seen = {**self._same_name(), **self._same_topics(), **self._unheard(),
+                **{text: text for text in islice(chain(
+                    self._mismatches(topics), self._missed_services()), _MOST)}}
+        confirmed = {key: text for key, text in seen.items() if key in self._found}
+        for key in confirmed.keys() - self._reported.keys():
+            self._node.get_logger().warning(confirmed[key])
+        if seen != self._found or self._unheard_since_s is not None and 'unheard' not in seen:
             self._looks = max(1, self._looks)
-        self._found, self._reported = found, confirmed
+        self._found, self._reported = seen, confirmed
 
     def _same_name(self) -> dict[str, str]:
         count = self._node.get_node_names_and_namespaces().count(self._own)
@@ -103,8 +103,8 @@ class Neighbours:
         return {}
 
     def _same_topics(self) -> dict[str, str]:
-        own = [publisher.topic_name for publisher in self._node.publishers]
-        others = {topic: self._others(topic) for topic in self._topics if topic in own}
+        published = [publisher.topic_name for publisher in self._node.publishers]
+        others = {topic: self._others(topic) for topic in self._topics if topic in published}
         return {topic: f'{topic} is also published by {names}: {self._topics[topic]}'
                 for topic, names in others.items() if names}
 
@@ -126,7 +126,7 @@ class Neighbours:
                 if info.topic_type != kind:
                     yield (f'{topic} takes {_short(kind)}; {_name(info)} publishes '
                            f'{_short(info.topic_type)}{_taking(topic, info.topic_type, taken)}')
-                elif reason := _incompatible([(info.qos_profile, own) for own in self._own_qos(
+                elif reason := _incompatible([(info.qos_profile, qos) for qos in self._own_qos(
                         node.get_subscriptions_info_by_topic(topic))]):
                     yield f'{topic} cannot take what {_name(info)} publishes: {reason}'
         for topic, kind in published.items():
@@ -134,7 +134,7 @@ class Neighbours:
                 if info.topic_type != kind:
                     yield (f'{topic} is {_short(kind)}; {_name(info)} subscribes to '
                            f'{_short(info.topic_type)}')
-                elif reason := _incompatible([(own, info.qos_profile) for own in self._own_qos(
+                elif reason := _incompatible([(qos, info.qos_profile) for qos in self._own_qos(
                         node.get_publishers_info_by_topic(topic))]):
                     yield f'{_name(info)} cannot receive {topic}: {reason}'
         for topic in sorted(topics.keys() - taken.keys() - published.keys()):
@@ -142,17 +142,17 @@ class Neighbours:
             readers = node.get_subscriptions_info_by_topic(topic)
             if senders and readers:
                 continue
-            other, own, names = (('publishes', 'takes', taken) if senders else
-                                 ('subscribes to', 'publishes', published))
+            other, verb, names = (('publishes', 'takes', taken) if senders else
+                                  ('subscribes to', 'publishes', published))
             near = _nearest(topic, topics[topic], names)
             for info in self._others_of([*senders, *readers] if near else ()):
-                yield (f'{_name(info)} {other} {quoted(topic)}, which nobody {own}; this node '
-                       f'{own} {near}')
+                yield (f'{_name(info)} {other} {quoted(topic)}, which nobody {verb}; this node '
+                       f'{verb} {near}')
 
     def _missed_services(self) -> Iterator[str]:
         """Yield a line for each service that others wait for, and that this node has otherwise."""
         node = self._node
-        own = {service: kinds for service, kinds in node.get_service_names_and_types_by_node(
+        services = {service: kinds for service, kinds in node.get_service_names_and_types_by_node(
             *self._own) if kinds[0].partition('/')[0] not in _OF_EVERY_NODE}
         for name, space in node.get_node_names_and_namespaces():
             if (name, space) == self._own or name in _OWN_PROGRAMS:
@@ -163,12 +163,12 @@ class Neighbours:
                 continue
             for service, kinds in asked:
                 client = quoted(f'{space.rstrip("/")}/{name}')
-                if service in own and not set(kinds) <= set(own[service]):
-                    yield (f'{service} is {_short(own[service][0])}; {client} calls it as '
+                if service in services and not set(kinds) <= set(services[service]):
+                    yield (f'{service} is {_short(services[service][0])}; {client} calls it as '
                            f'{_short(kinds[0])}')
                 elif not node.count_services(service):
                     last = f"/{service.rpartition('/')[2]}"
-                    alike = [other for other in own if other.endswith(last)]
+                    alike = [other for other in services if other.endswith(last)]
                     for near in difflib.get_close_matches(service, alike, n=1, cutoff=0.0):
                         yield (f'{client} calls {quoted(service)}, which nobody offers; this node '
                                f'offers {near}')
@@ -196,7 +196,7 @@ def _types(own: Iterator[Any]) -> dict[str, str]:
 def _incompatible(pairs: Sequence[tuple[QoSProfile, QoSProfile]]) -> str:
     """Return why none of some pairs of publisher and subscription match, or nothing."""
     results = [qos_check_compatible(*pair) for pair in pairs]
-    if not results or any(found != QoSCompatibility.ERROR for found, _ in results):
+    if not results or any(result != QoSCompatibility.ERROR for result, _ in results):
         return ''
     return results[0][1].replace('ERROR: ', '').rstrip(';').replace(';', ', ').lower()
 

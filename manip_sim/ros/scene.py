@@ -94,10 +94,10 @@ class MarkerPublisher:
     def _wrench(self, data: Any, name: str, reader: EndEffectorReader) -> list[Marker]:
         site = data.site(reader.ft_frame)
         wrench, to_world = reader.read(data).external_wrench, site.xmat.reshape(3, 3)
-        return [marker for what, color, vector in (
+        return [marker for quantity, color, vector in (
             ('force', _RED, FORCE_SCALE * wrench.force),
             ('torque', _BLUE, TORQUE_SCALE * wrench.torque))
-            for marker in self._arrows_of(f'{name}/external_{what}', color, [site.xpos],
+            for marker in self._arrows_of(f'{name}/external_{quantity}', color, [site.xpos],
                                           [to_world @ vector])]
 
     def _arrows_of(self, namespace: str, color: tuple[float, ...],
@@ -189,13 +189,13 @@ def transforms(frames: Sequence[TreeFrame], prefix: str, stamp: Time, numbers: F
     :param prefix: prefix of the names of all frames
     :param numbers: position [m] and quaternion x, y, z, w of each, shape (7 n,) or (n, 7)
     """
-    message, found = TFMessage(), []
+    message, stamped = TFMessage(), []
     for frame, row in zip(frames, numbers.reshape(-1, 7)):
         transform = TransformStamped(child_frame_id=prefix + frame.name)
         transform.header.frame_id = prefix + frame.parent
         transform.header.stamp = stamp
-        found.append(filled(transform, row))
-    message.transforms = found
+        stamped.append(filled(transform, row))
+    message.transforms = stamped
     return message
 
 

@@ -282,7 +282,7 @@ class SimNode(Node):
         """Which thread of the node has ended unexpectedly; empty if none has."""
         threads = {'the thread that takes commands': self._command_thread,
                    'the thread that publishes': self.shared.publishing}
-        return next((what for what, thread in threads.items()
+        return next((description for description, thread in threads.items()
                      if thread is not None and not thread.is_alive), '')
 
     def end_goals(self) -> None:

@@ -105,9 +105,9 @@ class RequestedRobot:
     def name(self) -> str:
         """The name that it gives itself, or what kind of robot it is."""
         named: str = self._values[self.KEY]
-        own = named if self._given is None else stem_of(Path(split_arguments(named)[0]))
-        found: str = self._values.get('name', own)
-        return found
+        default_name = named if self._given is None else stem_of(Path(split_arguments(named)[0]))
+        name: str = self._values.get('name', default_name)
+        return name
 
     def create(self, name: str, pose: Pose) -> RobotModel:
         """
@@ -237,14 +237,14 @@ class SpawningServices:
     async def _spawn_all(self, request: Any, response: Any) -> None:
         """Spawn one after the other, whatever becomes of those before."""
         results = []
-        for one in request.spawn_requests:
+        for spawn_request in request.spawn_requests:
             results.append(self._messages.SpawnResult())
             with result_filled(results[-1].result):
-                await self._spawn(one, results[-1])
+                await self._spawn(spawn_request, results[-1])
             await Rounds(self._context.node)
         response.results = results
-        reasons = [one.result.error_message for one in results
-                   if one.result.result != ResultCode.RESULT_OK]
+        reasons = [result.result.error_message for result in results
+                   if result.result.result != ResultCode.RESULT_OK]
         if reasons:
             raise Rejection(SpawnAllCode.ENTITIES_SPAWN_FAILED,
                             f'{len(reasons)} of {len(results)} failed, the first: {reasons[0]}')
@@ -288,10 +288,10 @@ class SpawningServices:
                             f'{quoted(name)}: leave entity_namespace empty')
         return name, plan_with_robot(self._simulation, item.create(name, pose))
 
-    def _free_name(self, wanted: str, may_rename: bool) -> str:
+    def _free_name(self, requested: str, may_rename: bool) -> str:
         if may_rename:
-            wanted = _OTHER_CHARACTERS.sub('_', wanted).lstrip('_0123456789') or UNNAMED
-        return free_name(wanted, may_rename, self._simulation.entities.names,
+            requested = _OTHER_CHARACTERS.sub('_', requested).lstrip('_0123456789') or UNNAMED
+        return free_name(requested, may_rename, self._simulation.entities.names,
                          'there is an entity {} already', partial(check_object_name, where='name'))
 
     async def _delete(self, request: Any, _: Any) -> None:

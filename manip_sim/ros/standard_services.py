@@ -309,12 +309,12 @@ class WorldServices:
         passes = has_tags((), request.tags)
 
         def read() -> list[tuple[str, list[float]]]:
-            found = []
+            rows = []
             for name, site in self._sites().items():
                 quat = np.empty(4)
                 mujoco.mju_mat2Quat(quat, simulation.data.site_xmat[site])
-                found.append((name, [*simulation.data.site_xpos[site], *wxyz_to_xyzw(quat)]))
-            return found
+                rows.append((name, [*simulation.data.site_xpos[site], *wxyz_to_xyzw(quat)]))
+            return rows
         for name, numbers in self._thread.call(read):
             if passes:
                 message = self._types.messages.NamedPose(name=name)

@@ -111,10 +111,10 @@ def _inferred(world: World, robot: RobotModel | None = None) -> Iterator[str]:
         kept = [sentence for sentence in sentences if not isinstance(sentence, LostShape)]
         if kept:
             yield f'{name}: inferred: {"; ".join(kept)}'
-    for found in world.robots if robot is None else [robot]:
-        if isinstance(found, ManipulatorModel):
-            for arm in found.arms:
-                if arm not in found.grippers:
-                    yield (f"{found.name}: arm '{arm}' has no gripper, so no {arm}/eef_pose, "
+    for model in world.robots if robot is None else [robot]:
+        if isinstance(model, ManipulatorModel):
+            for arm in model.arms:
+                if arm not in model.grippers:
+                    yield (f"{model.name}: arm '{arm}' has no gripper, so no {arm}/eef_pose, "
                            f'{arm}/target_pose or {arm}/wrench; gripper:=NullGripper puts a bare '
-                           f"flange with these on '{found.eef_name[arm]}'")
+                           f"flange with these on '{model.eef_name[arm]}'")

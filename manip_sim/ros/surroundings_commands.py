@@ -79,15 +79,15 @@ class SurroundingsCommands(Feature):
             self._context, message_type, row.name, take, self._context.inbox)
 
     def _command(self, part: str, message: JointState) -> None:
-        found = self._surroundings.commands[part]
-        controls = found.checked(
+        direct = self._surroundings.commands[part]
+        controls = direct.checked(
             message.name, message.position, message.velocity, message.effort)
         stamp_ns = messages.nanoseconds_of(message.header.stamp)
         if not controls:  # They go on as before, which answers a state too.
             self._changes.at_next_period(f'{part}/', 'answer', stamp_ns=stamp_ns)
         for name, value in controls.items():
             self._changes.at_next_period(
-                f'{part}/{name}', 'direct_command', part, name, found.control(name)[0], value,
+                f'{part}/{name}', 'direct_command', part, name, direct.control(name)[0], value,
                 stamp_ns=stamp_ns)
 
     def _check_frame(self, frame_id: str) -> None:
