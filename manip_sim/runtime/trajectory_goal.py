@@ -76,8 +76,8 @@ class Tolerances:
         kind, joint = divmod(int(np.argmax(ratios)), len(self._joints))
         if not ratios[kind, joint] > 1.0:
             return ''
-        what = ('position', 'velocity')[kind]
-        return (f"the {what} of joint '{self._joints[joint]}' is {errors[kind, joint]:.4g} off, "
+        name = ('position', 'velocity')[kind]
+        return (f"the {name} of joint '{self._joints[joint]}' is {errors[kind, joint]:.4g} off, "
                 f'its tolerance is {limits[kind, joint]:.4g}')
 
 
@@ -265,10 +265,10 @@ def _check_end(part: str, names: Sequence[str], request: TrajectoryRequest, last
                tolerances: Tolerances) -> None:
     asked = np.asarray(request.positions, dtype=float)[-1]
     allowed = np.where(np.isfinite(tolerances.position), tolerances.position, _BEYOND)
-    for name, wanted, possible, most in zip(names, asked, last, allowed):
-        if abs(wanted - possible) > most:
+    for name, requested, possible, most in zip(names, asked, last, allowed):
+        if abs(requested - possible) > most:
             raise GoalError(GoalCode.INVALID_GOAL, f"{part}: the last point of joint '{name}' is "
-                            f'{wanted:g}, its range ends at {possible:g}')
+                            f'{requested:g}, its range ends at {possible:g}')
     if request.velocities is not None:
         speeds = np.asarray(request.velocities, dtype=float)[-1]
         for name, speed in zip(names, speeds):
