@@ -165,17 +165,17 @@ class Controllers:
     def describe(self) -> str:
         """Return what each controller does now, in one line."""
         frames = sys._current_frames()
-        found = []
+        states = []
         for _, thread in self._spinning:
             frame = frames.get(thread.ident or 0)
             lines = [line for line in traceback.extract_stack(frame) if '/rclpy/' not in
                      line.filename and line.filename not in (threading.__file__, __file__)]
-            found.append(f"node '{thread.name}' " + (
+            states.append(f"node '{thread.name}' " + (
                 'has ended' if frame is None else
                 f'is in {lines[-1].name} ({lines[-1].filename}:{lines[-1].lineno})' if lines
                 else 'waits for messages'))
-        return '; '.join([*found, *(process.describe(errors=False)
-                                    for process in self._processes)])
+        return '; '.join([*states, *(process.describe(errors=False)
+                                     for process in self._processes)])
 
     def close(self) -> None:
         """

@@ -94,11 +94,11 @@ class NodeProcess:
     def __init__(self, parameters: Mapping[str, Any]) -> None:
         self._files = ExitStack()
         folder = Path(self._files.enter_context(tempfile.TemporaryDirectory()))
-        given, self._log = folder / 'parameters.yaml', folder / 'log'
-        given.write_text(yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}}))
+        file, self._log = folder / 'parameters.yaml', folder / 'log'
+        file.write_text(yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}}))
         with self._log.open('w') as log:
             self._process = subprocess.Popen(
-                [sys.executable, '-m', 'manip_sim', '--ros-args', '--params-file', str(given)],
+                [sys.executable, '-m', 'manip_sim', '--ros-args', '--params-file', str(file)],
                 stdout=log, stderr=subprocess.STDOUT)
         self._guard = guard(str(self._process.pid))
 

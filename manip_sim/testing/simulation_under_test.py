@@ -75,8 +75,8 @@ class SimulationUnderTest:
             raise ManipSimError(f'patience must be above 0 s, got {patience_s}')
         check_ros_environment()
         self._patience_s = patience_s
-        given = self._given = {'stepping': 'free', **parameters, 'start_paused': True}
-        self._lockstep = given['stepping'] == 'lockstep'
+        settings = self._given = {'stepping': 'free', **parameters, 'start_paused': True}
+        self._lockstep = settings['stepping'] == 'lockstep'
         self.domain = domain
         self._context = rclpy.Context()
         start_rclpy(context=self._context, domain_id=domain, args=[])
@@ -84,7 +84,7 @@ class SimulationUnderTest:
             # A context of its own would be another participant of DDS in this process: while one
             # works, Fast DDS does not reliably survive the end of the other.
             self.server: ServedNode = (
-                NodeProcess(given) if as_process else NodeInProcess(self._context, given))
+                NodeProcess(settings) if as_process else NodeInProcess(self._context, settings))
         except BaseException:
             rclpy.try_shutdown(context=self._context)
             raise
@@ -106,10 +106,10 @@ class SimulationUnderTest:
         values = self._parameters('publish_rate', 'robots')
         self.period_s = 1.0 / float(values[0].double_value)
         spaces = [f'{name}/' for name in values[1].string_array_value if name] or ['']
-        wanted = [f'/{space}joint_states' for space in spaces]
-        self._spin_until(lambda: all(map(self.node.count_publishers, wanted)))
+        topics = [f'/{space}joint_states' for space in spaces]
+        self._spin_until(lambda: all(map(self.node.count_publishers, topics)))
         self._recorded.begin()
-        self._states = wanted
+        self._states = topics
         self._wait_for_the_start()
 
     def _wait_for_the_start(self) -> None:
@@ -337,8 +337,8 @@ class SimulationUnderTest:
             self._wait_for_name('subscribed topic', topic, type(message), self._subscribed)
             publisher = self.node.create_publisher(type(message), topic, 100)
             infos = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
-            own = len(infos) - len(self._others(infos))
-            self._wait_until_connected(topic, lambda: publisher.get_subscription_count() > own)
+            ours = len(infos) - len(self._others(infos))
+            self._wait_until_connected(topic, lambda: publisher.get_subscription_count() > ours)
             self._publishers[topic] = publisher
         self._publishers[topic].publish(message)
 
@@ -405,7 +405,7 @@ class SimulationUnderTest:
         """
         full_name, begin_s = self.node.resolve_topic_name(name), time.monotonic()
         package, module = interface.__module__.split('.')[:2] if interface else ('', '')
-        wanted = f'{package}/{module}/{interface.__name__}' if interface else ''
+        type_name = f'{package}/{module}/{interface.__name__}' if interface else ''
 
         def check() -> None:
             # A controller may just have been started.
@@ -415,13 +415,13 @@ class SimulationUnderTest:
             present = dict(listed())
             if types := present.get(full_name):
                 raise ManipSimError(f'the {kind} {name} has the type {", ".join(types)}, not '
-                                    f'{wanted}')
-            alike = [other[1:] for other, types in present.items() if wanted in types]
-            raise UnknownNameError(kind + (f' of the type {wanted}' if wanted else ''), name,
+                                    f'{type_name}')
+            alike = [other[1:] for other, types in present.items() if type_name in types]
+            raise UnknownNameError(kind + (f' of the type {type_name}' if type_name else ''), name,
                                    alike or [other[1:] for other in present])
         self._spin_until(lambda: any(
-            other == full_name and (not wanted or wanted in types) for other, types in listed()
-        ), check)
+            other == full_name and (not type_name or type_name in types)
+            for other, types in listed()), check)
 
     def _wait_until_connected(self, name: str, connected: Callable[[], bool]) -> None:
         self._spin_until(connected, self._limit(
