@@ -158,8 +158,8 @@ class Player:
         self._draw_line()
 
     def _show_images(self) -> None:
-        for camera, found in self._shown.pictures.items():
-            pixels = found.at(self._shown.times[self._instant])
+        for camera, pictures in self._shown.pictures.items():
+            pixels = pictures.at(self._shown.times[self._instant])
             if pixels is None:
                 continue
             if camera in self._images:

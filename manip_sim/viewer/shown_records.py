@@ -118,29 +118,29 @@ class ShownEpisode(Shown):
             raise RecordError(f'episode {episode.number} has no states')
         self.times = np.arange(float(len(self._states))) * episode.period_s
         self.plots = self._plots()
-        self.pictures = {camera: RecordedPictures(np.arange(float(len(found))) * episode.period_s,
-                                                  [bytes(message.data) for message in found])
-                         for camera, found in _images(episode).items()}
+        self.pictures = {camera: RecordedPictures(np.arange(float(len(images))) * episode.period_s,
+                                                  [bytes(message.data) for message in images])
+                         for camera, images in _images(episode).items()}
 
     def _plots(self) -> dict[str, Plotted]:
         episode, period_s = self._episode, self._episode.period_s
-        found: dict[str, Plotted] = {}
+        plots: dict[str, Plotted] = {}
 
         def times(count: int, first: int = 0) -> FloatArray:
             return np.arange(float(first), count + first) * period_s
 
         rewards = [m.data for m in episode.decoded(REWARD, 'std_msgs/Float64')]
-        _add(found, 'reward', 'reward', ['reward'], [[reward] for reward in rewards],
+        _add(plots, 'reward', 'reward', ['reward'], [[reward] for reward in rewards],
              times(len(rewards), 1))
         for topic, kind in episode.types.items():
             if kind in _PLOTTED:
                 messages = episode.decoded(topic, _PLOTTED[kind])
-                _add_messages(found, topic, messages, times(len(messages)))
+                _add_messages(plots, topic, messages, times(len(messages)))
         for topic, first in ((ACTION, 1), (GOAL, 0)):
             rows, name = episode.arrays(topic), topic.rpartition('/')[2]
-            _add(found, name, name, [str(index) for index in range(rows.shape[1])], rows.tolist(),
+            _add(plots, name, name, [str(index) for index in range(rows.shape[1])], rows.tolist(),
                  times(len(rows), first))
-        return found
+        return plots
 
     def check(self, model: mujoco.MjModel) -> None:
         if mujoco.mj_stateSize(model, STATE_PARTS) != self._states.shape[1]:
@@ -183,20 +183,20 @@ class ShownWorld(Shown):
             raise RecordError(f'the record of {world.node} cannot be shown: it has no '
                               + ('joint_states' if self.model else 'model'))
         self._every = -(-most // _MOST_INSTANTS)
-        found = {topic: _rising(world.decoded(topic, _PLOTTED[kind]), self._every)
-                 for topic, kind in world.types.items() if kind in _PLOTTED}
+        rising = {topic: _rising(world.decoded(topic, _PLOTTED[kind]), self._every)
+                  for topic, kind in world.types.items() if kind in _PLOTTED}
         # Exact joint states are set after measured ones.
-        self._joints = [found[topic] for topic in sorted(filter(_is_joints, found),
-                                                         key=lambda name: 'truth/' in name)]
+        self._joints = [rising[topic] for topic in sorted(filter(_is_joints, rising),
+                                                          key=lambda name: 'truth/' in name)]
         instants = max((times for times, _ in self._joints), key=len)
         if not len(instants):
             raise RecordError(f'the joint_states of {world.node} have no joints')
         begin_s = instants[0]
         self.times, self._begin_s = instants - begin_s, float(begin_s)
-        self._bodies = {topic.split('/')[-2]: series for topic, series in found.items()
+        self._bodies = {topic.split('/')[-2]: series for topic, series in rising.items()
                         if topic.split('/')[-3:-2] == ['objects'] and topic.endswith('/pose')}
         self.plots = {}
-        for topic, (times, messages) in found.items():
+        for topic, (times, messages) in rising.items():
             _add_messages(self.plots, topic, messages, times - begin_s)
         self.pictures = {}
         for camera, images in _images(world).items():
@@ -230,11 +230,11 @@ class ShownWorld(Shown):
         kinematics.compute()
 
     def lines(self, instant: int) -> list[Line]:
-        of = f'state {instant} of {len(self.times) - 1}'
+        position = f'state {instant} of {len(self.times) - 1}'
         often = f', of {self._every} recorded states one is shown' if self._every > 1 else ''
         return [Line(self._node, color=_CUT_OFF),
                 Line(f'{self.times[instant] + self._begin_s:.2f} s of the simulation, '
-                     f'{of}{often}'),
+                     f'{position}{often}'),
                 *self._notes]
 
 
@@ -259,8 +259,8 @@ class Entry:
     @property
     def label(self) -> str:
         how = {True: 'done', False: 'FAILED', None: 'cut off'}[self.success]
-        what = f'node {self.node}' if self.node else f'seed {self.seed}: {how}'
-        return plain(f'{self.path.stem} #{self.number}, {what}')
+        origin = f'node {self.node}' if self.node else f'seed {self.seed}: {how}'
+        return plain(f'{self.path.stem} #{self.number}, {origin}')
 
     def read(self) -> Shown:
         """
@@ -268,12 +268,12 @@ class Entry:
 
         :raises RecordError: if it cannot be read
         """
-        for number, found in enumerate(Record(self.path).contents()):
-            if isinstance(found, RecordedEpisode):
-                if found.number == self.number and not self.node:
-                    return ShownEpisode(found)
+        for number, content in enumerate(Record(self.path).contents()):
+            if isinstance(content, RecordedEpisode):
+                if content.number == self.number and not self.node:
+                    return ShownEpisode(content)
             elif number == self.number:
-                return ShownWorld(found)
+                return ShownWorld(content)
         raise RecordError(f'{self.path}: the record has changed')
 
 
@@ -302,13 +302,13 @@ def entries_in(paths: Iterable[Path], report: Callable[[str], object] = lambda _
 
 def _entries_of(path: Path) -> list[Entry]:
     entries = []
-    for number, found in enumerate(Record(path).contents()):
-        if isinstance(found, RecordedEpisode):
-            entries.append(Entry(path, found.number, found.seed,
-                                 None if found.result is None else found.success))
+    for number, content in enumerate(Record(path).contents()):
+        if isinstance(content, RecordedEpisode):
+            entries.append(Entry(path, content.number, content.seed,
+                                 None if content.result is None else content.success))
         else:
-            ShownWorld(found)  # Reports what it lacks here, not on the page.
-            entries.append(Entry(path, number, node=found.node or '?'))
+            ShownWorld(content)  # Reports what it lacks here, not on the page.
+            entries.append(Entry(path, number, node=content.node or '?'))
     return entries
 
 
@@ -317,9 +317,9 @@ def described(entries: Iterable[Entry]) -> str:
     entries = list(entries)
     episodes = [entry for entry in entries if not entry.node]
     failed = sum(entry.success is False for entry in episodes)
-    found = [f'{counted(len(episodes), "episode")}, {failed} of them failed'] if episodes else []
+    counts = [f'{counted(len(episodes), "episode")}, {failed} of them failed'] if episodes else []
     worlds = len(entries) - len(episodes)
-    return ' and '.join(found + [f'{counted(worlds, "world")} of nodes'] * bool(worlds))
+    return ' and '.join(counts + [f'{counted(worlds, "world")} of nodes'] * bool(worlds))
 
 
 def _is_joints(topic: str) -> bool:
@@ -364,7 +364,7 @@ _PLOTTED = {full_name(name): name for name in (
     'geometry_msgs/PoseStamped', 'geometry_msgs/WrenchStamped', 'sensor_msgs/JointState')}
 
 
-def _add_messages(found: dict[str, Plotted], topic: str, messages: list[Any], times: FloatArray
+def _add_messages(plots: dict[str, Plotted], topic: str, messages: list[Any], times: FloatArray
                   ) -> None:
     """Add the plots of a topic."""
     *scope, last = topic.strip('/').split('/')
@@ -374,20 +374,20 @@ def _add_messages(found: dict[str, Plotted], topic: str, messages: list[Any], ti
     if last == 'joint_states':
         for field, unit in (('position', 'rad or m'), ('velocity', 'rad/s or m/s'),
                             ('effort', 'N m or N')):
-            _add(found, f'{name} joint {field}'.strip(), f'{field} [{unit}]',
+            _add(plots, f'{name} joint {field}'.strip(), f'{field} [{unit}]',
                  list(messages[0].name), [getattr(m, field) for m in messages], times)
     elif last == 'external_wrench' and hasattr(messages[0], 'wrench'):
-        _add(found, f'{name} external force', 'external force [N]', ['x', 'y', 'z'],
+        _add(plots, f'{name} external force', 'external force [N]', ['x', 'y', 'z'],
              [_numbers(m.wrench.force) for m in messages], times)
     elif last in ('eef_pose', 'pose') and hasattr(messages[0], 'pose'):
-        _add(found, f'{name} position', f'position of {name} [m]', ['x', 'y', 'z'],
+        _add(plots, f'{name} position', f'position of {name} [m]', ['x', 'y', 'z'],
              [_numbers(m.pose.position) for m in messages], times)
 
 
-def _add(found: dict[str, Plotted], name: str, title: str, names: list[str], rows: list[Any],
+def _add(plots: dict[str, Plotted], name: str, title: str, names: list[str], rows: list[Any],
          times: FloatArray) -> None:
     if len(rows) > 1 and names and all(len(row) == len(names) for row in rows):
-        found[name] = Plotted(title, names, np.nan_to_num(np.array(rows, dtype=float)), times)
+        plots[name] = Plotted(title, names, np.nan_to_num(np.array(rows, dtype=float)), times)
 
 
 def _images(recorded: Recorded) -> dict[str, list[Any]]:

@@ -140,7 +140,8 @@ class BodyLabels:
             return
         self._due_s = now_s + _PERIOD_S
         clients = self._server.get_clients()
-        self._labels = {number: of for number, of in self._labels.items() if number in clients}
+        self._labels = {
+            number: labels for number, labels in self._labels.items() if number in clients}
         points = posture.data.xpos[self._bodies]
         for number, client in clients.items():
             if number not in self._labels:

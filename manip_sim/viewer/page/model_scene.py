@@ -135,9 +135,9 @@ def _capsule(radius: float, half_length: float) -> Any:
 def _mesh(model: mujoco.MjModel, mesh: int) -> Any:
     begin, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    found = trimesh.Trimesh(model.mesh_vert[begin:begin + count],
-                            model.mesh_face[first:first + faces], process=False)
-    return found if faces > _MANY_FACES else found.smooth_shaded
+    surface = trimesh.Trimesh(model.mesh_vert[begin:begin + count],
+                              model.mesh_face[first:first + faces], process=False)
+    return surface if faces > _MANY_FACES else surface.smooth_shaded
 
 
 def _placed(model: mujoco.MjModel, geom: int, shape: Any) -> Any:
@@ -178,8 +178,8 @@ class Overlays:
         :param arrows: by what they show, from and to in ``world`` [m], shape (n, 2, 3)
         """
         self._show(_CONTACTS, points)
-        for what in _COLORS:
-            self._show(what, arrows.get(what, _NOTHING))
+        for name in _COLORS:
+            self._show(name, arrows.get(name, _NOTHING))
 
     def clear(self) -> None:
         self.show(_NOTHING, {})

@@ -81,11 +81,11 @@ class SavePanel:
             'Save', (_PICTURE, _RECORD) if self._records else (_PICTURE,))
 
         def pressed(event: Any) -> None:
-            what, number = event.target.value, event.client_id
-            if what == _PICTURE:
+            label, number = event.target.value, event.client_id
+            if label == _PICTURE:
                 events.add(lambda: picture(number))
-            elif commands is not None and what in (_RECORD, _STOP):
-                events.add(lambda: commands.record(what == _RECORD))
+            elif commands is not None and label in (_RECORD, _STOP):
+                events.add(lambda: commands.record(label == _RECORD))
         self._buttons.on_click(pressed)
 
     def show(self, recording: bool) -> None:
@@ -151,7 +151,7 @@ class ViewPanel:
         points = latest.contacts if self._contacts.value else np.zeros((0, 3))
         shown = ((_FORCES,) if self._contacts.value else ()) + (
             _WRENCHES if self._wrenches.value else ())
-        return points, {what: latest.arrows[what] for what in shown if what in latest.arrows}
+        return points, {name: latest.arrows[name] for name in shown if name in latest.arrows}
 
 
 #: Least time between two images of a camera [s].
@@ -386,8 +386,8 @@ class DrivePanel:
             self._sliders = [gui.add_slider(
                 f'{label} [{unit}]', min=-limit, max=limit, step=limit / 50.0, initial_value=0.0,
                 marks=_marks(-limit, limit),
-                hint=f'velocity of the base {what} [{unit}]')
-                for label, what, unit, limit in zip(
+                hint=f'velocity of the base {direction} [{unit}]')
+                for label, direction, unit, limit in zip(
                     ('forward', 'left', 'turn'),
                     ('along its x', 'along its y', 'about its z, to the left'),
                     ('m/s', 'm/s', 'rad/s'), robot.twist)]

@@ -79,10 +79,10 @@ class PlainText:
 
 
 def _as_html(lines: Iterable[Line]) -> str:
-    found = []
+    blocks = []
     for line in lines:
         dot = f'<span style="color:{html.escape(line.color)}">●</span> ' if line.color else ''
         title = f'<b>{html.escape(plain(line.title))}</b>: ' if line.title else ''
-        found.append('<div style="padding:0 0.7em 0.5em;font-size:0.9em;overflow-wrap:anywhere">'
-                     f'{dot}{title}{html.escape(one_line(line.text))}</div>')
-    return _STYLE + ''.join(found)
+        blocks.append('<div style="padding:0 0.7em 0.5em;font-size:0.9em;overflow-wrap:anywhere">'
+                      f'{dot}{title}{html.escape(one_line(line.text))}</div>')
+    return _STYLE + ''.join(blocks)

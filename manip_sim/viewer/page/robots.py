@@ -112,7 +112,7 @@ def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
     limits = {str(joint.get('name')): {key: float(limit.attrib[key])
                                        for key in _LIMITS if key in limit.attrib}
               for joint in root.iter('joint') if (limit := joint.find('limit')) is not None}
-    if not all(math.isfinite(value) for of in limits.values() for value in of.values()):
+    if not all(math.isfinite(value) for each in limits.values() for value in each.values()):
         raise ValueError('a limit of a joint is not finite')
     return limits
 
@@ -132,14 +132,14 @@ def commanded_joints(model: mujoco.MjModel, names: list[str],
               if int(model.actuator_trntype[i]) in _OF_JOINTS
               and (not gripper or model.actuator_biasprm[i, 1] < 0.0)}
     labels = dict(zip(names, short_labels(names)))
-    found = []
+    joints = []
     for name in names:
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if index in driven:
             slides = int(model.jnt_type[index]) == _SLIDE
-            found.append(ShownJoint(name, plain(labels[name]), slides,
-                                    _ranges(limits.get(name, {}), slides)))
-    return tuple(found)
+            joints.append(ShownJoint(name, plain(labels[name]), slides,
+                                     _ranges(limits.get(name, {}), slides)))
+    return tuple(joints)
 
 
 def limit_of(limits: Mapping[str, float], key: str, usual: float) -> float:

@@ -77,9 +77,9 @@ class Access:
         if not _TOKEN.fullmatch(token):
             raise ManipSimError(f'{TOKEN_VARIABLE} must have 16 to 128 of the characters A-Z, '
                                 'a-z, 0-9, _ and -')
-        own = socket.gethostname()
+        host = socket.gethostname()
         return Access(token, frozenset(name.lower() for name in (
-            'localhost', own, f'{own}.local', *names)))
+            'localhost', host, f'{host}.local', *names)))
 
     def reason_against(self, path: str, headers: Sequence[tuple[str, str]]) -> str:
         """
@@ -92,15 +92,15 @@ class Access:
         :param headers: of the request: names and values
         """
         hosts, origins, upgrades = (
-            [value.lower() for name, value in headers if name.lower() == wanted]
-            for wanted in ('host', 'origin', 'upgrade'))
+            [value.lower() for name, value in headers if name.lower() == header]
+            for header in ('host', 'origin', 'upgrade'))
         match = _HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
         if match is None or not self._is_known(match['name']):
             return (f'the host {quoted(" ".join(hosts))} is unknown; sim_view --allow-host NAME '
                     'allows a name')
         # A browser sends the origin of the page that opens a socket.
-        own = f'http://{hosts[0]}', f'https://{hosts[0]}'
-        if any(origin not in own for origin in origins) or len(origins) < len(upgrades):
+        own_origins = f'http://{hosts[0]}', f'https://{hosts[0]}'
+        if any(origin not in own_origins for origin in origins) or len(origins) < len(upgrades):
             return f'the origin {quoted(" ".join(origins))} is another'
         if not hmac.compare_digest(_first(path).encode(errors='replace'), self.token.encode()):
             return 'open the address that sim_view has printed, with the token at its end'
@@ -173,9 +173,9 @@ def _check(access: Access, answer: Any) -> Any:
         reason = access.reason_against(request.path, list(request.headers.raw_items()))
         if reason:
             return connection.respond(HTTPStatus.FORBIDDEN, f'sim_view: {reason}\n')
-        own = Request(request.path.replace(access.token, '', 1).replace('//', '/', 1),
-                      request.headers)
-        response: Response | None = answer(connection, own)
+        stripped = Request(request.path.replace(access.token, '', 1).replace('//', '/', 1),
+                           request.headers)
+        response: Response | None = answer(connection, stripped)
         if response is not None:
             host = request.headers['Host']
             response.headers['Content-Security-Policy'] = _POLICY.format(
@@ -381,6 +381,6 @@ def _check_free(host: str, port: int) -> None:
                 probe.bind(address)
                 probe.listen()
     except OSError as error:
-        what = error.strerror or error
-        raise ManipSimError(f'cannot listen on {host}:{port}: {what}; choose another port with '
+        reason = error.strerror or error
+        raise ManipSimError(f'cannot listen on {host}:{port}: {reason}; choose another port with '
                             '--port, or another address with --listen') from error

@@ -94,14 +94,14 @@ class PlotPanel:
 
     def show(self, now_s: float, latest: Latest) -> None:
         """Record the chosen quantity, and draw it if it is due; ``now_s`` is wall time [s]."""
-        found = self._choices.get(self._choice.value)
-        if found is None or not self._live.value:
+        choice = self._choices.get(self._choice.value)
+        if choice is None or not self._live.value:
             return
         if self._choice.value != self._shown:
             self._shown = self._choice.value
             self._history = History()
-            self._rebuild(found[1])
-        self._record(found[0], found[1], latest)
+            self._rebuild(choice[1])
+        self._record(choice[0], choice[1], latest)
         if now_s >= self._next_s:
             self._next_s = now_s + _PERIOD_S
             times, rows = self._history.columns()
@@ -190,8 +190,8 @@ class Timeline:
         self._speed = gui.add_dropdown('Speed', tuple(_SPEEDS), initial_value='1')
 
     def _index_of(self, value: float) -> int:
-        found = np.abs(np.subtract(self._values, value))
-        return int(found.argmin()) if found.size else -1
+        distances = np.abs(np.subtract(self._values, value))
+        return int(distances.argmin()) if distances.size else -1
 
     def begin(self, times: FloatArray, values: list[float], index: int) -> None:
         """

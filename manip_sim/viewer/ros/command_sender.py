@@ -103,8 +103,8 @@ class CommandSender:
 
         def answered(future: Any, name: str) -> None:
             for descriptor in future.result().descriptors:
-                if found := _CHOICES.fullmatch(descriptor.additional_constraints):
-                    modes[name] = found['names'].split(', ')
+                if match := _CHOICES.fullmatch(descriptor.additional_constraints):
+                    modes[name] = match['names'].split(', ')
         # Each by itself: a name that the node does not know leaves its answer empty.
         for name in sorted(self._mode_parameter('', part) for part in self._parts):
             client.call_async(DescribeParameters.Request(names=[name])).add_done_callback(

@@ -196,9 +196,9 @@ class Discovery:
         namespace, _, name = f'/{self._name}'.rpartition('/')
         try:
             published, subscribed = (
-                [topic for topic, _ in found(name, namespace or '/')]
-                for found in (self._node.get_publisher_names_and_types_by_node,
-                              self._node.get_subscriber_names_and_types_by_node))
+                [topic for topic, _ in list_topics(name, namespace or '/')]
+                for list_topics in (self._node.get_publisher_names_and_types_by_node,
+                                    self._node.get_subscriber_names_and_types_by_node))
         except RuntimeError:  # Its topics are discovered before the node.
             return
         seen = layout_of(self.base, published, subscribed)
@@ -212,15 +212,15 @@ class Discovery:
         spaces = [robot.space for robot in layout.robots]
         parts = [robot.space + name for robot in layout.robots for name in robot.parts]
         # Another description may come at any time, the names of joints come many times a second.
-        wanted: dict[str, tuple[Any, ...]] = {name_of(space, 'robot_description'): (
+        subscriptions: dict[str, tuple[Any, ...]] = {name_of(space, 'robot_description'): (
             String, partial(self._take_urdf, space), LATCHED, _MAX_URDF_BYTES)
             for space in spaces}
-        wanted.update({name_of('', '<part>/joint_states', part): (
+        subscriptions.update({name_of('', '<part>/joint_states', part): (
             JointState, partial(self._take_names, part), 1) for part in parts
                        if part not in self._joints or part not in self._current})
-        for topic in self._subscriptions.keys() - wanted.keys():
+        for topic in self._subscriptions.keys() - subscriptions.keys():
             self._node.destroy_subscription(self._subscriptions.pop(topic))
-        for topic, (kind, *rest) in wanted.items():
+        for topic, (kind, *rest) in subscriptions.items():
             if topic not in self._subscriptions:
                 self._subscriptions[topic] = self._readers.subscribe(kind, topic, *rest)
         if self._limits.keys() >= set(spaces) and self._joints.keys() >= set(parts):

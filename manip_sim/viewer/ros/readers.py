@@ -42,11 +42,11 @@ def numbers(values: Any, what: str) -> FloatArray:
     :param what: they are, for the message
     :raises MessageError: if one is not finite, or too large to be drawn
     """
-    found = np.asarray(values, dtype=float)
-    bad = found[~(np.abs(found) <= _LARGEST)]
+    array = np.asarray(values, dtype=float)
+    bad = array[~(np.abs(array) <= _LARGEST)]
     if bad.size:
         raise MessageError(f'{what}: {bad.flat[0]:g} cannot be drawn')
-    return found
+    return array
 
 
 def joint_states(message: JointState) -> JointStates:
@@ -60,12 +60,12 @@ def joint_states(message: JointState) -> JointStates:
         raise MessageError(f'{counted(count, "name")}, of which {len(set(message.name))} differ; '
                            f'there must be 1 to {_MAX_JOINTS}, each once')
     columns: list[FloatArray] = []
-    for what in ('position', 'velocity', 'effort'):
-        values = getattr(message, what)
-        if len(values) != count and (what == 'position' or len(values)):
-            raise MessageError(f'{what}: {counted(len(values), "number")} for '
+    for field in ('position', 'velocity', 'effort'):
+        values = getattr(message, field)
+        if len(values) != count and (field == 'position' or len(values)):
+            raise MessageError(f'{field}: {counted(len(values), "number")} for '
                                f'{counted(count, "joint")}')
-        columns.append(numbers(values, what) if len(values) else np.zeros(count))
+        columns.append(numbers(values, field) if len(values) else np.zeros(count))
     position, velocity, effort = columns
     return JointStates(tuple(message.name), position, velocity, effort,
                        seconds_of(message.header.stamp))
@@ -129,7 +129,7 @@ def markers(message: MarkerArray) -> tuple[FloatArray, dict[str, FloatArray]]:
         elif marker.type == Marker.ARROW and len(marker.points) == 2:
             # Namespaces of wrenches are <arm>/external_force and <arm>/external_torque.
             arrows.setdefault(marker.ns.rpartition('external_')[2], []).append(_points(marker))
-    return points, {what: np.array(found) for what, found in arrows.items()}
+    return points, {name: np.array(ends) for name, ends in arrows.items()}
 
 
 def _points(marker: Marker) -> FloatArray:
@@ -147,11 +147,11 @@ def statuses(message: DiagnosticArray, node: str) -> list[ShownStatus]:
     :raises MessageError: if there are too many
     """
     begin = f'{node}: '
-    own = [status for status in message.status if status.name.startswith(begin)]
-    if len(own) > _MAX_STATUSES:
-        raise MessageError(f'{len(own)} statuses, and at most {_MAX_STATUSES} are shown')
+    matching = [status for status in message.status if status.name.startswith(begin)]
+    if len(matching) > _MAX_STATUSES:
+        raise MessageError(f'{len(matching)} statuses, and at most {_MAX_STATUSES} are shown')
     return [ShownStatus(_level(status.level), status.name.removeprefix(begin), status.message,
-                        {pair.key: pair.value for pair in status.values}) for status in own]
+                        {pair.key: pair.value for pair in status.values}) for status in matching]
 
 
 def _level(level: bytes | int) -> int:

@@ -58,20 +58,20 @@ class States:
 
     def listen(self, layout: Layout) -> None:
         """Listen to the robots and objects of a layout, and no longer to others."""
-        wanted: dict[str, tuple[Any, Any]] = {}
+        subscriptions: dict[str, tuple[Any, Any]] = {}
         for robot in layout.robots:
-            wanted[name_of(robot.space, 'joint_states')] = JointState, partial(
+            subscriptions[name_of(robot.space, 'joint_states')] = JointState, partial(
                 self._take_joints, robot.space)
             for arm in robot.end_effectors:
                 key = robot.space, arm
-                wanted[name_of(robot.space, '<arm>/eef_pose', arm)] = PoseStamped, partial(
+                subscriptions[name_of(robot.space, '<arm>/eef_pose', arm)] = PoseStamped, partial(
                     self._take_end_effector, key)
-                wanted[name_of(robot.space, '<arm>/external_wrench', arm)] = (
+                subscriptions[name_of(robot.space, '<arm>/external_wrench', arm)] = (
                     WrenchStamped, partial(self._take_wrench, key))
         for name in layout.objects:
-            wanted[name_of(self._base, 'objects/<name>/pose', name)] = PoseStamped, partial(
+            subscriptions[name_of(self._base, 'objects/<name>/pose', name)] = PoseStamped, partial(
                 self._take_object, name)
-        self._keep(wanted)
+        self._keep(subscriptions)
         arms = {(robot.space, arm) for robot in layout.robots for arm in robot.end_effectors}
         kept: tuple[tuple[dict[Any, Any], Collection[Any]], ...] = (
             (self.latest.objects, layout.objects),
