@@ -94,8 +94,8 @@ class RobotInWorlds:
         :raises CommandError: if the part is a gripper, or ``where`` has another shape or type
         :raises UnknownNameError: if the part or mode is unknown
         """
-        for robot, wanted in zip(self._robots, chosen(where, len(self))):
-            if wanted:
+        for robot, included in zip(self._robots, chosen(where, len(self))):
+            if included:
                 robot.set_control_mode(part, mode)
 
     def set_law(self, part: str, law: Law | Callable[..., object], /, *,
@@ -114,14 +114,14 @@ class RobotInWorlds:
         :raises ModelError: as of :meth:`SimulatedRobot.set_law`; no world has changed then
         :raises UnknownNameError: if the part or parameter is unknown
         """
-        own = law_of(law)
+        checked = law_of(law)
         worlds = np.flatnonzero(chosen(where, len(self))).tolist()
         by_world = {name: self._each(name, values) for name, values in parameters.items()}
-        given = [{name: values[world] for name, values in by_world.items()} for world in worlds]
-        for values in given:
-            own.values(values)
-        for world, values in zip(worlds, given):
-            self._robots[world].set_law(part, own, compiled=compiled, **values)
+        sets = [{name: values[world] for name, values in by_world.items()} for world in worlds]
+        for values in sets:
+            checked.values(values)
+        for world, values in zip(worlds, sets):
+            self._robots[world].set_law(part, checked, compiled=compiled, **values)
 
     def law_parameters(self, part: str) -> LawParametersInWorlds:
         """
@@ -131,11 +131,11 @@ class RobotInWorlds:
         :raises ModelError: if no law moves it in some world, or not the same one in all
         :raises UnknownNameError: if the part is unknown
         """
-        found = [robot.law_parameters(part) for robot in self._robots]
+        parameters = [robot.law_parameters(part) for robot in self._robots]
         names = {robot.joints.modes_of(robot.joints.indices_of(part)) for robot in self._robots}
         if len(names) > 1:
             raise ModelError(f'{part} is not moved by the same law in all worlds')
-        return LawParametersInWorlds(found, self._each)
+        return LawParametersInWorlds(parameters, self._each)
 
     def _each(self, name: str, values: ArrayLike) -> list[float]:
         """Return a number for each world."""
@@ -207,19 +207,20 @@ class LawParametersInWorlds(MutableMapping[str, FloatArray]):
         return len(self._worlds[0])
 
 
-def _together(found: Sequence[EndEffector]) -> EndEffector:
+def _together(states: Sequence[EndEffector]) -> EndEffector:
     """Return the states of an end effector with a leading axis."""
     return EndEffector(
-        Pose(np.stack([one.pose.position for one in found]),
-             np.stack([one.pose.quat_xyzw for one in found])),
-        Twist(np.stack([one.twist.linear for one in found]),
-              np.stack([one.twist.angular for one in found])),
-        _wrenches([one.wrench for one in found]),
-        _wrenches([one.external_wrench for one in found]))
+        Pose(np.stack([state.pose.position for state in states]),
+             np.stack([state.pose.quat_xyzw for state in states])),
+        Twist(np.stack([state.twist.linear for state in states]),
+              np.stack([state.twist.angular for state in states])),
+        _wrenches([state.wrench for state in states]),
+        _wrenches([state.external_wrench for state in states]))
 
 
-def _wrenches(found: Sequence[Wrench]) -> Wrench:
-    return Wrench(np.stack([one.force for one in found]), np.stack([one.torque for one in found]))
+def _wrenches(wrenches: Sequence[Wrench]) -> Wrench:
+    return Wrench(np.stack([wrench.force for wrench in wrenches]),
+                  np.stack([wrench.torque for wrench in wrenches]))
 
 
 class GoingOn:
@@ -353,24 +354,24 @@ class Commands(RowByRow):
         :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
-        given = {field: self._rows(values, f'{part or "joint_command"}: {field}')
-                 for field, values in (('position', position), ('velocity', velocity),
-                                       ('effort', effort)) if values is not None}
+        columns = {field: self._rows(values, f'{part or "joint_command"}: {field}')
+                   for field, values in (('position', position), ('velocity', velocity),
+                                         ('effort', effort)) if values is not None}
         mask = chosen(where, len(self._robots))
-        alike, one = np.zeros(len(self._robots), dtype=bool), None
-        if len(given) == 1:
-            (field, values), = given.items()
+        alike, goal = np.zeros(len(self._robots), dtype=bool), None
+        if len(columns) == 1:
+            (field, values), = columns.items()
             mask = mask & ~self._go_on(names, field, values, part, mask, period_s)
             if not mask.any():
                 return
-            one, alike = self._alike(names, field, values, part, mask)
+            goal, alike = self._alike(names, field, values, part, mask)
         made = self._parsed(lambda robot, world: robot.parse.joint_command(
-            names, part=part, **{field: values[world] for field, values in given.items()}),
+            names, part=part, **{field: values[world] for field, values in columns.items()}),
             mask & ~alike)
-        if one is not None:
+        if goal is not None:
             if period_s is not None:
                 positive_number(period_s, 'period_s', CommandError)
-            made += self._begin(one, values, alike & ~self._renew(one, values, alike, period_s))
+            made += self._begin(goal, values, alike & ~self._renew(goal, values, alike, period_s))
         for robot, commands in made:
             robot.apply(*commands, period_s=period_s)
 
@@ -398,11 +399,11 @@ class Commands(RowByRow):
 
     def _address(self, world: int, stream: _Stream) -> int:
         """Return the address of the row of a robot whose stream may have other numbers, or 0."""
-        robot, own, one = self._robots[world], self._streams.get(world), stream.one
-        if own is None or own.indices is not one.indices or own.modes is not one.modes or (
+        robot, last, goal = self._robots[world], self._streams.get(world), stream.one
+        if last is None or last.indices is not goal.indices or last.modes is not goal.modes or (
                 robot.joints.modes != stream.modes):
             return 0
-        return robot.streams(own)
+        return robot.streams(last)
 
     def _alike(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
                mask: BoolArray) -> tuple[JointSetpoint | None, BoolArray]:
@@ -420,47 +421,47 @@ class Commands(RowByRow):
         if len(parsed) != 1 or not isinstance(parsed[0], JointSetpoint) or (
                 len(parsed[0].indices) != values.shape[1]):
             return none
-        one, modes = parsed[0], joints.modes
-        clamps = joints.clamps(one.indices)
+        goal, modes = parsed[0], joints.modes
+        clamps = joints.clamps(goal.indices)
         inside = fine & (clamp(values, clamps)[0] == values).all(axis=1)
-        velocities = {*one.modes} == {VELOCITY.name}
-        if velocities or {*one.modes} == {POSITION.name}:
+        velocities = {*goal.modes} == {VELOCITY.name}
+        if velocities or {*goal.modes} == {POSITION.name}:
             if len(self._going_on) == _MOST_STREAMS:
                 self._going_on.clear()
             self._going_on[(*names, field, part)] = _Stream(
-                one, modes, clamps, velocities, GoingOn(self._table, self._timestep_s))
+                goal, modes, clamps, velocities, GoingOn(self._table, self._timestep_s))
         for world in np.flatnonzero(inside).tolist():
             inside[world] = robots[world].joints.modes == modes
-        return one, inside
+        return goal, inside
 
-    def _renew(self, one: JointSetpoint, values: FloatArray, worlds: BoolArray,
+    def _renew(self, goal: JointSetpoint, values: FloatArray, worlds: BoolArray,
                period_s: float | None) -> BoolArray:
         """Let worlds in which such a command runs go on with it; return which do."""
         renewed, setpoints, periods = np.zeros(len(worlds), dtype=bool), [], []
-        modes = [mode for mode in (POSITION, VELOCITY) if {*one.modes} == {mode.name}]
+        modes = [mode for mode in (POSITION, VELOCITY) if {*goal.modes} == {mode.name}]
         if not modes:
             return renewed
         for world in np.flatnonzero(worlds).tolist():
-            robot, own = self._robots[world], self._streams.get(world)
-            if own is not None and own.indices is one.indices and own.modes is one.modes and (
-                    robot.renew(own, values[world], period_s)):
+            robot, last = self._robots[world], self._streams.get(world)
+            if last is not None and last.indices is goal.indices and last.modes is goal.modes and (
+                    robot.renew(last, values[world], period_s)):
                 renewed[world] = True
                 setpoints.append(robot.joints.setpoints)
                 periods.append(robot.period_s)
         if setpoints:
-            wait_in_worlds(setpoints, one.indices, values[renewed], np.array(periods),
+            wait_in_worlds(setpoints, goal.indices, values[renewed], np.array(periods),
                            modes[0] is VELOCITY)
         return renewed
 
-    def _begin(self, one: JointSetpoint, values: FloatArray, worlds: BoolArray
+    def _begin(self, goal: JointSetpoint, values: FloatArray, worlds: BoolArray
                ) -> list[tuple[SimulatedRobot, tuple[Command, ...]]]:
         """Return such a command for some worlds, which these can go on with."""
         made: list[tuple[SimulatedRobot, tuple[Command, ...]]] = []
         for world in np.flatnonzero(worlds).tolist():
-            own = self._streams[world] = JointSetpoint(
-                robot=one.robot, parts=one.parts, indices=one.indices, modes=one.modes,
+            begun = self._streams[world] = JointSetpoint(
+                robot=goal.robot, parts=goal.parts, indices=goal.indices, modes=goal.modes,
                 values=values[world].copy())
-            made.append((self._robots[world], (own,)))
+            made.append((self._robots[world], (begun,)))
         return made
 
     def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
@@ -599,7 +600,7 @@ class CartesianCommands(RowByRow):
         :raises CommandError: as ``robot.parse_cartesian.force_mode``
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        axes, wrenches, speeds = (self._rows(of, f'{arm}: {what}') for of, what in (
+        axes, wrenches, speeds = (self._rows(value, f'{arm}: {name}') for value, name in (
             (selection, 'selections'), (wrench, 'wrenches'), (limits, 'limits')))
         self._apply(lambda robot, world: [robot.parse_cartesian.force_mode(
             arm, axes[world], wrenches[world], speeds[world])], where, period_s)
@@ -628,18 +629,18 @@ class CartesianCommands(RowByRow):
             if not mask.any():
                 return
         # Where nothing has to be clamped or rejected, actions differ in nothing but numbers.
-        one = None
+        command = None
         if inside.any():
             first = int(np.flatnonzero(inside)[0])
-            one = self._robots[first].parse_cartesian.action(arm, numbers[first])
-            own, _ = self._actions.setdefault(
+            command = self._robots[first].parse_cartesian.action(arm, numbers[first])
+            running, _ = self._actions.setdefault(
                 arm, ({}, GoingOn(self._table, self._timestep_s)))
 
         def parsed(robot: SimulatedRobot, world: int) -> list[PoseAction]:
-            if one is None or not inside[world]:
+            if command is None or not inside[world]:
                 return [robot.parse_cartesian.action(arm, numbers[world])]
-            own[world] = replace(one, action=numbers[world], handle=CommandHandle())
-            return [own[world]]
+            running[world] = replace(command, action=numbers[world], handle=CommandHandle())
+            return [running[world]]
         self._apply(parsed, mask, period_s)
 
     def _go_on(self, arm: str, actions: FloatArray, mask: BoolArray, period_s: float | None
@@ -647,10 +648,10 @@ class CartesianCommands(RowByRow):
         """Let actions that run in worlds that go on have other numbers; return where they do."""
         if arm not in self._actions:
             return np.zeros(0, np.int64)
-        own, going_on = self._actions[arm]
+        running, going_on = self._actions[arm]
         worlds = going_on.find(mask, period_s, lambda world: (
-            self._robots[world].streams(own[world]) if world in own else 0))
+            self._robots[world].streams(running[world]) if world in running else 0))
         if len(worlds):
-            renew_actions(self._table, going_on.robots, worlds, own[worlds.item(0)].indices,
+            renew_actions(self._table, going_on.robots, worlds, running[worlds.item(0)].indices,
                           actions)
         return worlds

@@ -51,8 +51,8 @@ class Template:
         pickler.dump(simulation)
         self._pickled, self._outside = file.getvalue(), pickler.outside
         #: What each copy has of its own, by its place in :attr:`_outside`.
-        self._own = [(number, found) for number, found in enumerate(self._outside)
-                     if isinstance(found, (_Own, _OwnArray))]
+        self._own = [(number, item) for number, item in enumerate(self._outside)
+                     if isinstance(item, (_Own, _OwnArray))]
 
     def copy(self) -> Simulation:
         """Return a new simulation in the state that the first one had."""
@@ -60,8 +60,8 @@ class Template:
         data = mujoco.MjData(model)
         mujoco.mj_copyData(data, model, self._data)
         outside = self._outside.copy()
-        for number, own in self._own:
-            outside[number] = own.of(model, data)
+        for number, item in self._own:
+            outside[number] = item.of(model, data)
         simulation: Simulation = _Unpickler(self._pickled, outside).load()
         return simulation
 
@@ -78,14 +78,14 @@ class _Own:
 
     def of(self, model: mujoco.MjModel, data: mujoco.MjData) -> Any:
         """Return the same of another model and its data."""
-        found: Any = model if self.of_model else data
+        value: Any = model if self.of_model else data
         for name in self.field.split('.') if self.field else ():
-            found = getattr(found, name)
+            value = getattr(value, name)
         if self.shape is None:
-            return found
-        if found.flags.c_contiguous:
-            return np.ndarray(self.shape, found.dtype, found, self.offset, self.strides)
-        return as_strided(found[self.offset // found.strides[0]:], self.shape, self.strides)
+            return value
+        if value.flags.c_contiguous:
+            return np.ndarray(self.shape, value.dtype, value, self.offset, self.strides)
+        return as_strided(value[self.offset // value.strides[0]:], self.shape, self.strides)
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,8 @@ class _Pickler(ViewPickler):
         self._kept: list[object] = []
         self._model, self._data = model, data
         self._fields = [(of_model, name, array)
-                        for of_model, found in ((False, data), (True, model))
-                        for name, array in _arrays(found)]
+                        for of_model, owner in ((False, data), (True, model))
+                        for name, array in _arrays(owner)]
 
     def reducer_override(self, found: Any) -> Any:
         """Let the copy of a cached method begin with an empty cache."""

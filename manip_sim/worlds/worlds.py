@@ -184,24 +184,25 @@ class Worlds:
         :raises SimulationEnded: after :meth:`close`
         """
         self._check_open()
-        mask, given = chosen(where, len(self)), self._seeds(seeds)
-        for seed, wanted in zip(given, mask):
-            if wanted and seed is not None:
+        mask, world_seeds = chosen(where, len(self)), self._seeds(seeds)
+        for seed, included in zip(world_seeds, mask):
+            if included and seed is not None:
                 checked_seed(seed)
         self._threads.run([
             partial(simulation.reset, seed)
-            for simulation, seed, wanted in zip(self.simulations, given, mask) if wanted])
+            for simulation, seed, included in zip(self.simulations, world_seeds, mask)
+            if included])
 
     def _seeds(self, seeds: Sequence[int] | IntArray | None) -> list[int | None]:
         if seeds is None:
             return [None] * len(self)
         try:
-            given = [seed.item() if isinstance(seed, np.generic) else seed for seed in seeds]
+            world_seeds = [seed.item() if isinstance(seed, np.generic) else seed for seed in seeds]
         except TypeError:
-            given = []
-        if len(given) != len(self):
+            world_seeds = []
+        if len(world_seeds) != len(self):
             raise ModelError(f'expected {len(self)} seeds, one for each world, got {seeds!r:.60}')
-        return given
+        return world_seeds
 
     # ------------------------------------------------------------------ saved states
 
@@ -225,13 +226,13 @@ class Worlds:
             another world or version; no world is restored then
         """
         simulations = list(self._of(where))
-        given = list(states) if isinstance(states, Sequence) else []
-        if len(given) != len(simulations):
+        new_states = list(states) if isinstance(states, Sequence) else []
+        if len(new_states) != len(simulations):
             raise ModelError(f'expected {len(simulations)} states, one for each world that is '
-                             f'restored, got {len(given) or repr(states)[:60]}')
-        for simulation, state in zip(simulations, given):
+                             f'restored, got {len(new_states) or repr(states)[:60]}')
+        for simulation, state in zip(simulations, new_states):
             simulation.states.check(state)
-        for simulation, state in zip(simulations, given):
+        for simulation, state in zip(simulations, new_states):
             simulation.restore(state)
 
     def digest(self, where: ArrayLike | None = None) -> list[str]:
@@ -247,7 +248,7 @@ class Worlds:
         if where is None:
             return self.simulations
         mask = chosen(where, len(self))
-        return [simulation for simulation, wanted in zip(self.simulations, mask) if wanted]
+        return [simulation for simulation, included in zip(self.simulations, mask) if included]
 
 
 def _advance(worlds: Sequence[Simulation], steps: int) -> None:
