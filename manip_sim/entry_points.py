@@ -45,8 +45,8 @@ class Offer:
         try:
             return self._entry_point.load()
         except (Exception, SystemExit) as error:
-            what = ' '.join(str(error).split()) or 'no message'
-            raise ModelError(f'{self} cannot be imported: {type(error).__name__}: {what}'
+            reason = ' '.join(str(error).split()) or 'no message'
+            raise ModelError(f'{self} cannot be imported: {type(error).__name__}: {reason}'
                              ) from error
 
     def __str__(self) -> str:
@@ -59,13 +59,13 @@ def offers(group: str) -> dict[str, Offer]:
 
     :param group: such as ``manip_sim.robots``
     """
-    found: dict[str, Offer] = {}
+    by_name: dict[str, Offer] = {}
     # '' is the working directory, which may be on the path by its name too.
     path = tuple(dict.fromkeys(map(os.path.abspath, sys.path)))
     for entry_group, offer in _all_offers(path):
         if entry_group == group:
-            found.setdefault(offer.name, offer)
-    return found
+            by_name.setdefault(offer.name, offer)
+    return by_name
 
 
 @lru_cache(maxsize=4)
@@ -74,7 +74,7 @@ def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
     # Reading names takes long; they are needed because only the first package of a name counts.
     if not _offer_some(distributions):
         return ()
-    found, packages = [], set()
+    collected, packages = [], set()
     for distribution in distributions:
         try:
             name, version = distribution.name, distribution.version
@@ -87,8 +87,8 @@ def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
             continue
         if name not in packages:
             packages.add(name)
-            found += offered
-    return tuple(found)
+            collected += offered
+    return tuple(collected)
 
 
 def _offer_some(distributions: list[metadata.Distribution]) -> bool:

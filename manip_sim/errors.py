@@ -109,10 +109,10 @@ def _nearest(asked: str, names: list[str]) -> list[str]:
     These are names of the same words in any order, singular or plural; else names that end with
     the same words, as ``robot0_joint1`` does for ``joint1``; else names that look alike.
     """
-    words, wanted = {name: _singulars(name) for name in names}, _singulars(asked)
-    ending = {name: _common_end(wanted, words[name]) for name in names}
+    words, asked_words = {name: _singulars(name) for name in names}, _singulars(asked)
+    ending = {name: _common_end(asked_words, words[name]) for name in names}
     longest = max(ending.values(), default=0)
-    near = [name for name in names if sorted(words[name]) == sorted(wanted)]
+    near = [name for name in names if sorted(words[name]) == sorted(asked_words)]
     if not near and longest:
         near = [name for name in names if ending[name] == longest]
     likeness = {name: _likeness(asked, name) for name in near or names}

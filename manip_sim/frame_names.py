@@ -60,11 +60,11 @@ def _free(names: Sequence[str], suffix: str, taken: set[str]) -> list[str]:
     """Return names that are not taken, and take them; those that are free go before others."""
     kept = set(names) - taken
     taken |= kept
-    found = []
+    unique = []
     for name in names:
         if name not in kept:
             while name in taken:
                 name += suffix
             taken.add(name)
-        found.append(name)
-    return found
+        unique.append(name)
+    return unique

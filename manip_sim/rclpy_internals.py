@@ -173,14 +173,14 @@ class _ErrorText(ctypes.Structure):
 def _rcl() -> Any:
     """Return the library that rclpy has loaded, or None if it has another name here."""
     try:
-        found = (ctypes.CDLL('librcl.so', mode=os.RTLD_NOW | os.RTLD_NOLOAD),
-                 ctypes.CDLL('librcutils.so', mode=os.RTLD_NOW | os.RTLD_NOLOAD))
-        publish, text = found[0].rcl_publish_serialized_message, found[1].rcutils_get_error_string
+        rcl = ctypes.CDLL('librcl.so', mode=os.RTLD_NOW | os.RTLD_NOLOAD)
+        rcutils = ctypes.CDLL('librcutils.so', mode=os.RTLD_NOW | os.RTLD_NOLOAD)
+        publish, text = rcl.rcl_publish_serialized_message, rcutils.rcutils_get_error_string
     except (AttributeError, OSError):
         return None
     publish.argtypes = (ctypes.c_void_p, ctypes.POINTER(_SerializedMessage), ctypes.c_void_p)
     publish.restype, text.restype = ctypes.c_int, _ErrorText
-    return publish, text, found[1].rcutils_reset_error
+    return publish, text, rcutils.rcutils_reset_error
 
 
 def missing_for_publishing() -> list[str]:

@@ -67,8 +67,8 @@ def check_ros_environment() -> None:
 def _check_shared_memory() -> None:
     if not _SHARED_MEMORY.is_dir() or not _uses_shared_memory():
         return
-    found = os.statvfs(_SHARED_MEMORY)
-    free = found.f_bavail * found.f_frsize
+    file_system = os.statvfs(_SHARED_MEMORY)
+    free = file_system.f_bavail * file_system.f_frsize
     if free >= _NEEDED_BYTES:
         return
     left = [file.with_name(file.name.removesuffix('_el'))
@@ -124,8 +124,8 @@ def missing_module(error: ImportError) -> str:
         reason = one_line(str(error).partition('\n')[0])
         if of_pip:
             return f"module '{module}' cannot be used: {reason}"
-        found = find_spec(module)
-        return (f'{found.origin if found else module} cannot be used: {reason}; it is of another '
+        spec = find_spec(module)
+        return (f'{spec.origin if spec else module} cannot be used: {reason}; it is of another '
                 'Python or another ROS than this program: in a new shell, source one ROS 2 only')
     if of_pip:
         return f"no module '{module}': install it with pip install {of_pip}"

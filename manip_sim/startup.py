@@ -144,9 +144,9 @@ def processors(root: str = '') -> int:
 def _quotas(root: str) -> Iterator[int]:
     """Yield the numbers of processors that quotas allow, rounded up."""
     for folder, names in _cgroups(root):
-        found = ' '.join(_text(f'{folder}/{name}') for name in names)
+        text = ' '.join(_text(f'{folder}/{name}') for name in names)
         try:
-            quota_us, period_us = map(int, found.split())
+            quota_us, period_us = map(int, text.split())
         except ValueError:  # Such as max, or nothing.
             continue
         if quota_us > 0 and period_us > 0:

@@ -30,10 +30,10 @@ def as_numbers(values: ArrayLike, what: str, error: type[ManipSimError] = ModelE
     :raises ManipSimError: that exception, if they are not numbers
     """
     try:
-        given = np.asarray(values)
-        if given.dtype.kind in 'SUc':
+        array = np.asarray(values)
+        if array.dtype.kind in 'SUc':
             raise TypeError('text, or complex')
-        return np.array(given, dtype=float)
+        return np.array(array, dtype=float)
     except (OverflowError, TypeError, ValueError) as cause:
         raise error(f'{what} must be numbers, got {values!r:.60}') from cause
 
@@ -45,14 +45,14 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
 
     :raises ManipSimError: that exception, if they are not ``length`` finite numbers
     """
-    found = as_numbers(values, what, error)
-    if found.shape == (length,) and np.isfinite(found).all():
-        return found
-    if found.shape != (length,):
-        got = str(found.size) if found.ndim == 1 else f'the shape {found.shape}'
+    array = as_numbers(values, what, error)
+    if array.shape == (length,) and np.isfinite(array).all():
+        return array
+    if array.shape != (length,):
+        got = str(array.size) if array.ndim == 1 else f'the shape {array.shape}'
         raise error(f'{what} must have {counted(length, "number")}, got {got}')
-    bad = int(np.flatnonzero(~np.isfinite(found))[0])
-    raise error(f'{what} must be finite, got {found[bad]} at index {bad}')
+    bad = int(np.flatnonzero(~np.isfinite(array))[0])
+    raise error(f'{what} must be finite, got {array[bad]} at index {bad}')
 
 
 def mapping(value: object, what: str, example: str) -> Mapping[str, Any]:
