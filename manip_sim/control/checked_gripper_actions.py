@@ -80,7 +80,7 @@ class Formatter:
         if fault is not None:
             self._take_note(f'format_action: {fault}')
             return None
-        return np.clip(command, -1.0, 1.0)
+        return np.minimum(np.maximum(command, -1.0), 1.0)  # np.clip takes thrice as long.
 
     def start_at(self, command: FloatArray) -> bool:
         """Let ``format_action`` continue from a command; return whether that worked."""

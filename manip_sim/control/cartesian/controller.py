@@ -42,9 +42,8 @@ _LONGEST_INTERVAL_S = 0.012
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
 _IN_WORLD = Frame(WORLD, 0)
-#: Counters of reports that compiled code compares with what it notes, and its names for them.
-_KNOWN_AS = {'joint_limit': 'was_held', 'singular': 'was_singular', 'aside': 'was_aside'}
-_KNOWN = frozenset(_KNOWN_AS)
+#: Counters of reports that compiled code compares with what it notes, in its order.
+_KNOWN = ('joint_limit', 'singular', 'aside')
 #: None of the joints.
 _NOBODY = np.zeros(0, dtype=bool)
 
@@ -360,6 +359,7 @@ class CartesianController:
               follows: int, interval_s: float) -> None:
         """Write the target of a command for the compiled law."""
         target, settings = self._targets[command.arm], self.settings[command.arm]
+        report = self.reports[command.arm]
         tip, anchor, axes = self._chains[command.arm].tip, target.anchor, target.axes
         frame, push = self._frame(command.arm), target.push
         push_frame = frame if push is None or isinstance(push, ForceMode) else push.frame
@@ -368,12 +368,13 @@ class CartesianController:
             *frame.number, *push_frame.number,
             target.rests, target.settled_in is not None, target.start is not None,
             target.solve_s == -math.inf, 0, exerts and settings.impedes,
-            target.reference is not None, False, False, False, False,
+            target.reference is not None, command.handle.is_active,
+            *[kind in report.active for kind in _KNOWN], False,
             settings.stiffness, settings.damping, settings.linear_velocity,
             settings.angular_velocity, settings.cartesian_damping_ratio,
             settings.null_space_stiffness,
             target.stream.smooth if follows == STREAMS and target.stream else 0.0,
-            target.solve_s, interval_s, 0.0)
+            target.solve_s, interval_s, report.seen_s)
         targets.positions[number], targets.rotations[number] = target.position, target.rotation
         if target.start is not None:
             targets.starts[number] = target.start
@@ -466,8 +467,11 @@ class CartesianController:
             target.reference = None
             if task['impedes']:
                 target.reference = targets.places[number].copy(), targets.attitudes[number].copy()
-            for k in range(int(task['solutions'])):
-                self._look(command, targets, number, k)
+            if task['usual'] and self.reports[command.arm].active.issubset(_KNOWN):
+                self.reports[command.arm].keep_seen(float(task['seen_s']))
+            else:
+                for k in range(int(task['solutions'])):
+                    self._look(command, targets, number, k)
             if task['settled'] and target.settled_in is None:
                 scratch = self._physics.scratch.data
                 target.settled_in = self._place(command, target, scratch)
@@ -484,11 +488,11 @@ class CartesianController:
             task, report = targets.tasks[number], self.reports[command.arm]
             streams = self._targets[command.arm].stream is not None
             if (streams or task['acts'] != EXERTS or task['follows'] != RESTS or task['impedes']
-                    or not report.active <= _KNOWN):
+                    or not report.active.issubset(_KNOWN)):
                 return False
             task['awaited'], task['seen_s'] = command.handle.is_active, report.seen_s
-            for kind, name in _KNOWN_AS.items():
-                task[name] = kind in report.active
+            task['was_held'], task['was_singular'], task['was_aside'] = (
+                kind in report.active for kind in _KNOWN)
         return True
 
     def catch_up(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:

@@ -151,17 +151,18 @@ RESTS, STREAMS, TWISTS, BRAKES = range(4)
 #: impedance and of its wrench beside, and whether they are sites; whether the end
 #: effector is as near as it can come, whether its setpoints have come to rest, whether its way has
 #: begun, whether efforts are to be noted, how many solutions are, whether the arm is an impedance,
-#: whether that has a reference, whether somebody waits for the target to be reached, and whether
+#: whether that has a reference, whether somebody waits for the target to be reached; whether
 #: ranges of joints held the end effector, it could hardly move, and it was off its way when Python
-#: looked last; settings of the spring and of the impedance; share of a stream's acceleration that
-#: is its own; when the kinematics are solved next, for how long, and when the target was looked at
-#: last [s].
+#: looked last, and whether nothing has changed in that; settings of the spring and of the
+#: impedance; share of the acceleration of a stream; when the kinematics are solved next,
+#: for how long, and when the target was looked at last [s].
 TASK = np.dtype([
     *((name, np.int64) for name in (
         'acts', 'follows', 'tip', 'tip_is_site', 'anchor', 'anchor_is_site', 'axes',
         'axes_is_site', 'frame', 'frame_is_site', 'push_frame', 'push_is_site', 'rests',
         'settled', 'begun', 'notes', 'solutions', 'impedes', 'refers', 'awaited',
-        'was_held', 'was_singular', 'was_aside')),
+        'was_held', 'was_singular', 'was_aside',
+        'usual')),
     *((name, np.float64) for name in (
         'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'damping_ratio',
         'null_stiffness', 'smooth', 'solve_s', 'interval_s', 'seen_s'))], align=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.arm_records import (
-    ASIDE, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, NEARER, Targets, targets_of)
+    ASIDE, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, NEARER, RESTS, Targets, targets_of)
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import Gripper, no_gripper
@@ -266,6 +266,25 @@ def _act_all(addresses: Addresses, period: Period, k: int, now: float, duration:
 
 
 @inner
+def _compare_targets(targets: Targets) -> None:
+    """Note of each target whether nothing new has become of it, and when that was seen last."""
+    for number in range(2):
+        task = targets.tasks[number]
+        if task.acts == IDLE:
+            continue
+        task.usual = int(task.follows == RESTS)
+        for k in range(task.solutions):
+            facts = targets.facts[number, k]
+            if (facts.held != task.was_held or facts.singular != task.was_singular
+                    or (facts.aside > ASIDE) != (task.was_aside != 0)
+                    or facts.reached and task.awaited
+                    or facts.progress <= NEARER and not facts.close):
+                task.usual = 0
+        if task.usual and task.solutions:
+            task.seen_s = targets.facts[number, task.solutions - 1].now_s
+
+
+@inner
 def _run(period: Period, scratch: ScratchArrays) -> None:
     """Run intervals: control of robots at the beginning of each, and its steps."""
     addresses = Addresses(period.place[0], period.place[1], scratch.address)
@@ -289,6 +308,8 @@ def _run(period: Period, scratch: ScratchArrays) -> None:
         if failed:
             ends = False
             break
+    for row in period.robots:
+        _compare_targets(_read_robot(row).targets)
     period.outcome[0] = done
     period.outcome[1] = ends and not compute_end(addresses, period.watch)
 
@@ -322,22 +343,13 @@ def _rests(robot: Robot) -> bool:
 
 
 @inner
-def _looks_fine(targets: Targets) -> bool:
-    """Return whether nothing new has become of targets, and note when they were looked at."""
+def _is_usual(targets: Targets) -> bool:
+    """Return whether nothing new has become of any target."""
+    usual = True
     for number in range(2):
         task = targets.tasks[number]
-        for k in range(task.solutions if task.acts != IDLE else 0):
-            facts = targets.facts[number, k]
-            if (facts.held != task.was_held or facts.singular != task.was_singular
-                    or (facts.aside > ASIDE) != (task.was_aside != 0)
-                    or facts.reached and task.awaited
-                    or facts.progress <= NEARER and not facts.close):
-                return False
-    for number in range(2):
-        task = targets.tasks[number]
-        if task.acts != IDLE and task.solutions:
-            task.seen_s = targets.facts[number, task.solutions - 1].now_s
-    return True
+        usual = usual and (task.acts == IDLE or task.usual != 0)
+    return usual
 
 
 @inner
@@ -408,7 +420,7 @@ def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: int) -> None:
                 known[PERIODS] += 1
                 quiet = _is_quiet(period)
                 for row in period.robots:
-                    quiet = quiet and _looks_fine(_read_robot(row).targets)
+                    quiet = quiet and _is_usual(_read_robot(row).targets)
                 known[BECAME] = WENT_ON if quiet else ENDED
 
 

@@ -65,13 +65,14 @@ class CatalogueGripper(CatalogueModel, GripperModel, registered=False):
         :returns: commands in [-1, 1], in the order of :attr:`actuators`, shape (nu,), a copy
         :raises CommandError: if the length is wrong or a number is not finite
         """
-        commands, law = self._checked(action).copy(), self._action
+        commands, law = self._checked(action), self._action
         if law.get('steps', True):
             size = commands if law.get('proportional') else np.sign(commands)
             commands = self._integrate(
                 np.array(law.get('closing', [1.0])) * self.speed * size)
-        commands = np.repeat(commands, law.get('actuators', 1))
-        return np.append(commands, law.get('still', []))
+        if 'actuators' in law:
+            commands = np.repeat(commands, law['actuators'])
+        return np.append(commands, law['still']) if 'still' in law else commands
 
     def start_at(self, command: ArrayLike) -> None:
         """

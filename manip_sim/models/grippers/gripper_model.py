@@ -257,6 +257,8 @@ class GripperModel(MujocoXMLModel, ABC):
             error = float(np.abs(idle - wanted).max(initial=0.0))
             if error < best_error:
                 best, best_error = state, error
+            if not error:
+                break
         self.current_action = best.copy()
 
     def _checked(self, action: ArrayLike) -> FloatArray:
