@@ -11,8 +11,10 @@ from dataclasses import dataclass, fields, replace
 import mujoco
 import numpy as np
 
-from manip_sim.control.commands import Command, NoCommand
+from manip_sim.control.commands import Command, JointSetpoint, NoCommand
+from manip_sim.control.discontinuities import Discontinuities
 from manip_sim.control.joint_controller import JointController
+from manip_sim.control.modes import POSITION
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import EndEffectorReader
@@ -35,12 +37,15 @@ class ReflexLimits:
     :ivar effort: of any joint, as a multiple of its effort limit
     :ivar force: magnitude of the external force on the tool [N]
     :ivar torque: magnitude of the external torque on the tool [N m]
+    :ivar discontinuity: velocity or acceleration that commands for positions demand of any joint,
+        as a multiple of its limit
     """
 
     velocity: float = 0.0
     effort: float = 0.0
     force: float = 0.0
     torque: float = 0.0
+    discontinuity: float = 0.0
 
     @property
     def any(self) -> bool:
@@ -76,6 +81,7 @@ class Reflexes:
         self.counts = dict.fromkeys(self._limits, 0)
         self.is_emergency = self.is_recovering = False
         self.armed: tuple[str, ...] = ()
+        self._discontinuities = Discontinuities(joints)
 
     def set(self, part: str, quantity: str, limit: float) -> None:
         """
@@ -106,6 +112,36 @@ class Reflexes:
                 if reason is not None:
                     self._trip(part, reason, data)
 
+    def check_command(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float
+                      ) -> None:
+        """
+        Stop the parts of which a command for positions demands too much.
+
+        :param now_s: simulation time since the last reset [s]
+        :param period_s: length of a control period [s]
+        """
+        joints, limits = self._joints, self._limits
+        parts = [part for part in command.parts
+                 if part in limits and limits[part].discontinuity]
+        if not parts:
+            return
+        for part in sorted(parts):
+            indices, goes = joints.indices_of(part), np.zeros(len(command.indices), bool)
+            if isinstance(command, JointSetpoint):
+                goes = np.isin(command.indices, indices) & np.array([
+                    mode == POSITION.name for mode in command.modes])
+            led = command.indices[goes]
+            self._discontinuities.forget(np.setdiff1d(command.indices, led))
+            if isinstance(command, JointSetpoint) and led.size:
+                demands = self._discontinuities.demands(
+                    led, command.values[goes], now_s, period_s)
+                worst, kind = np.unravel_index(demands.argmax(), demands.shape)
+                share, allowed = demands[worst, kind], limits[part].discontinuity
+                if share > allowed:
+                    self._trip(part, f"a command demands {share:.3g} times the "
+                               f"{('velocity', 'acceleration')[kind]} limit of joint "
+                               f"'{joints.names[led[worst]]}', allowed is {allowed:g}", data)
+
     def check_laws(self, data: mujoco.MjData) -> None:
         """Stop the parts whose laws have failed."""
         for part, reason in self._joints.seats.failures().items():
@@ -120,6 +156,7 @@ class Reflexes:
     def _trip(self, part: str, reason: str, data: mujoco.MjData) -> None:
         self.tripped = {**self.tripped, part: reason}
         self.counts[part] += 1
+        self._discontinuities.forget(self._joints.indices_of(part))
         self._joints.stop(part, f'stopped by a reflex: {reason}', data)
 
     def refusal(self, command: Command) -> str | None:
@@ -164,6 +201,7 @@ class Reflexes:
     def clear(self) -> None:
         """Run again, as after a reset of the simulation."""
         self.is_emergency = self.is_recovering = False
+        self._discontinuities.clear()
         self._resume()
 
     def stop_all(self, data: mujoco.MjData) -> None:

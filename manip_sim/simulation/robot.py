@@ -187,7 +187,7 @@ class SimulatedRobot:
         """
         self._physics.interrupt()
         if (self._late or self.sensing.settings.delays_commands or self.reflexes.tripped
-                or self.faults.scheduled):
+                or self.reflexes.armed or self.faults.scheduled):
             return False
         if not self.joints.renew(command, values, self._clock.control_s):
             return False
@@ -196,6 +196,9 @@ class SimulatedRobot:
 
     def _apply(self, command: Command) -> None:
         clock = self._clock
+        if not self.reflexes.tripped:
+            self.reflexes.check_command(
+                command, self._physics.data, clock.control_s, self._period_s)
         refusal = self.reflexes.refusal(command)
         if refusal is not None:
             command.handle.end(Status.ABORTED, refusal)
@@ -486,8 +489,10 @@ class SimulatedRobot:
         Change what stops a part; it then refuses commands until :meth:`reset_reflexes`.
 
         :param part: such as ``arm``
-        :param quantity: ``velocity`` or ``effort``, as multiples of the limits of the joints, or
-            ``force`` [N] or ``torque`` [N m], of the external wrench on the tool of an arm
+        :param quantity: ``velocity`` or ``effort``, as multiples of the limits of the joints,
+            ``force`` [N] or ``torque`` [N m], of the external wrench on the tool of an arm, or
+            ``discontinuity``, of commands for positions, as a multiple of the limits of velocity
+            and acceleration
         :param limit: 0 for none
         :raises CommandError: if the part is a gripper, or the limit negative or not finite
         :raises UnknownNameError: if there is no such part or quantity

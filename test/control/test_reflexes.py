@@ -10,6 +10,8 @@ from sampling import Driven, sampled
 
 from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models import compose
+from manip_sim.worlds import Worlds
 
 J1, J2 = 'robot0_joint1', 'robot0_joint2'
 
@@ -98,3 +100,84 @@ def test_without_limits_nothing_is_stopped_and_unknown_ones_are_told(panda_sim, 
         robot.set_reflex('arm', 'power', 1.0)
     with pytest.raises(CommandError, match='is a gripper'):
         robot.set_reflex('right/gripper', 'force', 1.0)
+
+
+def stream(simulation, positions):
+    """Command positions of a joint, one each control period; return the handles."""
+    handles = []
+    for position in positions:
+        handles.append(go(simulation, position=[position]))
+        simulation.advance(5)
+    return handles
+
+
+#: A motion of the first joint from its start within 0.4 of the limits of the Panda.
+SMOOTH = 0.1 * (1.0 - np.cos(5.0 * 0.01 * np.arange(120)))
+
+
+def test_a_continuous_stream_passes_and_a_jump_in_it_stops_the_arm_before_it_acts(panda_sim):
+    robot = panda_sim.robot
+    robot.set_reflex('arm', 'discontinuity', 1.0)
+    stream(panda_sim, SMOOTH)
+    assert not robot.reflexes.tripped
+    before = robot.joints.setpoints.position[0]
+    handle, = stream(panda_sim, [SMOOTH[-1] + 0.05])
+    assert handle.status is Status.ABORTED
+    assert "times the acceleration limit of joint 'robot0_joint1', allowed is 1" in handle.reason
+    panda_sim.advance(500)
+    assert abs(robot.joints.setpoints.position[0] - before) < 2e-3
+    assert robot.safety_state == 'protective_stop'
+    robot.reset_reflexes()
+    at = float(robot.joints.setpoints.position[0])
+    assert stream(panda_sim, at + SMOOTH)[-1].status is not Status.ABORTED
+
+
+@pytest.mark.parametrize(('positions', 'stops'), [
+    ([0.002], True), ([1e-4], False),  # From rest.
+    ([0.0, 0.0, 1e-4, 2e-4, 3e-4], False), ([0.0, 0.0, 0.0, 5e-3, 0.0], True),
+    ([*SMOOTH[:40], *SMOOTH[42:]], True)])  # It skips what two messages would have said.
+def test_what_positions_demand_is_compared_with_the_limits(positions, stops, panda_sim):
+    panda_sim.robot.set_reflex('right', 'discontinuity', 2.0)
+    stream(panda_sim, positions)
+    assert bool(panda_sim.robot.reflexes.tripped) is stops
+
+
+def test_lost_messages_are_no_discontinuity_and_other_commands_begin_anew(panda_sim):
+    robot = panda_sim.robot
+    robot.set_reflex('arm', 'discontinuity', 1.0)
+    for number, position in enumerate(SMOOTH):
+        if number % 7 not in (3, 4):
+            stream(panda_sim, [position])
+        else:
+            panda_sim.advance(5)
+    assert not robot.reflexes.tripped
+    robot.apply(robot.parse.trajectory('arm', [J1], [1.0], [[0.6]]))
+    panda_sim.advance(600)
+    assert not robot.reflexes.tripped
+    stream(panda_sim, 0.6 + SMOOTH)
+    assert not robot.reflexes.tripped
+
+
+def test_a_restored_state_remembers_what_was_commanded(panda_sim):
+    panda_sim.robot.set_reflex('arm', 'discontinuity', 1.0)
+    stream(panda_sim, SMOOTH[:30])
+    saved, digests = panda_sim.save(), []
+    for _ in range(2):
+        stream(panda_sim, SMOOTH[30:60])
+        assert not panda_sim.robot.reflexes.tripped
+        digests.append(panda_sim.digest())
+        panda_sim.reset()
+        panda_sim.restore(saved)
+    assert digests[0] == digests[1]
+
+
+def test_many_worlds_stop_where_a_command_jumps():
+    worlds = Worlds(compose('Panda'), 2)
+    with worlds:
+        for simulation in worlds.simulations:
+            simulation.robot.set_reflex('arm', 'discontinuity', 1.0)
+        for number, position in enumerate(SMOOTH):
+            positions = np.array([[position], [position + 0.1 * (number == 90)]])
+            worlds.robot.command.joint_command([J1], position=positions, period_s=0.01)
+            worlds.advance(5)
+        assert [bool(s.robot.reflexes.tripped) for s in worlds.simulations] == [False, True]

@@ -120,7 +120,7 @@ def test_every_parameter_is_described(serve, client):
             'control_mode.right', 'command_timeout.right', 'wrench_cutoff.right',
             'stream_interval.arm', 'stream_interval.right', 'stream_hold.arm', 'stream_hold.right',
             *(f'reflex.{part}.{quantity}' for part in ('arm', 'right')
-              for quantity in ('velocity', 'effort', 'force', 'torque')),
+              for quantity in ('velocity', 'effort', 'force', 'torque', 'discontinuity')),
             *(f'cartesian.right.{name}' for name in (
                 'stiffness', 'damping_ratio', 'linear_velocity', 'angular_velocity',
                 'twist_timeout')),
