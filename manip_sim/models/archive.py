@@ -64,7 +64,7 @@ def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
     Return a sentence on what the text of MJCF changes.
 
     :param model: the ``mujoco.MjModel`` that was written
-    :param other: what was read again
+    :param other: the model that was read again
     """
     found = roundings(model, other)
     if not found:
@@ -74,7 +74,7 @@ def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
             '.mjb is exact to the last bit')
 
 
-#: Largest archive, and size of all that it unpacks to [bytes].
+#: Largest archive, and largest total size of its unpacked files [bytes].
 MAX_ARCHIVE_BYTES, _MAX_UNPACKED_BYTES = 2**26, 2**27
 #: How many times its size an archive of more than a megabyte may unpack to.
 _MAX_RATIO = 200
@@ -104,7 +104,7 @@ def pack(xml: str, assets: Mapping[str, bytes | str]) -> bytes:
     """
     Return a zip of a model's XML, ``model.xml``, and its files, in the folder ``assets``.
 
-    Files of equal content and suffix are packed once; those of equal name and different content
+    Files of equal content and suffix are packed once; files of equal name and different content
     get a number. The same model gives the same bytes.
 
     :param xml: MJCF that names its files by absolute paths, or as they are named in ``assets``
@@ -181,7 +181,7 @@ def load_archive(data: bytes) -> mujoco.MjModel:
     A model that may take long, or crash MuJoCo, is compiled in another process first.
 
     :param data: as :func:`pack` returns it
-    :raises ModelError: if it is no such archive, is too large, names other files, or holds no
+    :raises ModelError: if it is another file, is too large, names other files, or holds no
         model that MuJoCo compiles, or takes too long or too much memory
     """
     contents = _unpacked(data)
@@ -200,7 +200,7 @@ def unpacked_file(data: bytes, name: str, max_bytes: int) -> bytes:
     """
     Return a file of an archive from anywhere.
 
-    :raises ModelError: if there is no such file, or it is larger or cannot be unpacked
+    :raises ModelError: if the file is missing, larger, or cannot be unpacked
     """
     _check_list(data)
     with _explained(), zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -278,7 +278,7 @@ def _check_files(files: list[zipfile.ZipInfo], size: int) -> None:
 
 def _checked_xml(xml: bytes, files: Collection[str]) -> tuple[bytes, bool]:
     """
-    Return a model's XML as it was understood here, so that MuJoCo reads what was checked.
+    Return a model's XML as it was understood here, so that MuJoCo reads the checked text.
 
     :returns: the XML, and whether it compiles quickly for sure
 

@@ -57,8 +57,8 @@ def chosen_cameras(given: Sequence[str], world: World, model: mujoco.MjModel
     :param given: names of cameras and descriptions; empty texts are ignored
     :param world: the world with the cameras that are described
     :param model: its ``mujoco.MjModel``
-    :raises UnknownNameError: if there is no such camera
-    :raises ModelError: if a camera is chosen twice or its name cannot be that of a topic
+    :raises UnknownNameError: if the camera is unknown
+    :raises ModelError: if a camera is chosen twice or its name cannot name a topic
     """
     described = iter(world.cameras)
     chosen: dict[str, ImageSettings] = {}

@@ -164,10 +164,10 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :param objects: free bodies: objects, mappings, MJCF files or YAML files, see :class:`World`
     :param initialization_noise: noise of the start positions, see :class:`World`
     :param seed: of the noise; None draws one
-    :param cameras: in addition to those of robot and arena, see :class:`World`
+    :param cameras: in addition to the cameras of robot and arena, see :class:`World`
     :param lidars: of the world, see :class:`World`
     :param keyframe: of a file, that joints start from, see :class:`World`
-    :param randomization: what is drawn at each reset with a seed, see :class:`World`
+    :param randomization: distributions to draw from at each reset with a seed, see :class:`World`
     :param tactile: with tactile sensors on the pads of the grippers, see :func:`compose_robot`
     :param faults: that are planned for each episode, see :class:`World`
     :param arena_parameters: parameters of an arena that is given by name, such as ``table_height``

@@ -99,7 +99,7 @@ class JointCouplings:
                 self._neighbours[follower].append((leader, polynomial, True))
 
     def group(self, joint: int) -> frozenset[int]:
-        """Return a joint and all that move with it."""
+        """Return a joint and the joints that move with it."""
         found, waiting = {joint}, [joint]
         while waiting:
             for other, _, _ in self._neighbours[waiting.pop()]:
@@ -114,7 +114,7 @@ class JointCouplings:
 
         :param positions: of some joints, by id [rad or m]; of two that are coupled to the same
             one, the first one counts
-        :returns: the positions given, and those of the joints that follow from them
+        :returns: the positions given, and the positions of other joints that follow from them
         """
         known = dict(positions)
         waiting = list(known)

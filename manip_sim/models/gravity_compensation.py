@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Let actuators carry the weight of robots, and of what is mounted on them, by MuJoCo's ``gravcomp``.
+Let actuators carry the weight of robots and of mounted parts, by MuJoCo's ``gravcomp``.
 
 MuJoCo compensates the weight of a body at all joints between it and the world, so also at a free
 joint: the robot would float. So the actuators of arms, torso and head of a robot with a free root
-carry what is mounted beyond them, and the root and the legs carry that weight.
+carry the parts beyond them, and the root and the legs carry that weight.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _CARRIED = ('arm', 'torso', 'head')
 
 def compensate_mounted_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) -> None:
     """
-    Let actuators of robots without a free root carry their links, and what is mounted on them.
+    Let actuators of robots without a free root carry their links, and parts mounted on them.
 
     :param spec: the ``mujoco.MjSpec`` of a world, changed in place
     :param robots: the robots in it
@@ -40,7 +40,7 @@ def compensate_mounted_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel])
 
 def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) -> None:
     """
-    Let actuators of robots with a free root carry what is mounted beyond them.
+    Let actuators of robots with a free root carry the parts beyond them.
 
     :param spec: the ``mujoco.MjSpec`` of a world, changed in place; its model needs
         ``FreeRoots`` in each step

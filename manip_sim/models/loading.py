@@ -72,7 +72,7 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
 
 
 def compile_alone(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
-    """Compile a part without mass, such as a virtual base, which moves only with what has some."""
+    """Compile a part without mass, such as a virtual base, which moves only with other parts."""
     # The spec itself is compiled: a copy would have lost references to missing elements.
     compiler = spec.compiler
     bounds = compiler.boundmass, compiler.boundinertia
@@ -166,7 +166,7 @@ def load_spec(file: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
     Read a spec from an MJCF or URDF file; it names its asset files by absolute paths.
 
     :param notes: is given sentences on what MuJoCo has dropped since the file was written, and on
-        what is left out as its file is missing; None: a missing file is an error
+        elements left out as their files are missing; None: a missing file is an error
     :raises ModelError: if a file is missing, is not MJCF or URDF, or could crash the process
     """
     model = check_xml(file)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bodies whose shape is a mesh in a file: what is seen, and the convex shapes that touch."""
+"""Bodies whose shape is a mesh in a file: visual shapes, and convex collision shapes."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ _CONCAVITY, _SEED = 0.05, 0
 def mesh_spec(description: MeshDescription, folder: Path, where: str, files: Files | None
               ) -> tuple[mujoco.MjSpec, list[str]]:
     """
-    Return a spec with one body of the shape of a mesh, and what was inferred.
+    Return a spec with one body of the shape of a mesh, and the inferences.
 
-    Mass and inertia are those of the convex hull, or of the parts, of constant density.
+    Mass and inertia belong to the convex hull, or to the parts, with constant density.
 
     :param files: those that may be read, whose contents are kept; None: all, by their paths
     """

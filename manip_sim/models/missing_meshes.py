@@ -51,7 +51,7 @@ class Lost:
 
     :ivar kind: ``visual shape``, ``collision shape``, ``texture`` or ``skin``
     :ivar mesh: name of its file
-    :ivar element: what has it, such as ``link 'base'``
+    :ivar element: the element that has it, such as ``link 'base'``
     """
 
     kind: str
@@ -99,7 +99,7 @@ def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
 def inferred_by_model(world: World, robot: RobotModel | None = None
                       ) -> Iterator[tuple[str, list[str]]]:
     """
-    Yield the name of each model of a world, and the sentences on what was inferred of it.
+    Yield the name of each model of a world, and sentences on the inferences about it.
 
     :param robot: whose models are meant; None: the whole world
     """

@@ -208,7 +208,7 @@ class MujocoXMLModel:
         attach(spec, own, self.naming_prefix, frame)
 
     def compose(self) -> mujoco.MjSpec:
-        """Return a new spec of this part and all that is mounted on it."""
+        """Return a new spec of this part and everything mounted on it."""
         spec = mujoco.MjSpec()
         spec.modelname = self.name
         spec.option = self._spec.option
@@ -217,7 +217,7 @@ class MujocoXMLModel:
 
     def compile(self) -> mujoco.MjModel:
         """
-        Compile this part and all that is mounted on it.
+        Compile this part and everything mounted on it.
 
         :raises ModelError: with MuJoCo's message
         """
@@ -229,7 +229,7 @@ class MujocoXMLModel:
 
     def save_model(self, fname: str | PathLike[str], pretty: bool = False) -> None:
         """
-        Write the MJCF of this part and all that is mounted on it, as robosuite does.
+        Write the MJCF of this part and everything mounted on it, as robosuite does.
 
         :param fname: the file, which is replaced
         :param pretty: the text is indented anyway
@@ -251,7 +251,7 @@ class MujocoXMLModel:
                                  + (f': {instead}' if instead else ''), name=name, obj=self)
 
     def to_xml(self) -> str:
-        """Return the MJCF of this part and all that is mounted on it."""
+        """Return the MJCF of this part and everything mounted on it."""
         spec = self.compose()
         compile_spec(spec, self.name)
         xml: str = spec.to_xml()
@@ -260,7 +260,7 @@ class MujocoXMLModel:
     # ------------------------------------------------------------------ names of elements
 
     def _record_elements(self, alone: mujoco.MjModel) -> None:
-        """Record what is in the part, compiled alone."""
+        """Record the elements of the part, compiled alone."""
         self._own_model = alone
 
         not_free = alone.jnt_type != int(mujoco.mjtJoint.mjJNT_FREE)
@@ -407,6 +407,6 @@ class MujocoXMLModel:
 
 
 def _names(model: mujoco.MjModel, addresses: IntArray) -> list[str]:
-    """Return the names at some addresses, such as those of ``name_geomadr``."""
+    """Return the names at some addresses, such as ``name_geomadr``."""
     names = model.names
     return [names[address:names.index(b'\0', address)].decode() for address in addresses.tolist()]

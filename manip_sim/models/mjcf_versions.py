@@ -167,7 +167,7 @@ def _resolve_included(model: XmlModel) -> None:
                           and key.startswith('file')]:
             name = element.attrib[attribute]
             beside = file.parent / name
-            # MuJoCo reads those of flexcomp at once, from the working directory.
+            # MuJoCo reads a flexcomp's file at once, from the working directory.
             if beside.is_file() and (element.tag == 'flexcomp' or not any(
                     place.is_file() for place in places(element.tag, name, own))):
                 element.set(attribute, os.path.abspath(beside))
@@ -302,7 +302,7 @@ def _sentence(document: _Document, element: ElementTree.Element, what: str, late
 
 
 def _explained(documents: Iterable[_Document], error: Exception, file: Path) -> str:
-    """Return what MuJoCo says, with file, line, element and a remedy for what is unknown."""
+    """Return MuJoCo's message, with file, line, element and a remedy for an unknown element."""
     match = _MESSAGE.search(str(error))
     begin = f'{one_line(str(file))} is not MJCF that MuJoCo can read'
     if match is None:

@@ -66,7 +66,7 @@ def object_from_model(model: HeldModel, name: str | None = None) -> ObjectModel:
     Create an object from a model.
 
     :param name: of the object; None: that of its root body, or of the model
-    :raises ModelError: if it is no object, or takes too long or too much memory
+    :raises ModelError: if it is not an object, or takes too long or too much memory
     """
     notes: list[str] = []
     spec = model.load(notes)
@@ -84,7 +84,7 @@ def _check_dof(found: PlacedModel) -> None:
 
 def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
     """
-    Create objects; a YAML file stands for all that it lists.
+    Create objects; a YAML file stands for its whole list.
 
     :raises ModelError: as :func:`create_object`, and if two have the same name
     """
@@ -197,7 +197,7 @@ def _shape_spec(description: ShapeDescription) -> mujoco.MjSpec:
 
 def _file_spec(description: FileDescription, folder: Path, files: Files | None,
                notes: list[str]) -> tuple[mujoco.MjSpec, str]:
-    """Return a spec and what it was read from; notes are given what is left out."""
+    """Return a spec and the file that it was read from; omissions are added to the notes."""
     if files is None and is_of_others(description.file):
         file = find_source(description.file, 'objects') or Path()
     else:

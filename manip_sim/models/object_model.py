@@ -33,7 +33,7 @@ _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
 #: The least version of MuJoCo that deletes elements; those before end the process.
 _DELETES = 4000000
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: What is spawned cannot have, by the field of ``mujoco.MjModel`` that counts it.
+#: Elements that spawned models cannot have, by the field of ``mujoco.MjModel`` that counts them.
 NOT_SPAWNED = {
     'nflex': 'flexible bodies', 'nskin': 'skins', 'nhfield': 'height fields',
     'nplugin': 'plugins', 'nmocap': 'mocap bodies', 'nhistory': 'delays',
@@ -59,7 +59,7 @@ class PlacedModel:
     :param spec: a ``mujoco.MjSpec`` with one root body; not copied, and changed in place
     :param origin: where it comes from, for messages
     :raises ModelError: if it cannot have the name or what the spec holds
-    :ivar inferred: what was inferred, in sentences
+    :ivar inferred: the inferences, in sentences
     """
 
     #: What it is, for messages.
@@ -201,9 +201,9 @@ class PlacedModel:
 
 class ObjectModel(PlacedModel):
     """
-    A free body with the name of the object, or a body that is only seen.
+    A free body with the name of the object, or a visual body.
 
-    A free joint without a name is called ``<name>_joint``. What is only seen is a mocap body: it
+    A free joint without a name is called ``<name>_joint``. A visual body is a mocap body: it
     stays where it is put, and touches nothing.
 
     :param name: a letter, then at most 63 letters, digits and underscores
@@ -267,7 +267,7 @@ class ObjectModel(PlacedModel):
         frame, default = spec.body(self.name).frame, spec.find_default(f'{self._prefix}main')
         while frame.frame is not None:
             frame = frame.frame
-        # All that :meth:`attach` added is in the outermost frame, and a deletion takes long.
+        # The outermost frame holds the additions of :meth:`attach`, and a deletion takes long.
         spec.delete(frame)
         if default is not None:
             spec.delete(default)

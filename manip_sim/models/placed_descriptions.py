@@ -69,7 +69,7 @@ class PlacedDescription(Strict):
     """
     A name and a pose in the world.
 
-    :ivar name: letters, digits and underscores; also the name of the body, and in those of topics
+    :ivar name: letters, digits and underscores; also the name of the body, and in names of topics
     :ivar position: of the body's frame in ``world`` [m]
     :ivar rpy: roll, pitch, yaw of the body in ``world`` [rad]
     :ivar quat_xyzw: instead of ``rpy``, a quaternion x, y, z, w of length 1
@@ -106,7 +106,7 @@ class FileDescription(PlacedDescription):
     """
     An object in an MJCF file.
 
-    Its pose and its name are those of the body in the file, unless given here.
+    It has the pose and the name of the body in the file, unless given here.
 
     :ivar file: path, relative to the folder of the YAML file, or to the working directory; or
         ``robosuite:NAME``
@@ -232,7 +232,7 @@ def kind_of(values: Any) -> type[FileDescription | MeshDescription | ShapeDescri
     """
     Return the kind of description that some values are meant to be.
 
-    :raises ValueError: if they have both a file and a shape that is no mesh
+    :raises ValueError: if they have both a file and a shape other than a mesh
     """
     if values.get('shape') == MESH:
         return MeshDescription
@@ -283,7 +283,7 @@ class LidarDescription(PlacedDescription):
     """
     A lidar: its name, where it is and what it sees; its frame has x ahead and z up.
 
-    What is not given is as in :class:`manip_sim.sensing.lidars.Rays`.
+    Omitted values are as in :class:`manip_sim.sensing.lidars.Rays`.
 
     :ivar position: in the frame of the body [m], the origin if it is not given
     :ivar body: the body that it is fixed to, which it does not see; None is the world

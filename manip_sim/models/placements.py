@@ -283,7 +283,7 @@ def _turn(random: np.random.Generator, most: float) -> FloatArray:
     """
     Return an evenly distributed turn about z as a quaternion w, x, y, z.
 
-    Only sums, products and square roots follow a draw, so its bits are those of every processor.
+    Only sums, products and square roots follow a draw, so its bits are equal on every processor.
 
     :param most: greatest angle to both sides, up to pi [rad]
     """

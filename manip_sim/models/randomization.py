@@ -113,7 +113,7 @@ class Rule:
         """
         Return a draw, which depends on its arguments only.
 
-        :param key: of what is drawn, unique in its world
+        :param key: of the drawn quantity, unique in its world
         :returns: one number for all, or one for each number of the quantity
         """
         random = generator(seed, f'randomization {key}')

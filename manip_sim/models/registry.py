@@ -79,7 +79,7 @@ class Registry(Generic[T]):
                        if self._is_public(name, cls) and not self._missing_arguments(cls)])
 
     def all_names(self) -> list[str]:
-        """Return the names of all that can be created, also from files in the user's folders."""
+        """Return all names to create models by, also of files in the user's folders."""
         return sorted({*self.names(), *names_in_folders(self._folder)})
 
     def find_file(self, name: str | PathLike[str]) -> Path | None:

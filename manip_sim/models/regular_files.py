@@ -79,7 +79,7 @@ def _explained(file: Path, kind: str) -> Iterator[None]:
 
 class Files:
     """
-    The files that a model may be read from: all that the user of the process may read.
+    The files that a model may be read from: all files that the user of the process may read.
 
     Others are for requests; where a parameter may be None, that stands for these.
     """
@@ -104,7 +104,7 @@ class Files:
         return path.is_dir()
 
     def listed(self, folder: Path) -> list[Path]:
-        """Return what is in a folder, sorted; any of it may not be readable."""
+        """Return the entries of a folder, sorted; any of them may not be readable."""
         return sorted(folder.iterdir())
 
 
@@ -228,7 +228,7 @@ class OneText(Files):
         return path == self.file
 
     def is_folder(self, path: Path) -> bool:
-        """Return that there are no folders."""
+        """Return False: a text has no folders."""
         return False
 
 
@@ -236,7 +236,7 @@ class KeptFiles(Files):
     """
     Files that are read once, so that nobody can change them in between.
 
-    A copy, also in another process, has what was read before, and reads nothing more.
+    A copy, also in another process, has the contents read before, and reads nothing more.
     """
 
     def __init__(self, files: Files) -> None:
@@ -273,7 +273,7 @@ class KeptFiles(Files):
         return bool(self._asked('is_folder', path, False))
 
     def listed(self, folder: Path) -> list[Path]:
-        """Return what was in a folder."""
+        """Return the entries of a folder at the first reading."""
         found: list[Path] = self._asked('listed', folder, [])
         return found
 

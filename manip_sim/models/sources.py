@@ -38,13 +38,13 @@ _model_path: list[Path] = []
 
 def set_model_path(folders: Iterable[str | os.PathLike[str]]) -> None:
     """
-    Add the models in folders to the catalogue, before those of ``MANIP_SIM_PATH``.
+    Add the models in folders to the catalogue, before the folders of ``MANIP_SIM_PATH``.
 
     In a folder, ``robots/NAME.yaml``, ``robots/NAME.xml``, ``robots/NAME.urdf`` or a folder
     ``robots/NAME`` with such a file or ``robot.yaml`` is the robot ``NAME``; likewise
     ``grippers``, ``bases`` and ``arenas``.
 
-    :param folders: they replace those of the last call
+    :param folders: they replace the folders of the last call
     :raises ModelError: if one is not a folder
     """
     found = [Path(folder).expanduser() for folder in folders]
@@ -137,7 +137,7 @@ def _of_menagerie(name: str) -> Path:
 
 
 def _checkout_of_menagerie(model: str) -> Path | None:
-    """Return the folder of a model in a checkout; None if there is no checkout that has it."""
+    """Return the folder of a model in a checkout; None if no checkout has it."""
     for variable in MENAGERIE_VARIABLES:
         root = os.environ.get(variable)
         if root:

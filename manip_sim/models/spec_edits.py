@@ -37,7 +37,7 @@ def check_prefix(prefix: str) -> None:
 
 
 class TakenNames:
-    """The names of a spec, collected once for all that is attached to it."""
+    """The names of a spec, collected once for all attachments."""
 
     def __init__(self, spec: mujoco.MjSpec) -> None:
         self._spec = spec
@@ -160,7 +160,7 @@ def body_for(spec: mujoco.MjSpec, what: str, name: str, body: str, others: Mappi
     :param name: its name, and ``body`` that of the body
     :param others: kinds of elements that may not have its name, and what to do if one has
     :raises ModelError: if one has
-    :raises UnknownNameError: if there is no such body
+    :raises UnknownNameError: if the body is unknown
     """
     elements = {'body': spec.bodies, 'camera': spec.cameras, 'site': spec.sites}
     for kind, hint in others.items():
@@ -288,8 +288,8 @@ def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:
     """
     Move the first of some consecutive actuators of a spec behind the others.
 
-    Elements of a spec cannot be moved, so their contents are. Those of plugins cannot be moved, so
-    with them all stay where they are.
+    Elements of a spec cannot be moved, so their contents are. Contents of plugins cannot be moved,
+    so with them all stay where they are.
 
     :param count: how many of them go to the end
     """

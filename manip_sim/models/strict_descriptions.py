@@ -71,7 +71,7 @@ def checked(kind: type[M], values: Mapping[str, Any], where: str) -> M:
     try:
         return kind.model_validate(dict(values))
     except ValidationError as errors:
-        # A misspelt key also makes the right one missing; the error is about what was written.
+        # A misspelt key also makes the right one missing; the error names the misspelt one.
         first = min(errors.errors(), key=lambda e: e['type'] != 'extra_forbidden')
         raise ModelError(f'{where}: {_explained(first, kind.model_fields)}') from None
 

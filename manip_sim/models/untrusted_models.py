@@ -90,7 +90,7 @@ class HeldModel:
         A model that may take long, or crash MuJoCo, is compiled in another process first.
 
         :param notes: as for ``spec_from_string``
-        :raises ModelError: if it is no model, or compiling it takes too long or too much memory
+        :raises ModelError: if it is not a model, or compiling it takes too long or too much memory
         """
         if not self.is_light:
             try_to_do(self.name, compile_held, self.xml, self.models, self.assets)
@@ -107,13 +107,13 @@ class HeldModel:
         return spec
 
     def hold(self, model: XmlModel, files: Files, as_robot: bool) -> str:
-        """Read all that a model names, and return the model that names what is held."""
+        """Read the files that a model names, and return the model that names the held ones."""
         return self.hold_tree(model.tree, model.models, model.folders[0], files, as_robot)
 
     def hold_tree(self, root: ElementTree.Element, models: Mapping[str, XmlModel],
                   folders: AssetFolders, files: Files, as_robot: bool) -> str:
         """
-        Read all that the elements of a model name, as :meth:`hold` does.
+        Read the files that the elements of a model name, as :meth:`hold` does.
 
         :param root: changed in place
         """
@@ -171,7 +171,7 @@ class HeldModel:
 
 def hold_model(file: Path, files: Files, as_robot: bool = False) -> HeldModel:
     """
-    Read a model and all that it names.
+    Read a model and the files that it names.
 
     :param file: MJCF or URDF
     :param as_robot: keep the keyframes, and take more elements
@@ -254,7 +254,7 @@ def give_up() -> None:
 
 
 def main() -> None:
-    """Do what is on standard input, and write what is wrong to standard output."""
+    """Do the task read from standard input, and write its error to standard output."""
     gc.disable()  # It is too short for it.
     # No file can be opened later, and numpy imports this only when it is used.
     import numpy.random  # noqa: F401

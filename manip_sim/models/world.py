@@ -58,19 +58,19 @@ class World:
     """
     Robots in an arena.
 
-    :param robots: robots with all that is mounted on them; the arena places one that was not
-        placed by ``set_base_xpos``
+    :param robots: robots with their mounted parts; the arena places one that was not placed by
+        ``set_base_xpos``
     :param arena: the arena, :class:`EmptyArena` by default
     :param timestep_s: of a physics step [s], a whole number of nanoseconds
     :param gravity_compensation: make the joints' actuators carry the weight of all links and
         grippers, as the controller of a real arm does; it counts as actuator force. The model has
         none for a robot whose root has a free joint, which falls and stands by its weight;
         :class:`Simulation` makes its arms, torso and head carry what hangs on them
-    :param objects: free bodies, as for :func:`create_objects`; they come after those of the arena
+    :param objects: free bodies, as for :func:`create_objects`; they come after the arena's objects
     :param initialization_noise: added to the start of the robots' own joints, see
         :class:`InitializationNoise`; None for none
     :param seed: of that noise, for which None draws one, and of the noise of sensors
-    :param cameras: in addition to those of robots and arena, as for :func:`create_camera`
+    :param cameras: in addition to the cameras of robots and arena, as for :func:`create_camera`
     :param lidars: as for :func:`create_lidar`
     :param keyframe: of the file of a part: its joints start there; empty for their usual start
     :ivar lidars: as :class:`LidarModel`
@@ -83,9 +83,9 @@ class World:
     :ivar cameras: those in addition to robots and arena, as :class:`CameraModel`
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
-    :ivar seed: of the noise of sensors, 0 if there is no other
-    :ivar randomization: what is drawn at each reset with a seed, that of the arena included, or
-        None
+    :ivar seed: of the noise of sensors, 0 by default
+    :ivar randomization: distributions to draw from at each reset with a seed, with the arena's,
+        or None
     """
 
     def __init__(self, robots: Sequence[RobotModel], arena: Arena | None = None,
@@ -150,7 +150,7 @@ class World:
 
     def compose(self, visual: bool = True, objects: bool = True) -> mujoco.MjSpec:
         """
-        Return a new spec of the whole world: the robots, then what is in the arena.
+        Return a new spec of the whole world: the robots, then the contents of the arena.
 
         The root of the first robot is the first body, and the addresses of the robots' joints do
         not depend on the arena. Objects are last, so that no address of a robot depends on them.
@@ -291,7 +291,7 @@ class World:
         :param robot: what its names begin with, without the underscore that follows, such as
             ``robot0``; None for the only one
         :raises ModelError: if there are several robots and none is named, or with MuJoCo's message
-        :raises UnknownNameError: if there is no such robot
+        :raises UnknownNameError: if the robot is unknown
         """
         from manip_sim.models.urdf_writer import urdf_of  # It imports this module.
         return urdf_of(self, robot).xml
@@ -315,7 +315,7 @@ class World:
         :param seed: of the noise on them; None for that of the world
         :param keyframe: that replaces the usual start; None for that of the world
         :raises UnknownNameError: if no part has the keyframe
-        :raises ModelError: if the seed is no whole number from 0
+        :raises ModelError: if the seed is not a whole number from 0
         """
         if seed is not None:
             checked_seed(seed)

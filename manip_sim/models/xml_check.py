@@ -189,7 +189,7 @@ class _OpenFile:
 
 class XmlModel:
     """
-    One model: its file and all that it includes; models that it attaches have their own.
+    One model: its file and the files that it includes; models that it attaches have their own.
 
     :param loaded_by: the files of models that are being loaded, the outermost first
     :param traced: keep the origins
@@ -265,7 +265,7 @@ class XmlModel:
         return root
 
     def _parsed_as_mujoco_does(self, data: bytes) -> ElementTree.Element:
-        """Return the root element, also of a document that MuJoCo reads and that is no XML."""
+        """Return the root element, also of a document that MuJoCo reads despite invalid XML."""
         try:
             return self._parsed(data)
         except expat.ExpatError:

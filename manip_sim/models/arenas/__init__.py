@@ -35,7 +35,7 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
     :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
     :param parameters: as in the arena's :attr:`Arena.parameters`, by name or by the keyword of its
         constructor
-    :raises UnknownNameError: if there is no such arena or parameter, naming the nearest ones
+    :raises UnknownNameError: if the arena or parameter is unknown, naming the nearest ones
     :raises ModelError: if a value is not within the limits of its parameter, a file cannot be
         used, or the arena of another package cannot be imported
     """
@@ -71,7 +71,7 @@ def arena_parameters(name: str | PathLike[str]) -> tuple[ArenaParameter, ...]:
     Return the parameters of an arena; one from a file has none.
 
     :param name: of the catalogue, or a file
-    :raises UnknownNameError: if there is no such arena, naming the nearest ones
+    :raises UnknownNameError: if the arena is unknown, naming the nearest ones
     """
     if ARENAS.find_file(name) is not None:
         return ()

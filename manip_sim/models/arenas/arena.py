@@ -100,11 +100,11 @@ def position_at(robot: RobotModel, arena: str, table_length_m: float) -> FloatAr
 
 class Arena(MujocoXMLModel):
     """
-    What is around the robots; its names have no prefix.
+    The environment of the robots; its names have no prefix.
 
     A subclass declares :attr:`arena_name`, its key in a robot's ``base_xpos_offset``, and
-    :attr:`parameters`, those of its constructor. It is created by its name; one that inherits the
-    name cannot be created by it.
+    :attr:`parameters`, the arguments of its constructor. It is created by its name; one that
+    inherits the name cannot be created by it.
 
     :param fname: path of an MJCF file; by default that in ``assets/arenas`` with the arena's name
     :ivar placements: areas where objects are placed at each reset with a seed

@@ -29,7 +29,7 @@ def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel
 
     :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
     :param idn: number or word in the prefix
-    :raises UnknownNameError: if there is no such base, naming the nearest ones
+    :raises UnknownNameError: if the base is unknown, naming the nearest ones
     :raises ModelError: if a file cannot be used, or the base of another package cannot be imported
     """
     file = BASES.find_file(name)

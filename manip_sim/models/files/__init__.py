@@ -24,8 +24,8 @@ def load_robot(path: str | PathLike[str], idn: int | str = 0) -> FileRobot:
     :param path: an MJCF or URDF file, the YAML file that describes it, or their folder; or a name
         such as ``menagerie:NAME``
     :param idn: number or word in names, as in ``robot0_joint1``
-    :returns: a ``ManipulatorModel`` if the robot has arms; its ``inferred`` says what was inferred
-        or left out
+    :returns: a ``ManipulatorModel`` if the robot has arms; its ``inferred`` lists inferences and
+        omissions
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known
     """

@@ -87,7 +87,7 @@ def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[in
     joints instead. Of several on one joint a position servo is kept. An actuator that is neither
     motor nor servo of a joint is kept, but of no part. Too light joints get rotor inertia.
 
-    :param actuators: ids of the actuators, without those of hands
+    :param actuators: ids of the actuators, except in hands
     :returns: names of the actuators that are of no part, and a sentence for each change
     """
     model, notes = tree.model, []
@@ -213,10 +213,10 @@ def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     """
     Add position servos to the joints of a model that has no actuators.
 
-    Their force limits are those of the joints. Of two joints that an equality constraint couples,
+    Their force limits are the joints' limits. Of two joints that an equality constraint couples,
     the dependent one gets no servo.
 
-    :returns: what was done, in sentences
+    :returns: the changes, in sentences
     """
     model = tree.model
     followers = {int(model.eq_obj1id[i]) for i in range(model.neq)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The tree of bodies of a compiled model: what is below what, and what drives what."""
+"""The tree of bodies of a compiled model: the bodies below each one, and what drives a joint."""
 
 from __future__ import annotations
 

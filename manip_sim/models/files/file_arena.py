@@ -27,13 +27,13 @@ _YAML = ('.yaml', '.yml')
 
 class FileArena(Arena, registered=False):
     """
-    What is around the robots.
+    The environment of the robots.
 
     :param file: MJCF; or a YAML file whose description names another arena, or only parts
     :param description: what the YAML file says
     :param where: the file that the description was read from, for messages
     :raises ModelError: if something cannot be read, or does not fit together
-    :ivar inferred: what was inferred or left out, in sentences
+    :ivar inferred: the inferences and omissions, in sentences
     """
 
     def __init__(self, file: Path, description: ArenaDescription, where: str) -> None:

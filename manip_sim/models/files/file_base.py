@@ -28,13 +28,13 @@ _ON_FLOOR_M = 0.02
 
 class FileBase(RobotBaseModel, registered=False):
     """
-    What a robot stands on.
+    A base that a robot stands on.
 
-    :param model_file: what was read
+    :param model_file: the file as read
     :param top: where the robot stands, in the frame of the root body [m], shape (3,)
     :param idn: number or word in names
     :param loose: names of actuators that are not of the base's joints
-    :ivar inferred: what was inferred or left out, in sentences
+    :ivar inferred: the inferences and omissions, in sentences
     """
 
     inferred: list[str]

@@ -60,7 +60,7 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
     Fingers that point more than 45 degrees away from the mount's z axis are turned to it by
     quarter turns, and a palm that reaches farther than 50 mm behind the mount is moved in front.
 
-    :returns: what was done, in sentences
+    :returns: the changes, in sentences
     """
     model, notes = tree.model, []
     reach = Fingers(tree, hand, start).grasp_point()

@@ -29,7 +29,7 @@ class FileRobot(RobotModel, registered=False):
 
     :param plan: the file, completed by its description
     :param idn: number or word in names
-    :ivar inferred: what was inferred or left out, in sentences
+    :ivar inferred: the inferences and omissions, in sentences
     """
 
     _refers_to_all = True  # As it was read with ``read_model``.
@@ -103,7 +103,7 @@ class FileRobot(RobotModel, registered=False):
     def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                   floor_xpos: ArrayLike | None = None) -> None:
         """
-        Add a copy of the robot, of all that is mounted on it and of the file's mocap bodies.
+        Add a copy of the robot, of everything mounted on it and of the file's mocap bodies.
 
         :param spec: the spec to add to
         :param frame: the frame of that spec to attach the robot to
@@ -123,7 +123,7 @@ class FileRobot(RobotModel, registered=False):
 
     @property
     def described(self) -> dict[str, Any]:
-        """The file's description, with all that was inferred, as the keys of a YAML file."""
+        """The file's description, completed by inference, as the keys of a YAML file."""
         model = self._own_model
         return _described_plan(self._plan, {
             str(model.joint(joint).name): model.jnt_range[joint] for joint in range(model.njnt)
@@ -198,7 +198,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
         :param gripper: the gripper; if it goes on several arms, each gets a copy of its own
         :param arm_name: an arm or its end effector body; None mounts on every arm
         :raises TypeError: if it is not a gripper
-        :raises UnknownNameError: if there is no such arm
+        :raises UnknownNameError: if the arm is unknown
         :raises ModelError: if the arm has a gripper already, or the gripper is mounted already
         """
         if isinstance(gripper, GripperModel):
@@ -224,7 +224,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
 
 def _described_plan(plan: RobotPlan, ranges: Mapping[str, FloatArray]) -> dict[str, Any]:
     """
-    Return the description of a robot with all that was inferred, so that nothing is left to infer.
+    Return the description of a robot, completed by inference, so that nothing is left to infer.
 
     :param ranges: of the joints, by name in the file [rad or m], shape (2,)
     :returns: the keys of a robot's YAML file beside the model

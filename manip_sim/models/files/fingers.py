@@ -229,7 +229,7 @@ class Fingers:
 
     def reopening(self, closing: Mapping[int, Closing]) -> dict[int, Closing]:
         """
-        Return closings from which the fingers open again, where those of a hand lock it.
+        Return closings from which the fingers open again, where the given ones lock a hand.
 
         All actuators close at once, with contacts, and open again. One that does not come back
         closes less far, or with less effort, see :data:`_SHORTER`. What never opens again stays

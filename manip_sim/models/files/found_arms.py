@@ -25,7 +25,7 @@ _ARM_SHARE = 0.5
 _MOST_OF_ARM = 8
 #: Arms that are nearer to each other along an axis are not beside each other along it [m].
 _BESIDE_M = 0.05
-#: Words for a subsystem besides those of ``classify``, in the order in which they are tried.
+#: Words for a subsystem besides the words of ``classify``, in the order in which they are tried.
 _WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
     'head': {'head', 'neck', 'eye', 'eyes', 'antenna', 'camera', 'cam'},
@@ -33,7 +33,7 @@ _WORDS = {
              'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'abad', 'coxa', 'femur',
              'tibia', 'hx', 'hy', 'kn', 'haa', 'hfe', 'kfe', 'ffe', 'faa', 'hr'},
     'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column'}}
-#: Words in names of bodies, which decide where those of joints do not.
+#: Words in names of bodies, which decide where the names of joints do not.
 _BODY_WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
     'legs': {'leg', 'thigh', 'calf', 'shin', 'shank', 'coxa', 'femur', 'tibia', 'foot', 'toe',
@@ -131,12 +131,12 @@ def _find_unnamed(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set
 
 def _complete_wheels(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set[int]) -> None:
     """
-    Assign joints between the trunk and wheels to the base, and those of limbs tied to them.
+    Assign joints between the trunk and wheels to the base, and joints of limbs tied to them.
 
     Two limbs or more have wheels: an arm may end in a tool that is called a wheel. Limbs with the
     name of a leg are legs.
 
-    :param free: the joints whose subsystem nothing else decides; those of the base are taken out
+    :param free: the joints whose subsystem nothing else decides; joints of the base are taken out
     """
     def carries_wheels(limb: int) -> bool:
         joints = limbs.joints(limb)
@@ -191,7 +191,7 @@ def _correct_single_limbs(tree: BodyTree, found: dict[int, str], declared: Mappi
     """
     Assign torso and leg joints to the arm where they move one limb, legs only with fingers.
 
-    A torso that moves none is an arm, too, if there are no legs.
+    A torso that moves none is an arm, too, in a robot without legs.
     """
     most = 0 if 'legs' in found.values() else -1
     for joint, subsystem in list(found.items()):
@@ -290,8 +290,8 @@ def _ends_of_arms(tree: BodyTree, joints: Collection[int]) -> list[int]:
     """
     Return where chains of joints end that may be arms.
 
-    That are not chains of which all joints beyond the others follow another one, as those of a
-    parallelogram, nor those of which more than five hang on one link, as the rods of a platform.
+    Excluded are chains of which all joints beyond the others follow another one, as in a
+    parallelogram, and chains of which more than five hang on one link, as the rods of a platform.
     """
     tips, moved = tree.ends(joints), {int(tree.model.jnt_bodyid[joint]) for joint in joints}
     followers, limbs = tree.followers(), Limbs(tree)
@@ -327,7 +327,7 @@ def _joints_of_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collec
 
 
 def _joints_of_objects(tree: BodyTree) -> set[int]:
-    """Return the joints of roots of which one body moves, if those of another root are a chain."""
+    """Return the joints of roots of which one body moves, if another root's joints are a chain."""
     model = tree.model
     of_root = {body: tree.joints(sorted(tree.below(body)))
                for body in range(1, model.nbody) if tree.parent(body) == 0}

@@ -15,13 +15,13 @@ from manip_sim.models.files.limbs import (
     FINGERS, Limbs, MAX_FINGERS, PALM_WORDS, turns_farther_than)
 
 #: Words that only parts of hands have, of joints and of bodies: the carriage of a lift or a gantry
-#: is no finger. A wrist with a hand may have words of hands too.
+#: is not a finger. A wrist with a hand may have words of hands too.
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
 _FINGER_BODY_WORDS = _FINGER_WORDS - {'carriage'}
 _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
 #: Words of what drives a flying robot.
 _FLIGHT_WORDS = {'thrust', 'thruster', 'rotor', 'propeller', 'gimbal'}
-#: Words of joints that are no fingers', whatever they move is called.
+#: Words of joints that are not of fingers, whatever they move is called.
 _ARM_WORDS = {'shoulder', 'elbow', 'wrist'}
 #: Words of joints that no hand carries.
 _CARRIED_BY_NO_HAND = _ARM_WORDS | {'arm'}
@@ -40,7 +40,7 @@ _FINGER_TURNS_RAD = 1.5 * np.pi
 @dataclass(frozen=True)
 class FoundHand:
     """
-    A hand within a robot: all that is below a body.
+    A hand within a robot: everything below a body.
 
     :ivar body: id of that body; its own joints are not of the hand
     :ivar actuators: ids of the actuators that act only on these
@@ -52,7 +52,7 @@ class FoundHand:
 
 
 def hand_below(tree: BodyTree, body: int) -> FoundHand:
-    """Return what is below a body as a hand."""
+    """Return the bodies below a body as a hand."""
     joints = tree.joints(sorted(tree.below(body) - {body}))
     actuators = [a for a in range(tree.model.nu)
                  if tree.driven(a) and tree.driven(a) <= set(joints)]
@@ -63,7 +63,7 @@ def carries_arms(tree: BodyTree, body: int, others: Collection[int]) -> bool:
     """
     Return whether a chain below a body has several joints with words of arms: no hand carries one.
 
-    :param others: joints whose words count for nothing, as those of a robot called arm
+    :param others: joints whose words count for nothing, as in a robot called arm
     """
     words = _CARRIED_BY_NO_HAND - frozenset().union(
         *(words_of(_name(tree, joint)) for joint in others))
@@ -168,7 +168,7 @@ def lone_hands(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[
 
 def _are_fingers(tree: BodyTree, limbs: Limbs, fingers: Sequence[int]) -> bool:
     """
-    Return whether limbs of one body are those of a hand, by their kind.
+    Return whether limbs of one body are the fingers of a hand, by their kind.
 
     There are two to five, none of which branches, turns by more than three quarters of a turn, has
     the name of a rotor or has more than twice the joints of another. Two are fingers if each has
@@ -198,8 +198,8 @@ def _with_branches(tree: BodyTree, body: int) -> int:
     """
     Return the body that carries a hand and what else moves on the same rigid link.
 
-    Only what is no longer than the fingers counts, such as the propeller of Interbotix's grippers,
-    and only on a link that moves: two arms hang on one that does not.
+    Only parts up to the length of the fingers count, such as the propeller of Interbotix's
+    grippers, and only on a link that moves: two arms hang on one that does not.
     """
     rigid, parts = tree.model.body_weldid, tree.below(body)
     if not rigid[body]:
@@ -272,7 +272,7 @@ def _by_arm(tree: BodyTree, joints: Collection[int]) -> list[set[int]]:
 
 
 def _fingers_below(tree: BodyTree, carrier: int) -> list[int]:
-    """Return the first bodies of the fingers of a hand, all that moves on its body."""
+    """Return the first bodies of the fingers of a hand: the bodies that move on its body."""
     return sorted(_first_bodies(tree, hand_below(tree, carrier).joints))
 
 

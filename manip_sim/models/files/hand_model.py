@@ -35,7 +35,7 @@ class HandFromFile(GripperModel, registered=False):
 
     An action says how far each actuator closes: -1 is open, +1 is closed.
 
-    :ivar inferred: what was inferred or left out, in sentences
+    :ivar inferred: the inferences and omissions, in sentences
     :ivar grasp_point: the grasp frame
     :ivar closing: control that opens and control that closes, by actuator of the file
     """

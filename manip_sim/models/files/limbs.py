@@ -189,7 +189,7 @@ class Limbs:
 
     def standing_pair(self, among: Iterable[int]) -> list[int]:
         """
-        Return the joints of two limbs that mirror each other, all that a floating trunk carries.
+        Return the joints of two limbs that mirror each other, the only ones on a floating trunk.
 
         They end where the file has the floor: z = 0.
 
@@ -217,7 +217,7 @@ class Limbs:
 
     def legs_with_shoulders(self) -> list[int]:
         """
-        Return the joints of legs whose names are those of arms: no robot has so many arms.
+        Return the joints of legs with names of arms: no robot has so many arms.
 
         Each has a shoulder, and a foot, or no elbow, wrist or finger.
         """

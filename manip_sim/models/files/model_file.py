@@ -54,7 +54,7 @@ def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
     with joints moved away from the ends of their ranges; and the middle of all ranges. The first
     one is taken unless another one has less overlap.
 
-    :returns: ``qpos``, shape (nq,), and what was done, in sentences
+    :returns: ``qpos``, shape (nq,), and the changes, in sentences
     """
     zero, moved, _ = _with(model, lambda value, low, high: value if low <= value <= high
                            else (low + high) / 2.0)
@@ -135,7 +135,7 @@ class ModelFile:
     :ivar spec: the ``mujoco.MjSpec`` with one root body and no keyframes
     :ivar tree: of the compiled model as it was in the file
     :ivar start: where scalar joints start, by name [rad or m]
-    :ivar inferred: what was inferred or left out, in sentences
+    :ivar inferred: the inferences and omissions, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     :ivar mocap: its mocap bodies, which the spec has no more, or None
     """
@@ -214,7 +214,7 @@ def read_model(file: Path, description: Description, where: object,
         if urdf:
             support_couplings(spec)
         model = compile_copy(spec, str(file), visual)
-    # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
+    # Sizes for the file's model alone; MuJoCo would warn in composing if parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
     if _has_lost_joints(spec, model):
@@ -229,7 +229,7 @@ def read_model(file: Path, description: Description, where: object,
 
 
 def _has_lost_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> bool:
-    """Return whether a spec lacks joints of a model other than those of free bodies."""
+    """Return whether a spec lacks joints of a model other than joints of free bodies."""
     return any(spec.joint(model.joint(joint).name) is None for joint in np.flatnonzero(
         model.jnt_type != int(mujoco.mjtJoint.mjJNT_FREE)).tolist())
 
@@ -328,7 +328,7 @@ def shape_heights(model: mujoco.MjModel, data: mujoco.MjData, which: BoolArray |
 
 
 def _heights(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[float, float]:
-    """Return the lowest and highest point of a shape; of a height field those of its box."""
+    """Return the lowest and highest point of a shape; for a height field, of its box."""
     upward, size = data.geom_xmat[geom, 6:9], model.geom_size[geom]
     middle, kinds = float(data.geom_xpos[geom, 2]), mujoco.mjtGeom
     kind, mesh = int(model.geom_type[geom]), int(model.geom_dataid[geom])
@@ -351,7 +351,7 @@ def _heights(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[flo
 
 
 def _load_mjcf(file: Path, expects_meshes: bool) -> tuple[mujoco.MjSpec, list[str]]:
-    """Read a spec from an MJCF file, without what is missing, and return sentences about it."""
+    """Read a spec from an MJCF file, without missing assets, and return sentences on them."""
     notes: list[str] = []
     spec = load_spec(file, notes)
     return spec, notes if expects_meshes else [str(sentence) for sentence in notes]
@@ -386,7 +386,7 @@ def _start_pose(model: mujoco.MjModel, in_file: Mapping[str, float],
     Return the start positions of scalar joints, by name [rad or m].
 
     :param declared: positions by joint [rad or m]; without one, a joint starts as in the file
-    :raises UnknownNameError: if there is no such joint
+    :raises UnknownNameError: if the joint is unknown
     :raises ModelError: if a position is outside the joint's range
     """
     start = dict(in_file)

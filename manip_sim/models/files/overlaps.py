@@ -33,7 +33,7 @@ def exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[
     links that overlap are excluded, and the pairs of the SRDF beside the file.
 
     :param start: where joints start, by name [rad or m]
-    :returns: what was done, in sentences
+    :returns: the changes, in sentences
     """
     pairs, notes = disabled_pairs(file, files or Files()) if urdf else (set(), [])
     excluded = 0

@@ -60,7 +60,7 @@ class PackageFolders:
         return self._known[package]
 
     def missing(self, package: str) -> tuple[str, str]:
-        """Return that there is no such package, and what to do."""
+        """Return a message that the package is missing, and a remedy."""
         return (f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or ROS_PACKAGE_PATH '
                 f'nor a folder above the file{self._at.rule}',
                 f'source the workspace that has {quoted(package)}, or add its folder to '
@@ -154,7 +154,7 @@ def _walk(top: Path, depth: int, seen: set[str]) -> Iterator[Path]:
         seen.add(real)
         try:
             names = sorted(entry.name for entry in os.scandir(folder))
-        except OSError:  # It is no folder, or may not be read.
+        except OSError:  # It is not a folder, or may not be read.
             continue
         if any(name in _IGNORED for name in names):
             continue

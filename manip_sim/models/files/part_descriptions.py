@@ -158,9 +158,9 @@ class BaseDescription(Description):
 
 
 class ArenaDescription(Description):
-    """What is around the robots; without ``model``, it consists of an arena and parts."""
+    """The environment of the robots; without ``model``, it consists of an arena and parts."""
 
-    #: What to begin with, if there is no model: a name of the catalogue, or ``robosuite:NAME``.
+    #: Arena to begin with, without a model: a name of the catalogue, or ``robosuite:NAME``.
     arena: Name | None = None
     #: Parameters of that arena.
     parameters: dict[Name, Union[Annotated[bool, Field(strict=True)], Number]] = {}
@@ -208,7 +208,7 @@ def read_description(file: Path, kind: type[DescriptionT], files: Files | None =
         return kind.model_validate(read_yaml(file) if files is None else parse_yaml(
             files.read(file, 'YAML file', MAX_REQUESTED), str(file)))
     except ValidationError as error:
-        # A union has errors of all its members; those of the best fitting one are the deepest.
+        # A union has errors of all its members; the best fitting one has the deepest.
         deepest = max(error.errors(), key=lambda found: len(found['loc']))
         raise _explained(file, kind, deepest) from error
 

@@ -46,7 +46,7 @@ def load_requested(given: Path | OneText, files: Files, idn: int | str = 0) -> F
 
     :param given: what :func:`find_model` takes, or a URDF or MJCF text
     :raises ModelError: on one line, if a file must not be or cannot be read, or it takes too long,
-        is too large or is no robot
+        is too large or is not a robot
     :raises UnknownNameError: if the description has a key or name that is not known
     """
     if isinstance(given, OneText):

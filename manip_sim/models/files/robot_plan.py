@@ -43,7 +43,7 @@ class RobotPlan:
     :ivar hands: the file's own hands by arm
     :ivar arms: where the arms were found
     :ivar loose_actuators: names of the actuators that are of no part
-    :ivar inferred: what was inferred or left out, in sentences
+    :ivar inferred: the inferences and omissions, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     :ivar mocap: the mocap bodies that come with the robot, or None
     :ivar depth_in_floor: how far it is raised where nothing else places it [m]

@@ -75,7 +75,7 @@ class _Lacking:
         return [name for name in names if known is not None and name and name not in known]
 
     def body(self, name: str) -> bool:
-        """Return whether there is no body of a name."""
+        """Return whether a body of a name is missing."""
         return bool(self.bodies(name))
 
     def bodies(self, *names: str) -> list[str]:
@@ -142,7 +142,7 @@ _OF_CAMERA = ('mode', 'targetbody', 'fovy', 'resolution', 'sensor_size', 'focal_
 
 def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tuple[Any, list[str]]:
     """
-    Leave out what is not part of a robot or hand, and put the rest below one root body.
+    Leave out scenery around a robot or hand, and put the rest below one root body.
 
     Left out are lights and grounds of the world body, its cameras, other shapes and sites if the
     only root is free, mocap bodies (without a sentence), empty bodies, free bodies without
@@ -165,7 +165,7 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     loose_counts = ' and '.join(counted(len(found), noun) for noun, found in (
         ('shape', world.geoms), ('site', world.sites)) if found)
     free = [body for body in roots if _is_free(body)]
-    # One that follows what was left out has nothing to look at.
+    # A camera that follows an omitted body has nothing to look at.
     cameras = [camera for camera in cameras if camera.has_target(spec)]
     if cameras:
         names = quoted_names([camera.name for camera in cameras])

@@ -78,7 +78,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
 
     All links become bodies, also those on fixed joints. Collision shapes of links that have
     visual ones are in group 3, which is not drawn. The velocity limit of a joint becomes the
-    first number of its ``user``, the effort limit its actuator force range; zero is no limit. A
+    first number of its ``user``, the effort limit its actuator force range; zero: no limit. A
     mimic joint is coupled by an equality constraint.
 
     :param expects_meshes: make the sentences on meshes that cannot be read a :class:`LostShape`
@@ -96,7 +96,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
 
 
 def hold_urdf(file: Path, xacro_args: Mapping[str, str], files: Files) -> HeldModel:
-    """Read a URDF file and all that it names, as :func:`load_urdf` does, without MuJoCo."""
+    """Read a URDF file and the files that it names, as :func:`load_urdf` does, without MuJoCo."""
     return _hold(_read(file, xacro_args, True, files)[0], file, files)
 
 
@@ -117,8 +117,7 @@ def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files
     """
     Return the elements, ready for MuJoCo.
 
-    :returns: with the positions of joints to be fixed, by name, and what was left out, in
-        sentences
+    :returns: with the positions of joints to be fixed, by name, and the omissions, in sentences
     """
     robot = _elements(file, xacro_args, files)
     notes = [*find_meshes(robot, file, expects_meshes, files), *_drop_empty_shapes(robot),
@@ -158,7 +157,7 @@ def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
     """
     Return the root element of a URDF file, or of what a xacro file makes.
 
-    :raises ModelError: if it is no URDF, cannot be read, or is xacro by request, which runs code
+    :raises ModelError: if it is not URDF, cannot be read, or is xacro by request, which runs code
     """
     is_xacro, budget = file.suffix.lower() == XACRO, Budget()
     if files is not None:
@@ -193,7 +192,7 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
     """
     Remove shapes of size zero, which some exporters write for links without a shape.
 
-    Those of which URDF cannot say what they are, are removed, too.
+    Shapes without a complete geometry of a kind that URDF knows are removed, too.
     """
     dropped, unknown = [], []
     for link in robot.iter('link'):
@@ -252,7 +251,7 @@ def _take_gravity(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
 
 
 def _with_fixed(body: Any) -> Iterator[Any]:
-    """Yield a body and all that is fixed on it."""
+    """Yield a body and the bodies fixed on it."""
     left = [body]
     while left:
         body = left.pop()

@@ -51,7 +51,7 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
 
     :param robot: changed in place
     :returns: positions of the joints that are fixed, as their limits are equal, by name [rad or
-        m], and what was done, in sentences
+        m], and the changes, in sentences
     :raises ModelError: naming file and joint, and for types what to write instead
     """
     notes = [*_leave_out_repeated(robot, file), *_declare_links(robot, file)]
@@ -216,7 +216,7 @@ def _fix_mimics(joints: Mapping[str, ElementTree.Element], fixed: dict[str, floa
     Let joints that are fixed follow no others, and fix those that follow them.
 
     :param fixed: gets the positions of the latter [rad or m]
-    :returns: what was done, in sentences
+    :returns: the changes, in sentences
     """
     still = {**{name: 0.0 for name, joint in joints.items() if joint.get('type') == 'fixed'},
              **fixed}

@@ -94,7 +94,7 @@ def called(handle: Callable[..., bool], grab: Callable[..., None], resolve: Call
 
 
 def _elements(root: Any) -> Iterator[Any]:
-    """Yield an element and those below it, but not those of other formats."""
+    """Yield an element and the elements below it, except of other formats."""
     left = [root]
     while left:
         element = left.pop()
@@ -266,7 +266,7 @@ class _Finder:
 
 
 def _explained(file: Path, error: Exception, given: _Arguments, finder: _Finder) -> str:
-    """Return what is wrong, once, and what to do."""
+    """Return the message of an error, without repetitions, and a remedy."""
     causes = list(_causes(error))
     inside = finder.current_file()
     where = '' if inside == str(file) or not inside else f'{one_line(inside, 200)}: '

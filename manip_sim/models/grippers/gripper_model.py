@@ -195,10 +195,9 @@ class GripperModel(MujocoXMLModel, ABC):
         """
         Add a tactile sensor to each pad: a box or capsule that a touch sensor encloses.
 
-        The points of a box are on the face that looks at the grasp frame, row by row, those of a
-        capsule all around it, some 4 mm apart. MuJoCo puts into each sensor, for all points, how
-        deep each is inside of what touches the finger [m], then the speeds at which that slides
-        [m/s].
+        A box has its points on the face that looks at the grasp frame, row by row, a capsule all
+        around it, some 4 mm apart. MuJoCo puts into each sensor, for all points, how deep each is
+        inside of what touches the finger [m], then the speeds at which that slides [m/s].
 
         :returns: names of the sensors of all pads, also of those that had one; none without pads
         """

@@ -29,9 +29,9 @@ def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = ''
 
     :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
     :param idn: number or word in the prefix ``robot{idn}_``
-    :param prefix: what the names of the robot and of all that is mounted on it begin with instead,
-        such as ``left_`` (see :meth:`RobotModel.set_naming_prefix`)
-    :raises UnknownNameError: if there is no such robot, naming the nearest ones
+    :param prefix: that the names of the robot and of everything mounted on it get instead, such
+        as ``left_`` (see :meth:`RobotModel.set_naming_prefix`)
+    :raises UnknownNameError: if the robot is unknown, naming the nearest ones
     :raises ModelError: if names cannot begin with the prefix, a file cannot be used, or the robot
         of another package cannot be imported
     """

@@ -75,7 +75,7 @@ class ManipulatorModel(RobotModel):
         """
         Update the recorded lists, ranges and offsets after edits of :attr:`spec`.
 
-        Those of all that is mounted on the robot are updated too.
+        The mounted parts are updated too.
 
         :raises UnknownNameError: if an end effector body no longer exists
         """
@@ -95,9 +95,9 @@ class ManipulatorModel(RobotModel):
     @property
     def declared_grippers(self) -> dict[str, str]:
         """
-        What :attr:`default_gripper` says, a copy.
+        A copy of :attr:`default_gripper`.
 
-        :raises ModelError: if that is no mapping
+        :raises ModelError: if that is not a mapping
         """
         return dict(mapping(self.default_gripper, f'default_gripper of {self.name}',
                             "{'right': 'PandaGripper'}"))
@@ -175,7 +175,7 @@ class ManipulatorModel(RobotModel):
         :param gripper: the gripper; each of several arms gets a copy with the arm added to its idn
         :param arm_name: an arm or its end effector body; None mounts on every arm
         :raises TypeError: if it is not a gripper
-        :raises UnknownNameError: if there is no such arm
+        :raises UnknownNameError: if the arm is unknown
         :raises ModelError: if the arm has a gripper already, or the gripper is mounted already
         """
         if not isinstance(gripper, GripperModel):
@@ -201,7 +201,7 @@ class ManipulatorModel(RobotModel):
         Return an arm by its name or by that of its end effector body.
 
         :param arm_name: an arm or its end effector body
-        :raises UnknownNameError: if there is no such arm
+        :raises UnknownNameError: if the arm is unknown
         """
         for arm, body in self.eef_name.items():
             if arm_name in (arm, body):
@@ -212,7 +212,7 @@ class ManipulatorModel(RobotModel):
     def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                   floor_xpos: ArrayLike | None = None) -> None:
         """
-        Add a copy of the robot and of all that is mounted on it to another spec.
+        Add a copy of the robot and of everything mounted on it to another spec.
 
         :param spec: the spec to add to
         :param frame: the frame of that spec to attach the robot to

@@ -38,7 +38,7 @@ class RobotModel(Subsystems, ABC):
     """
     A robot without grippers, and the base that it stands on. Prefix ``robot{idn}_``.
 
-    Another prefix, set by :meth:`set_naming_prefix`, also applies to all that is
+    Another prefix, set by :meth:`set_naming_prefix`, also applies to everything
     mounted on the robot: with ``left_`` the base has ``left_base_``, a gripper ``left_gripper_``,
     or on two arms ``left_gripper_right_`` and ``left_gripper_left_``.
 
@@ -78,7 +78,7 @@ class RobotModel(Subsystems, ABC):
 
     def set_naming_prefix(self, prefix: str) -> None:
         """
-        Set the prefix of all names of the robot, and of what is and will be mounted on it.
+        Set the prefix of all names of the robot, and of present and future mounted parts.
 
         :param prefix: a letter, then at most 63 letters, digits and underscores, such as
             ``left_``; empty: each part has the prefix that its idn gives
@@ -190,13 +190,13 @@ class RobotModel(Subsystems, ABC):
         self._root_quat = xyzw_to_wxyz(
             finite_numbers(quat_xyzw, 4, f'orientation of {self.name}'))
 
-    # ------------------------------------------------------------------ what is recorded
+    # ------------------------------------------------------------------ recorded lists
 
     def refresh(self) -> None:
         """
         Update the recorded lists, ranges and offsets after edits of :attr:`spec`.
 
-        Those of all that is mounted on the robot are updated too.
+        The mounted parts are updated too.
         """
         super().refresh()
         for part in self.models:
@@ -216,7 +216,7 @@ class RobotModel(Subsystems, ABC):
     def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                   floor_xpos: ArrayLike | None = None) -> None:
         """
-        Add a copy of the robot and of all that is mounted on it to another spec.
+        Add a copy of the robot and of everything mounted on it to another spec.
 
         On a mobile base the root body stays fixed, or is free if that of the base is, and carries
         the base; the contents of the root move to a body ``manipulator_mount`` on the base's
@@ -313,7 +313,7 @@ class RobotModel(Subsystems, ABC):
         Return what :attr:`base_xpos_offset` says of an arena, or None.
 
         :param arena: its name
-        :raises ModelError: if that is no mapping
+        :raises ModelError: if :attr:`base_xpos_offset` is not a mapping
         """
         declared = mapping(self.base_xpos_offset, f'base_xpos_offset of {self.name}',
                            "{'empty': (-0.6, 0.0, 0.0)}")
@@ -327,13 +327,13 @@ class RobotModel(Subsystems, ABC):
 
     def set_joint_attribute(self, attrib: str, values: ArrayLike, force: bool = True) -> None:
         """
-        Set an attribute of all joints of the robot, without those of its base and grippers.
+        Set an attribute of all joints of the robot, but not of its base and grippers.
 
         :param attrib: ``damping``, ``frictionloss``, ``armature`` or ``stiffness``
         :param values: one for each of :attr:`joints`, shape (dof,)
         :param force: also where the file gives a value other than zero
         :raises CommandError: if the number of values is wrong or one is not finite
-        :raises UnknownNameError: if there is no such attribute
+        :raises UnknownNameError: if the attribute is unknown
         """
         settable = ('damping', 'frictionloss', 'armature', 'stiffness')
         if attrib not in settable:
@@ -358,9 +358,9 @@ class RobotModel(Subsystems, ABC):
             :class:`~manip_sim.models.friction_and_armature.TorqueSpeed`
         :param armature: inertia of the rotors, reflected to the joints [kg m^2 or kg], a number or
             one for each joint
-        :raises ModelError: if there are no such joints, the catalogue has no values or values
-            cannot be used
-        :raises UnknownNameError: if there is no such subsystem
+        :raises ModelError: if the subsystem has no scalar joints, the catalogue has no values or
+            values cannot be used
+        :raises UnknownNameError: if the subsystem is unknown
         """
         from manip_sim.models.friction_and_armature import JointActuation, read_catalogue, single
         joints = self._scalar_joints(subsystem)

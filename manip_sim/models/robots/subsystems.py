@@ -67,7 +67,7 @@ class Subsystems(MujocoXMLModel):
         Return the joints of a subsystem.
 
         :param subsystem: such as ``arm`` or ``torso``
-        :raises UnknownNameError: if there is no such subsystem
+        :raises UnknownNameError: if the subsystem is unknown
         """
         return list(self._lookup(self._joints_of, subsystem))
 
@@ -76,7 +76,7 @@ class Subsystems(MujocoXMLModel):
         Return the actuators of a subsystem.
 
         :param subsystem: such as ``arm`` or ``torso``
-        :raises UnknownNameError: if there is no such subsystem
+        :raises UnknownNameError: if the subsystem is unknown
         """
         return list(self._lookup(self._actuators_of, subsystem))
 
@@ -87,7 +87,7 @@ class Subsystems(MujocoXMLModel):
 
     @property
     def joint_actuators(self) -> list[str]:
-        """The actuators of all subsystems, without those of tendons, sites and ball joints."""
+        """The actuators of all subsystems, but not of tendons, sites and ball joints."""
         return [name for names in self._actuators_of.values() for name in names]
 
     @abstractmethod
@@ -147,7 +147,7 @@ class Subsystems(MujocoXMLModel):
         :param action: -1 is the low, +1 the high end of a control range, shape (n,)
         :param ctrlrange: ranges in place of the files', shape (n, 2)
         :returns: commands in the actuators' units, shape (n,), a copy
-        :raises UnknownNameError: if there is no such subsystem
+        :raises UnknownNameError: if the subsystem is unknown
         :raises CommandError: if the length is wrong or a number is not finite
         """
         names = self.actuators_of(subsystem)

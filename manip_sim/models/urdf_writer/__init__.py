@@ -220,7 +220,7 @@ def urdf_of(world: World, robot: str | None = None, hardware: Hardware | None = 
     :param hardware: of the ``<ros2_control>`` tag; None for none
     :raises ModelError: if there are several robots and none is named, or the world does not
         compile
-    :raises UnknownNameError: if there is no such robot
+    :raises UnknownNameError: if the robot is unknown
     """
     name = choose_robot(world, robot).name_in_world
     return urdfs_of(world, {} if hardware is None else {name: hardware})[name]

@@ -243,7 +243,7 @@ def effort_limit(model: mujoco.MjModel, joint: int, actuators: list[tuple[int, f
     """
     Return the greatest effort of the actuators at a joint [N m or N]; zero without actuators.
 
-    :param actuators: those of the joint, as in what :func:`actuated_joints` returns
+    :param actuators: of the joint, as :func:`actuated_joints` returns them
     """
     effort = sum(_force_limit(model, actuator) * per_force for actuator, per_force in actuators)
     if actuators and model.jnt_actfrclimited[joint]:

@@ -119,7 +119,7 @@ class KinematicTree:
 def robot_tree(model: mujoco.MjModel, robot: RobotModel, lidars: Iterable[str] = ()
                ) -> KinematicTree:
     """
-    Return the tree of a robot with all that is mounted on it, in ``world``.
+    Return the tree of a robot with everything mounted on it, in ``world``.
 
     :param model: the compiled ``mujoco.MjModel`` of a world with the robot
     :param robot: a robot of that world
