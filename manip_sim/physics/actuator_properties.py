@@ -54,7 +54,7 @@ def check_kinds(model: mujoco.MjModel, actuators: Sequence[str]) -> None:
 def stiffness_and_damping(model: mujoco.MjModel, ids: IntArray, dofs: IntArray
                           ) -> tuple[FloatArray, FloatArray]:
     """
-    Return the gains of actuators as servos: those of the model, or derived from the inertia.
+    Return the gains of actuators as servos, from the model, or derived from the inertia.
 
     :param ids: of the actuators
     :param dofs: of the joints that they drive

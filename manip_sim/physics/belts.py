@@ -40,7 +40,7 @@ class Belts:
         for geom in sorted(set(moving)):
             name = str(model.geom(geom).name)
             if name in actuators:
-                # In a model that has replaced another one, it is what was written there.
+                # A model that has replaced another one holds the velocity written last.
                 own = known.get(name, model.geom_surfacevel[geom].copy())
                 self._per_control[name] = own
                 self._geoms.append(geom)

@@ -25,7 +25,7 @@ class DivergenceWatch:
 
     :param model: the ``mujoco.MjModel``
     :param data: its ``mujoco.MjData``
-    :ivar good: the last good state, all that MuJoCo integrates
+    :ivar good: the last good state, every number that MuJoCo integrates
     :ivar warnings: how often MuJoCo has warned of bad numbers, by kind, a view
     :ivar warned: the same when the good state was remembered
     """

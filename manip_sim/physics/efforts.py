@@ -124,7 +124,7 @@ class ActuatorEfforts:
         self._views = (data.qfrc_actuator, data.qvel, data.actuator_force, data.actuator_velocity,
                        model.actuator_biasprm[:, 2], model.actuator_forcerange.reshape(-1),
                        model.actuator_forcelimited)
-        #: Those of the last step: as at its beginning, but the velocity at its end.
+        #: Inputs of the last step: as at its beginning, but the velocity at its end.
         self._last = np.concatenate(self._views)
         self._derived.of.clear()
         self._loads = _loads(model)
@@ -189,7 +189,7 @@ class ActuatorEfforts:
         return found
 
     def _moments(self) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-        """Return the entries of moments, and the moments again, 0 where those of loads are."""
+        """Return the entries of moments, and the moments again, 0 for loads."""
         world = self._world
         actuators, dofs, moment = (
             (*world.places, world.moments) if world.places else _entries(self._physics.data))
@@ -267,7 +267,7 @@ def _entries_together(efforts: Sequence[ActuatorEfforts], nv: int, nu: int
 
 
 def _entries(data: mujoco.MjData) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return what is not zero in the moments of actuators: actuator, dof, moment of each."""
+    """Return the nonzero moments of actuators: actuator, dof, moment of each."""
     moment, dofs, counts = data.actuator_moment, data.moment_colind, data.moment_rownnz
     actuators = np.repeat(np.arange(len(counts)), counts)
     if len(actuators) < len(moment):  # Rows of sites, cranks and adhesion have room left.

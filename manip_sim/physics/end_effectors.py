@@ -79,7 +79,7 @@ class EndEffectorReader:
 
     @property
     def wrench_frame(self) -> str:
-        """Name of the frame of the wrenches, among those of bodies and cameras."""
+        """Name of the frame of the wrenches, among the frames of bodies and cameras."""
         return FrameNames(self._physics.model).sites[self._ft_frame]
 
     @property

@@ -65,7 +65,7 @@ def box_around(model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int],
     :param geoms: their numbers; planes, which have no end, are left out
     :param position: of the frame in ``world`` [m], shape (3,)
     :param axes: of the frame in ``world``, in columns, shape (3, 3)
-    :returns: None if there are no geoms
+    :returns: None without geoms
     """
     boxes = [_box_of(model, data, geom, position, axes) for geom in geoms
              if int(model.geom_type[geom]) != int(_GEOM.mjGEOM_PLANE)]
@@ -122,12 +122,12 @@ class EntityState:
 
 class Entities:
     """
-    The robots, each with all that is mounted on it, and the free bodies of a world.
+    The robots, each with everything mounted on it, and the free bodies of a world.
 
     :param model: the compiled ``mujoco.MjModel``
     :param robots: the body whose pose is the robot's, such as its mobile base, by the name of
         the robot as an entity
-    :param roots: the root bodies of the robots, which are no free bodies even if they are free
+    :param roots: the root bodies of the robots, never counted as free bodies
     """
 
     def __init__(self, model: mujoco.MjModel, robots: Mapping[str, str],
@@ -153,7 +153,7 @@ class Entities:
         """
         Return whether an entity is a free body, which :meth:`place` can move.
 
-        :raises UnknownNameError: if there is no such entity
+        :raises UnknownNameError: if the entity is unknown
         """
         self._body(name)
         return name in self._joints
@@ -174,7 +174,7 @@ class Entities:
 
         :param data: the ``mujoco.MjData``
         :returns: position [m] and quaternion x, y, z, w in ``world``, shape (7,)
-        :raises UnknownNameError: if there is no such entity
+        :raises UnknownNameError: if the entity is unknown
         """
         body = self._body(name)
         return np.concatenate([data.xpos[body], wxyz_to_xyzw(data.xquat[body])])
@@ -185,7 +185,7 @@ class Entities:
 
         :param data: the ``mujoco.MjData``
         :returns: linear [m/s] and angular velocity [rad/s] in the axes of ``world``, shape (6,)
-        :raises UnknownNameError: if there is no such entity
+        :raises UnknownNameError: if the entity is unknown
         """
         velocity = np.empty(6)
         mujoco.mj_objectVelocity(self._model, data, _BODY, self._body(name), velocity, 0)
@@ -196,12 +196,12 @@ class Entities:
         Return the state of an entity at the instant of the last ``mj_forward``.
 
         :param data: the ``mujoco.MjData``
-        :raises UnknownNameError: if there is no such entity
+        :raises UnknownNameError: if the entity is unknown
         """
         body = self._body(name)
         pose, twist = self.pose(data, name), self.twist(data, name)
         acceleration = np.zeros(6)
-        if self._model.body_weldid[body]:  # What is fixed to the world has none.
+        if self._model.body_weldid[body]:  # A body fixed to the world has none.
             # MuJoCo computes this by itself only if a sensor needs it.
             mujoco.mj_rnePostConstraint(self._model, data)
             mujoco.mj_objectAcceleration(self._model, data, _BODY, body, acceleration, 0)
@@ -215,10 +215,10 @@ class Entities:
         Return the smallest box around the shapes of an entity, of a robot with all of its links.
 
         :param data: the ``mujoco.MjData`` at the instant of the last ``mj_forward``
-        :param in_world: along the axes of ``world``; else along those of the entity's body, from
-            its origin
+        :param in_world: along the axes of ``world``; else along the axes of the entity's body,
+            from its origin
         :returns: None if it has no shapes
-        :raises UnknownNameError: if there is no such entity
+        :raises UnknownNameError: if the entity is unknown
         """
         body, model = self._body(name), self._model
         own = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body_rootid[body])
@@ -235,7 +235,7 @@ class Entities:
         :param pose: of the body; None leaves it where it is
         :param twist: None leaves its velocity in world axes as it is
         :raises CommandError: if the entity is not free
-        :raises UnknownNameError: if there is no such entity
+        :raises UnknownNameError: if the entity is unknown
         """
         if not self.is_free(name):
             raise CommandError(f"'{name}' cannot be moved, only free bodies can: "

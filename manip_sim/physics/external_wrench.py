@@ -24,7 +24,7 @@ from manip_sim.validation import positive_number
 
 #: How many steps are kept before they are summed up.
 _ROWS = 64
-#: What is below that is rounding, as of internal forces that cancel, and is zero [N or N m].
+#: Smaller wrenches are rounding, as of internal forces that cancel, and become zero [N or N m].
 _ROUNDING = 1e-9
 _ZERO = np.zeros(6)
 _ZERO.flags.writeable = False
@@ -110,7 +110,7 @@ class ExternalWrench:
 
     def record_rows(self, rows: FloatArray, centres: FloatArray) -> None:
         """
-        Record what has been noted in several steps.
+        Record the forces of several steps.
 
         :param rows: forces that are not zero, shape (k, m, 6)
         :param centres: where the centre of mass of the tree was [m], shape (k, 3)
@@ -131,7 +131,7 @@ class ExternalWrench:
 
     def end_period(self, data: mujoco.MjData, steps: int, period_s: float) -> None:
         """
-        Take the mean of what was recorded in a control period; steps without record are zero.
+        Take the mean of the record of a control period; steps without record are zero.
 
         :param data: the ``mujoco.MjData``, after ``mj_forward``
         :param steps: physics steps of the period
@@ -146,7 +146,7 @@ class ExternalWrench:
 
     def interrupt(self, steps: int) -> None:
         """
-        Take the mean of what was recorded so far in a control period, which goes on; no filter.
+        Take the mean of the record so far in a control period, which goes on; no filter.
 
         :param steps: physics steps since the period began
         """
@@ -216,7 +216,7 @@ class ExternalWrench:
         return self._untared(data) - self._tare
 
     def tare(self, data: mujoco.MjData) -> None:
-        """Let what is read now read zero."""
+        """Let the present wrench read zero."""
         self._tare = self._untared(data)
 
     @property

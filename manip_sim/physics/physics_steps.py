@@ -128,16 +128,16 @@ class PhysicsSteps:
         self._first_half = _places(model, _FIRST_HALF)
         self.contacts_change = self.was_untouched = False
         self._pushed, self._contacts, self._begin = False, 0, 0
-        #: Holds what has been computed while something is measured.
+        #: Holds the computed quantities while something is measured.
         self._aside: mujoco.MjData | None = None
         #: Whether all is computed for a state, and for the present one: the first half of the next
         #: step, and all but its integration.
         self._computed = self._resumes = self._integrates = False
 
-    # ------------------------------------------------------------------ what is computed
+    # ------------------------------------------------------------------ computation
 
     def state(self) -> FloatArray:
-        """Return the present state, all that MuJoCo integrates, as one array."""
+        """Return the present state, every number that MuJoCo integrates, as one array."""
         state = np.empty(len(self.computed_from))
         mujoco.mj_getState(self._model, self._data, state, PHYSICS)
         return state
@@ -184,7 +184,7 @@ class PhysicsSteps:
                 for part in self._first_half])
 
     def _edit(self) -> None:
-        """Let the model be what the present state says; what was computed is of the one before."""
+        """Edit the model as the present state says; an edit makes computed quantities outdated."""
         for edit in self._edits:
             if edit.write(self._model, self._data):
                 self._computed = False
@@ -206,7 +206,7 @@ class PhysicsSteps:
         """
         Begin a control period of which a law remembers the state.
 
-        :returns: whether a step may go on from what has been computed, if the state is the same
+        :returns: whether a step may go on from the computed quantities, if the state is the same
         """
         self._begin_records()
         self._edit()
@@ -252,8 +252,8 @@ class PhysicsSteps:
         Run a whole period, if nothing can have touched a tool in it.
 
         That is so if nothing did before, the number of contacts never grows, and it is the same at
-        the end. Otherwise the present state is that of the beginning of the period. What is not
-        seen is a touch in exactly those steps of a period in which another contact is gone.
+        the end. Otherwise the present state is that of the beginning of the period. The only touch
+        not seen is one in exactly the steps of a period in which another contact is gone.
 
         :param steps: number of physics steps
         :returns: whether the period was run

@@ -25,12 +25,12 @@ PULL_S = 0.2
 #: Stiffness for each kilogram [N/m/kg], as in MuJoCo's viewer.
 _STIFFNESS = 100.0
 #: A corner feels like less than the body, which would hang far below; the spring is made for the
-#: body, but at most for so many times what is felt.
+#: body, but at most for so many times the mass felt there.
 _MOST_FELT = 4.0
 #: The spring is softer in long periods, in which its force is constant: its angular frequency
 #: times the period is at most this, or twice as much at a corner.
 _MOST_PER_PERIOD = 0.25
-#: The force is at most so many times the weight of the body and all that it carries.
+#: The force is at most so many times the weight of the body and everything that it carries.
 MOST_WEIGHTS = 5.0
 _GRAVITY = 9.81
 
@@ -64,7 +64,7 @@ class Pulls:
 
     A spring lasts :data:`PULL_S` and has to be asked for again; resets, restored states and
     objects that come or go end it. It is in ``xfrc_applied`` during control periods only, so it
-    is no part of saved states.
+    is not in saved states.
 
     :param physics: of the world
     :param clock: counts simulation time
@@ -109,7 +109,7 @@ class Pulls:
         """
         Check that a body can be pulled; in any thread.
 
-        :raises UnknownNameError: if there is no such body
+        :raises UnknownNameError: if the body is unknown
         :raises CommandError: if it cannot move
         """
         if body not in self._bodies:
@@ -121,7 +121,7 @@ class Pulls:
         """
         Check what :meth:`pull` would get; in any thread.
 
-        :raises UnknownNameError: if there is no such body
+        :raises UnknownNameError: if the body is unknown
         :raises CommandError: if it cannot move, or a number is not finite or too large
         """
         self.check_body(body)

@@ -111,7 +111,7 @@ def carry_edits(compiled: mujoco.MjModel, edited: Any, target: Any, both: Elemen
 
     :param compiled: the ``mujoco.MjModel`` before the edits
     :param edited: the same model after them
-    :param target: the model to change; options and statistics become those of the edited one
+    :param target: the model to change; it gets the options and statistics of the edited one
     :param both: the elements that are in the edited model and in the target
     """
     for name, size in _arrays('mjModel').items():
@@ -185,7 +185,7 @@ def carry_data(source: Any, target: Any, both: ElementMap) -> None:
 
 
 def _keys(model: mujoco.MjModel, kind: str) -> list[Any]:
-    """Return the name of each element of a kind, or its owner and its number among those of it."""
+    """Return the name of each element of a kind, or its owner and its number there."""
     addresses, names = getattr(model, f'name_{kind}adr').tolist(), model.names
     unnamed: Counter[Any] = Counter()
     keys = []

@@ -6,7 +6,7 @@ Forces on the bodies of a tool that MuJoCo does not collect in ``cfrc_ext``.
 
 ``cfrc_ext`` has applied forces, contacts, connect and weld constraints, and spatial tendons.
 MuJoCo attributes the others to the joints: actuators on sites, slider-cranks, adhesion, and the
-fluid; and those of flexes to nothing. Forces between two bodies of the tool cancel.
+fluid; and forces of flexes to nothing. Forces between two bodies of the tool cancel.
 """
 
 from __future__ import annotations
