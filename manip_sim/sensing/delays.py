@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How long something is on its way in simulated time, and what is on its way."""
+"""Delays of messages in simulated time, and the messages on their way."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Delay:
 
     def steps(self, count: int) -> int:
         """
-        Return the delay of what is sent after some steps, in whole steps, from 0.
+        Return the delay of a message sent after some steps, in whole steps, from 0.
 
         :param count: steps since the reset
         """
@@ -58,7 +58,7 @@ class Delay:
 
 
 class InTransit(Generic[Sent]):
-    """What has been sent, by when it arrives in steps since the reset."""
+    """Sent values, by their arrival in steps since the reset."""
 
     def __init__(self) -> None:
         self._queue: deque[tuple[int, Sent]] = deque()
@@ -71,7 +71,7 @@ class InTransit(Generic[Sent]):
 
     def send(self, value: Sent, arrival: int) -> None:
         """
-        Add something, which may overtake what was sent before.
+        Add a value, which may overtake earlier ones.
 
         :param arrival: in steps since the reset
         """
@@ -79,16 +79,16 @@ class InTransit(Generic[Sent]):
 
     @property
     def last(self) -> Sent | None:
-        """What was sent last."""
+        """The value sent last."""
         return self._queue[-1][1] if self._queue else None
 
     def withdraw_last(self) -> int:
-        """Forget what was sent last, and return when it would have arrived."""
+        """Forget the value sent last, and return when it would have arrived."""
         return self._queue.pop()[0]
 
     def take(self, count: int) -> Iterator[Sent]:
         """
-        Yield and forget what has arrived, in the order in which it was sent.
+        Yield and forget the arrived values, in the order in which they were sent.
 
         :param count: steps since the reset
         """
@@ -97,9 +97,9 @@ class InTransit(Generic[Sent]):
 
     def newest(self, count: int) -> Sent:
         """
-        Return the newest of what has arrived, or the oldest of all while nothing has.
+        Return the newest value that has arrived, or the oldest of all while none has.
 
-        What is older is forgotten.
+        Older values are forgotten.
 
         :param count: steps since the reset
         """
@@ -115,11 +115,11 @@ class InTransit(Generic[Sent]):
 
 
 class Measurements(InTransit[tuple[int, Sent]]):
-    """What was measured, with the instant in steps since the reset, and arrives later."""
+    """Measurements with their instants in steps since the reset, which arrive later."""
 
     def record(self, count: int, value: Sent, delay: int) -> None:
         """
-        Add what is measured at present; it replaces what was measured then or later.
+        Add a measurement of the present instant; it replaces those made then or later.
 
         :param count: steps since the reset
         :param delay: until it arrives, in steps; the first one is known at once

@@ -50,8 +50,8 @@ class Instrument:
     :ivar types: their types, such as ``gyro``
     :ivar elements: names of what they are sensors of, such as a joint
     :ivar sources: places in ``sensordata``, shape (n,)
-    :ivar targets: places in what is read, shape (n,)
-    :ivar length: of what is read
+    :ivar targets: places in the reading, shape (n,)
+    :ivar length: of the reading
     :ivar reach: of a rangefinder, distance from which on it reads as if there were nothing [m]
     """
 
@@ -161,7 +161,7 @@ def _instrument(model: mujoco.MjModel, kind: str, group: list[int], taken: set[s
         wanted, kind, _frame(model, group[0]), sensors,
         tuple(sensor_type(model, n) for n in group), elements, np.concatenate(sources),
         np.concatenate(targets), length,
-        # MuJoCo shortens what is farther to the cutoff; 0 is none.
+        # MuJoCo shortens longer distances to the cutoff; 0 for none.
         (float(model.sensor_cutoff[group[0]]) or math.inf) if kind == RANGE else math.inf)
     number = 2
     while found.topic in taken:
@@ -183,7 +183,7 @@ def _frame(model: mujoco.MjModel, sensor: int) -> str:
 
 
 def instrument_sites(model: mujoco.MjModel) -> list[str]:
-    """Return the names of the sites whose frames are those of messages."""
+    """Return the names of the sites whose frames messages have."""
     sites = [int(model.sensor_objid[n]) for n in range(model.nsensor)
              if _kind(model, n) != VALUES]
     return list(dict.fromkeys(filter(None, (_name(model, _SITE, site) for site in sites))))

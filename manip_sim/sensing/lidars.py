@@ -87,7 +87,7 @@ class Lidar:
 
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
         """
-        Return the distances to what is hit first, exactly, at the instant of the last forward.
+        Return the exact distances to the first hits, at the instant of the last forward.
 
         The body that carries the lidar is transparent to it.
 
@@ -127,7 +127,7 @@ class LidarChannel(Channel):
         if not self.sd[0]:
             return exact
         noise = generator(self.seed, self.name, count).standard_normal(self.width)
-        # Where there is nothing, there is no noise.
+        # Rays that hit nothing have no noise.
         return self._rays.limited(exact + self.sd * noise)
 
 
@@ -155,7 +155,7 @@ class Lidars(Mapping[str, Lidar]):
     """
     The lidars of a running world, by name; each has the seed, noise and latency of a robot.
 
-    :param sensing_of: returns what is measured of the robot that has a body
+    :param sensing_of: returns the measurements of the robot that has a body
     """
 
     def __init__(self, present: Present, found: Iterable[FixedLidar],
@@ -174,7 +174,7 @@ class Lidars(Mapping[str, Lidar]):
         return f'lidar {name}'
 
     def sensing(self, name: str) -> RobotSensing:
-        """Return what is measured of the robot whose noise and latency a lidar has."""
+        """Return the measurements of the robot whose noise and latency a lidar has."""
         return self._sensing[name]
 
     def exact(self, name: str) -> FloatArray:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Random numbers that depend on a seed, a name and a count only, not on what was drawn before.
+Random numbers that depend on a seed, a name and a count only, not on earlier draws.
 
 They come from Philox, which computes the numbers of any place in its sequence directly.
 """

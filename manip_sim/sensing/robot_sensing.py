@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is measured of one robot: its sensors, their noise, and how old what they measure is."""
+"""Measurements of one robot: its sensors, their noise, and the age of their readings."""
 
 from __future__ import annotations
 
@@ -72,9 +72,9 @@ class ExternalWrenchChannel(Channel):
 
 class RobotSensing:
     """
-    What is measured of a robot, by the names of channels.
+    Measurements of a robot, by the names of channels.
 
-    With all settings at zero, what is measured is what is read. Everything depends on the seed,
+    With all settings at zero, measured values are exact. Everything depends on the seed,
     the settings and the steps since the reset, and not on who reads what when.
 
     With a latency of states, each control period measures one instant: the one whose measurement
@@ -82,7 +82,7 @@ class RobotSensing:
 
     :param name: of the robot, unique in its world
     :param interrupt: called before settings change
-    :ivar delays: of what is measured, images and commands, by ``state``, ``image``, ``command``
+    :ivar delays: of measurements, images and commands, by ``state``, ``image``, ``command``
     """
 
     def __init__(self, name: str, steps: Steps, timestep_s: float,
@@ -96,7 +96,7 @@ class RobotSensing:
         self._external: dict[str, ExternalWrenchChannel] = {}
         self._history: Measurements[Mapping[str, FloatArray]] = Measurements()
         self._recorders: list[weakref.WeakMethod[Callable[[], None]]] = []
-        #: Returns what is measured of the joints while states are at fault, else None.
+        #: Returns the measurements of the joints while states are at fault, else None.
         self.faulty: Callable[[], FloatArray | None] = _no_faults
         self.delays = {kind: Delay(f'{name} latency.{kind}', timestep_s)
                        for kind in ('state', 'image', 'command')}
@@ -111,7 +111,7 @@ class RobotSensing:
 
     def add(self, name: str, read: Read, channel: Channel | None = None) -> None:
         """
-        Add what is measured.
+        Add a channel.
 
         :param name: of the channel; one of this name is replaced
         """
@@ -133,7 +133,7 @@ class RobotSensing:
 
         :param name: one of ``manip_sim.sensing.settings.QUANTITIES``
         :param value: from 0, which is off
-        :raises UnknownNameError: if there is no such setting
+        :raises UnknownNameError: if the setting is unknown
         :raises CommandError: if the value is out of range
         """
         self.settings.set(name, value)
@@ -169,7 +169,7 @@ class RobotSensing:
         return self._channels[name][1]()
 
     def measured(self, name: str) -> FloatArray:
-        """Return what is measured at present, a copy."""
+        """Return the present measurement of a channel, a copy."""
         faulty = self.faulty() if name == JOINTS else None
         return self.without_faults(name) if faulty is None else faulty.copy()
 
@@ -241,7 +241,7 @@ class RobotSensing:
 
     def reset(self, seed: int | None = None) -> None:
         """
-        Forget what was measured, as the robot is at its start.
+        Forget all measurements, as the robot is at its start.
 
         :param seed: of the noise from now on; None keeps it
         """
@@ -253,7 +253,7 @@ class RobotSensing:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was measured before the present instant."""
+        """Forget measurements from before the present instant."""
         self._history.clear()
         if self.settings.delays:
             self.record()
@@ -261,7 +261,7 @@ class RobotSensing:
     # ------------------------------------------------------------------ saved states
 
     def save(self) -> dict[str, Any]:
-        """Return all that the future of what is measured depends on; it can be pickled."""
+        """Return everything that future measurements depend on; it can be pickled."""
         return {'seed': self.seed, 'settings': self.settings.as_dict(),
                 'external': {name: (channel.filtered, channel.tare)
                              for name, channel in self._external.items()},

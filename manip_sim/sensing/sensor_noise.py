@@ -19,7 +19,7 @@ from manip_sim.sensing.instruments import (
 from manip_sim.sensing.randomness import NormalRows
 from manip_sim.sensing.settings import SensingSettings, TORQUE_PER_FORCE_M
 
-#: Of wrenches: factors of bias and drift, which are those of forces.
+#: Of wrenches: factors of bias and drift, which are given for forces.
 _WRENCH_SCALE = np.repeat([1.0, TORQUE_PER_FORCE_M], 3)
 #: By type of sensor: the quantity whose standard deviation it has, for sensors that stand alone.
 _ALONE = {'jointpos': 'joint_position', 'jointvel': 'joint_velocity',
@@ -70,7 +70,7 @@ class Channel:
         Return white noise, offset and drift.
 
         :param count: steps since the reset
-        :returns: in the units of what is read, shape (width,)
+        :returns: in the units of the reading, shape (width,)
         """
         total = np.zeros(self.width)
         if self.sd.any():
@@ -172,7 +172,7 @@ class InstrumentChannel(Channel):
     def measure(self, exact: FloatArray, count: int, timestep_s: float) -> FloatArray:
         """Return what the instrument makes of exact numbers, as :meth:`Channel.measure`."""
         noise = self.noise(count, timestep_s)
-        if self._kind == RANGE:  # Where there is nothing, there is no noise.
+        if self._kind == RANGE:  # Rays that hit nothing have no noise.
             return np.where((exact >= 0.0) & (exact < self._reach),
                             np.maximum(exact + noise, 0.0), exact)
         values: FloatArray = exact + noise

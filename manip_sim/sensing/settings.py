@@ -97,10 +97,10 @@ class SensingSettings:
     """
     The values of :data:`QUANTITIES` for one robot.
 
-    :ivar measures: whether anything that is measured, but for images, differs from the truth
+    :ivar measures: whether any measurement, but for images, differs from the truth
     :ivar measures_images: whether images differ from the truth
-    :ivar delays_images: whether images show what was before the present instant
-    :ivar delays: whether what is measured is older than the present instant
+    :ivar delays_images: whether images show the world before the present instant
+    :ivar delays: whether measurements are older than the present instant
     :ivar delays_commands: whether commands take effect later
     """
 
@@ -127,7 +127,7 @@ class SensingSettings:
 
         :param name: one of :data:`QUANTITIES`
         :param value: from 0 to the maximum of the quantity
-        :raises UnknownNameError: if there is no such quantity
+        :raises UnknownNameError: if the quantity is unknown
         :raises CommandError: if the value is out of range
         """
         if name not in QUANTITIES:
