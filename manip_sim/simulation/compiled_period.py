@@ -120,7 +120,7 @@ class CompiledPeriod:
         physics.standing[EPOCH] += 1
 
     def _room(self) -> _Room:
-        """Return what is the same as long as there is the same model."""
+        """Return the arrays that last as long as the model."""
         steps = self._steps
         return self._derived.made_of(
             self._make_room, steps.divergence, steps.efforts.room, steps.efforts.stale)
@@ -131,7 +131,7 @@ class CompiledPeriod:
         Make it for a model, and for efforts that a restored state has replaced.
 
         :param watched: keeps the good state, of each model another
-        :param efforts: room for those of the last step, or None
+        :param efforts: room for the efforts of the last step, or None
         :param stale: says that they were noted
         """
         from manip_sim.control.law.period import PERIOD, Standing, Time  # It imports numba.
@@ -154,11 +154,11 @@ class CompiledPeriod:
 
     @property
     def row(self) -> int:
-        """Address of the row of what has been prepared."""
+        """Address of the prepared row."""
         return int(self._derived.of['room'].row.address)
 
     def run(self) -> None:
-        """Run what has been prepared."""
+        """Run the prepared row."""
         run_prepared([self.row], self._steps.physics.scratch)
 
     @property

@@ -269,7 +269,7 @@ class ControlPeriods:
 
     def _run(self, steps: int, awake: Sequence[SimulatedRobot], waits: bool = False) -> bool:
         """
-        Run what is left of a period, in parts each of which control begins; so do late commands.
+        Run the rest of a period, in parts each of which control begins; so do late commands.
 
         :param steps: of the period
         :param awake: the robots that act now
@@ -363,11 +363,11 @@ class ControlPeriods:
         return steps
 
     def _chunk(self, left: int) -> int:
-        """Return the steps of the next interval; they divide what is left of a period evenly."""
+        """Return the steps of the next interval; they divide the rest of a period evenly."""
         return -(-left // -(-left // self._interval_steps))
 
     def _cut(self, steps: int) -> IntArray:
-        """Return the steps of all intervals in which setpoints move, of what is left."""
+        """Return the steps of all intervals in which setpoints move, of the rest of a period."""
         if steps not in self._cuts:
             if len(self._cuts) == _REMEMBERED:
                 self._cuts.clear()

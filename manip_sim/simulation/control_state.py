@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from manip_sim.control.commands import Command, CommandHandle
 from manip_sim.models.grippers import GripperModel
 
-#: Attributes of all that has a state, and of grippers.
+#: Attributes of all objects with a state, and of grippers.
 Content = tuple[list[dict[str, Any]], list[dict[str, Any]]]
 #: Where the classes are that have a state of their own.
 _ROOMS = ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.simulation.')
-#: What has no identity, and cannot change.
+#: Types of values without identity, which cannot change.
 _VALUES = (type(None), bool, int, float, str, bytes, enum.Enum, np.generic)
 
 
@@ -40,9 +40,9 @@ class ControlState:
     settings that are replaced as a whole. What else is there at construction stays as it is:
     models, views into ``MjData``, functions, frozen dataclasses without ``eq``.
 
-    :param roots: what has a state, between two control periods
+    :param roots: objects that have a state, between two control periods
     :param stateless: types of objects that are not looked into
-    :param passing: types of objects that come and go, a part of what has them
+    :param passing: types of objects that come and go, a part of their owners
     """
 
     def __init__(self, roots: Iterable[object], stateless: tuple[type, ...] = (),
@@ -57,7 +57,7 @@ class ControlState:
         self._index()
 
     def _index(self) -> None:
-        # What is in a queue is a part of the state, so another one may replace it.
+        # The content of a queue is a part of the state, so another one may replace it.
         self._index_of = {id(found): index for index, found in enumerate(self._fixed)
                           if not isinstance(found, deque)}
         places = {id(found): index for index, found in enumerate(self._fixed)}
@@ -94,7 +94,7 @@ class ControlState:
                         self._stateful.append(found)
 
     def content(self) -> Content:
-        """Return the attributes of all that has a state, and those of grippers; no copies."""
+        """Return the attributes of all objects with a state, and of grippers; no copies."""
         return [vars(found) for found in self._stateful], [_numbers(g) for g in self._grippers]
 
     @property
@@ -104,7 +104,7 @@ class ControlState:
 
     @property
     def index_of(self) -> Mapping[int, int]:
-        """The index of what is fixed, by its ``id``."""
+        """The index of each fixed object, by its ``id``."""
         return self._index_of
 
     @property
@@ -195,7 +195,7 @@ class ViewPickler(pickle.Pickler):
 
 
 class _StatePickler(ViewPickler):
-    """A pickler that refers to what is fixed."""
+    """A pickler that refers to fixed objects."""
 
     def __init__(self, file: io.BytesIO, index_of: Mapping[int, int]) -> None:
         super().__init__(file, protocol=5)

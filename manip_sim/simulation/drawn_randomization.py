@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was drawn for an episode, and how it gets into models, poses and settings."""
+"""Draws for an episode, and their way into models, poses and settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.quoting import shown
 from manip_sim.sensing.settings import QUANTITIES
 
-#: What was drawn, by ``group/name/quantity``: a number or several, in SI units.
+#: Drawn values, by ``group/name/quantity``: a number or several, in SI units.
 Drawn = Mapping[str, Any]
 _KINDS = {'bodies': 'body', 'geoms': 'geom', 'joints': 'joint', 'lights': 'light',
           'cameras': 'cam'}
@@ -52,7 +52,7 @@ _ONE_SPEC = threading.Lock()
 
 
 class Measured(Protocol):
-    """What is measured of a robot."""
+    """The sensing of a robot."""
 
     def set(self, name: str, value: float) -> None:
         """Change a setting."""
@@ -108,7 +108,7 @@ class Element:
 
 
 def split(key: str) -> tuple[str, str, str]:
-    """Return group, name and quantity of what was drawn; that of a setting is its name."""
+    """Return group, name and quantity of a drawn value; a setting has its name and no quantity."""
     group, _, rest = key.partition('/')
     if group == OF_NODE:
         return group, rest, ''
@@ -138,7 +138,7 @@ def element_names(model: mujoco.MjModel) -> dict[str, list[str]]:
 def apply_to_model(model: mujoco.MjModel, nominal: mujoco.MjModel, drawn: Drawn,
                    before: Iterable[str] = ()) -> None:
     """
-    Change a model to what was drawn, and compute what MuJoCo derives from it.
+    Write drawn values to a model, and compute what MuJoCo derives from them.
 
     Sizes are written, but not what the compiler derives from them.
 
@@ -170,11 +170,11 @@ def apply_to_model(model: mujoco.MjModel, nominal: mujoco.MjModel, drawn: Drawn,
 
 class Randomized:
     """
-    What is drawn for the episodes of one simulation.
+    The draws for the episodes of one simulation.
 
     :param given: the distributions; None for none
     :param physics: of the simulation
-    :param sensing: what is measured of each robot, by its name
+    :param sensing: of each robot, by its name
     :param lawful: joints whose dry friction follows a law of its own
     :raises ModelError: if a pattern matches nothing, or something cannot be drawn
     :ivar drawn: of the present episode, as it is replaced by each draw
@@ -253,7 +253,7 @@ class Randomized:
 
     def set(self, drawn: Drawn) -> None:
         """
-        Change model and settings to what was drawn.
+        Change model and settings to drawn values.
 
         :param drawn: by ``group/name/quantity``
         :raises ModelError: if something in it cannot be drawn
@@ -279,7 +279,7 @@ class Randomized:
                 sensing.set(name[len(begin):], value)
 
     def replace_parameter(self, robot: str, name: str, value: float) -> None:
-        """Let a value that was set by hand stand for what was drawn, until the next draw."""
+        """Let a value that was set by hand replace the drawn one, until the next draw."""
         key = f'{OF_NODE}/{name}' if len(self._sensing) == 1 else f'{OF_NODE}/{robot}.{name}'
         if key in self.drawn:
             self.drawn = {**self.drawn, key: float(value)}

@@ -4,8 +4,8 @@
 """
 What the torque of a joint depends on besides the links, and the limits that control keeps to.
 
-A URDF has no place for most of it. With the links of ``robot_description`` it is all that a
-controller needs to compute the torques of the simulation.
+A URDF has no place for most of it. With the links of ``robot_description`` it is everything
+that a controller needs to compute the torques of the simulation.
 """
 
 from __future__ import annotations

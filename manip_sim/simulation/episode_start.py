@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The start of episodes: where joints are, and what was drawn from a seed."""
+"""The start of episodes: positions of joints, and values drawn from a seed."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class EpisodeStart:
     :param belts: which run at their speed at the start
     :ivar positions: of joints, by name [rad or m]
     :ivar seed: that the present episode was drawn from
-    :ivar randomized: what was drawn for the present episode
+    :ivar randomized: the draws for the present episode
     """
 
     def __init__(self, world: World, physics: Physics, surroundings: Surroundings,
@@ -83,7 +83,7 @@ class EpisodeStart:
         """
         Let episodes draw what the ``randomization`` of the world says.
 
-        :param sensing: what is measured of each robot, by name
+        :param sensing: of each robot, by name
         """
         self.randomized = Randomized(
             self.world.randomization, self._physics, sensing,
@@ -117,7 +117,7 @@ class EpisodeStart:
         Return where joints are at the next reset, by name [rad or m]; None: where they were.
 
         :param seed: of their noise; None keeps the present one
-        :raises ModelError: if the seed is no whole number from 0
+        :raises ModelError: if the seed is not a whole number from 0
         """
         if seed is None and not self._changes:
             return None
@@ -125,7 +125,7 @@ class EpisodeStart:
 
     def begin(self, seed: int, positions: dict[str, float] | None) -> None:
         """
-        Begin an episode with what was drawn.
+        Begin an episode at drawn positions.
 
         :param seed: of the episode
         :param positions: as :meth:`draw` has returned

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Faults of robots that act: what is measured, which commands are lost, which joints fail."""
+"""Faults of robots that act: on measurements, commands that are lost, and joints that fail."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class RobotFaults:
         self.lost: list[int] = []
         self.seen: FloatArray | None = None
         #: Memory of the joints of a part, by place in the schedule: the measurement that came
-        #: last, or all that was and when.
+        #: last, or all of them and when.
         self._held: dict[int, list[tuple[int, FloatArray]]] = {}
 
     def set(self, scheduled: Iterable[tuple[str, str, int, int, float, int]]) -> None:
@@ -61,12 +61,12 @@ class RobotFaults:
         self.lost = [0] * len(self.scheduled)
 
     def add(self, fault: tuple[str, str, int, int, float, int]) -> None:
-        """Add a fault to those of the episode."""
+        """Add a fault to the episode."""
         self.scheduled = [*self.scheduled, fault]
         self.lost = [*self.lost, 0]
 
     def current(self) -> FloatArray | None:
-        """Return what is measured of the joints while states are at fault, else None."""
+        """Return the measurements of the joints while states are at fault, else None."""
         return self.seen
 
     def acting(self, *kinds: str) -> Iterator[tuple[int, str, str, float, int]]:
@@ -199,7 +199,7 @@ class Faults:
 
         :param given: as in a plan, but times are from now on [s]; a range is its middle
         :raises ModelError: if it cannot be used
-        :raises UnknownNameError: if there is no such part or robot
+        :raises UnknownNameError: if the part or robot is unknown
         """
         fault = planned(given, 'the fault')
         number = sum(len(robot.faults.scheduled) for robot in self._robots.values())
@@ -264,7 +264,7 @@ class Faults:
 
     def summary(self) -> list[dict[str, Any]]:
         """
-        Return what was and will be injected in the present episode.
+        Return past and planned faults of the present episode.
 
         :returns: mappings with ``what``, ``robot``, ``part``, ``from`` and ``until`` (since the
             reset [s]; None: to the end), ``value`` where it has one, ``state`` (``waits``,

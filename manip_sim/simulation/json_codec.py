@@ -234,7 +234,7 @@ def check_like(new: Any, old: Any) -> None:
     Check that attributes that came from outside are such as objects have now.
 
     :param new: attributes by name
-    :param old: those of the present
+    :param old: the present attributes
     :raises ModelError: if one is missing, unknown or of another kind
     """
     if not isinstance(new, dict) or new.keys() != old.keys():

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is measured of the sensors of a model: each has the noise and latency of a robot."""
+"""Measurements of the sensors of a model: each has the noise and latency of a robot."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class MeasuredInstruments:
 
     def sensing_of(self, body: int) -> RobotSensing:
         """
-        Return what is measured of the robot that has a body, or of the first one.
+        Return the sensing of the robot that has a body, or of the first one.
 
         :param body: its id
         """
@@ -84,7 +84,7 @@ class MeasuredInstruments:
         """
         Return what an instrument of the model measures, with noise and latency.
 
-        :param found: one of those of :attr:`sensors`
+        :param found: one of the instruments of :attr:`sensors`
         :returns: as ``Instrument.read``
         """
         sensing = self._sensing.get(found.name)

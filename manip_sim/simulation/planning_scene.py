@@ -39,8 +39,8 @@ class Solid:
     :ivar kind: :data:`BOX`, :data:`SPHERE`, :data:`CYLINDER` or :data:`MESH`
     :ivar dimensions: x, y, z; radius; height and radius; of a mesh none [m]
     :ivar pose: in the frame of its object: position [m] and quaternion x, y, z, w, shape (7,)
-    :ivar triangles: corners of those of a mesh, counterclockwise seen from outside, in the frame
-        of the mesh [m], shape (n, 3, 3)
+    :ivar triangles: corners of a mesh's triangles, counterclockwise seen from outside, in the
+        frame of the mesh [m], shape (n, 3, 3)
     """
 
     kind: str
@@ -143,7 +143,7 @@ class PlanningScene:
                     self.left_out.append(self._model.geom(geom).name or f'geom_{geom}')
 
     def look(self, data: mujoco.MjData) -> Changes:
-        """Return what has changed at the instant of the last ``mj_forward``."""
+        """Return the changes at the instant of the last ``mj_forward``."""
         changes = Changes()
         grasps = dict(self._grasps(data))
         for name, obstacle in self.obstacles.items():
@@ -182,7 +182,7 @@ class PlanningScene:
         return str(self._model.body(body).name)
 
     def poses(self, data: mujoco.MjData) -> dict[str, FloatArray]:
-        """Return where the objects are that are not held, and take that for what is known."""
+        """Return the poses of the objects that are not held, which count as known from now on."""
         self._shown = {name: _pose(data, one.body) for name, one in self.obstacles.items()
                        if name not in self.holds}
         return dict(self._shown)
@@ -266,7 +266,7 @@ def _insets(model: mujoco.MjModel, own: set[int]) -> dict[int, float]:
     for geom in fixed:
         nearest = min((mujoco.mj_geomDistance(model, data, one, geom, 1.0, None)
                        for one in robot), default=1.0) if geom not in robot else 1.0
-        # What is deeper inside of the robot is not where it only stands.
+        # A geom deeper inside of the robot is not one that it only stands on.
         if -_CLEARANCE_M < nearest < _CLEARANCE_M:
             found[geom] = _CLEARANCE_M - nearest
     return found

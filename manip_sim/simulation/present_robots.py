@@ -22,7 +22,7 @@ from manip_sim.simulation.robot import SimulatedRobot
 
 class PresentRobots:
     """
-    The robots of a world, with what has to be done for each of them when the model is replaced.
+    The robots of a world, with the updates that each of them needs when the model is replaced.
 
     :param physics: of the world at the start, after ``mj_forward``
     :param efforts: of the actuators of the model

@@ -61,7 +61,7 @@ class SimulatedRobot:
     :ivar grippers: controllers of the grippers, by part
     :ivar runs: its intervals that compiled code runs
     :ivar end_effectors: readers of the grippers, by arm, of the arms with a gripper
-    :ivar sensing: what is measured of it: noise, resolution and latency
+    :ivar sensing: its measurements: noise, resolution and latency
     :ivar reflexes: what stops a part, and which parts were stopped
     :ivar parse: parser of commands
     :ivar parse_cartesian: parser of Cartesian commands
@@ -156,7 +156,7 @@ class SimulatedRobot:
         :param period_s: length of a control period [s]; None for that of the last one
         :param delay_steps: timesteps after which they take effect, before the latency of
             commands is added
-        :raises CommandError: if a command was made for another robot, or ``period_s`` is no
+        :raises CommandError: if a command was made for another robot, or ``period_s`` is not a
             finite number above 0; then none takes effect
         """
         self._physics.interrupt()
@@ -246,7 +246,7 @@ class SimulatedRobot:
         Return the range that actions span, by driven joint in its mode, SI units, (n, 2), a copy.
 
         :param part: such as ``arm``
-        :raises UnknownNameError: if there is no such part, or it is a gripper
+        :raises UnknownNameError: if the part is unknown, or it is a gripper
         """
         return self.joints.ranges(self.joints.indices_of(part))
 
@@ -258,7 +258,7 @@ class SimulatedRobot:
         :param mode: the name of one of ``manip_sim.control.modes.MODES``, such as ``effort``
         :raises CommandError: if the part is a gripper
         :raises ModelError: if the gains of the mode cannot be used
-        :raises UnknownNameError: if there is no such part or mode
+        :raises UnknownNameError: if the part or mode is unknown
         """
         self._check_no_gripper(part)
         self._physics.interrupt()
@@ -281,9 +281,9 @@ class SimulatedRobot:
         :param compiled: False lets it run as plain Python, which is slow; None: as it was made
         :param parameters: of the law, by name; defaults where none is given
         :raises CommandError: if the part is a gripper
-        :raises ModelError: if the law cannot be compiled, a value is no finite number, or the
+        :raises ModelError: if the law cannot be compiled, a value is not a finite number, or the
             integrator of the world is RK4, which has no place between the halves of a step
-        :raises UnknownNameError: if there is no such part or parameter
+        :raises UnknownNameError: if the part or parameter is unknown
         """
         self._check_no_gripper(part)
         self._physics.interrupt()
@@ -299,9 +299,9 @@ class SimulatedRobot:
         """
         Return the parameters of the law that moves a part, by name; a new value acts at once.
 
-        :param part: such as ``arm``; of several arms what is read is that of the first
+        :param part: such as ``arm``; of several arms the values are those of the first
         :raises ModelError: if no law moves it
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         self.joints.seats_of(part)
         return LawParameters(lambda: self.joints.seats_of(part))
@@ -312,7 +312,7 @@ class SimulatedRobot:
         return {part: seat.name for part, seat in self.joints.seats.of.items()}
 
     def check_laws(self) -> None:
-        """Stop the parts whose laws have failed in what was run last."""
+        """Stop the parts whose laws have failed in the last run."""
         if self.joints.seats.of:
             self.reflexes.check_laws(self._physics.data)
 
@@ -330,7 +330,7 @@ class SimulatedRobot:
         :param timeout_s: simulation time [s]; 0 for no timeout
         :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
         :raises CommandError: if the part is a gripper, or the timeout negative or not finite
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         self._check_no_gripper(part)
         self._physics.interrupt()
@@ -349,7 +349,7 @@ class SimulatedRobot:
         :param hold_s: how long joints go on at the velocity of the stream after a command was due
             [s]; 0 for two message intervals; None: no change
         :raises CommandError: if the part is a gripper, or a time is not in its range
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         self._check_no_gripper(part)
         if longest_s is not None:
@@ -376,7 +376,7 @@ class SimulatedRobot:
         :param arm: such as ``right``
         :param cutoff_hz: cutoff frequency [Hz]; 0 for no filter
         :raises CommandError: if it is negative or not finite
-        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        :raises UnknownNameError: if the arm is unknown, or it has no gripper
         """
         if arm not in self.end_effectors:
             raise UnknownNameError('arm with a gripper', arm, self.end_effectors)
@@ -403,7 +403,7 @@ class SimulatedRobot:
         return {**found, 'speed_scaling': self.joints.speed_scaling, **self.sensing.settings.all}
 
     def state(self) -> State:
-        """Return what is measured at the present instant, with noise and latency."""
+        """Return the measured state of the present instant, with noise and latency."""
         return self.reader.state(self.sensing.measured)
 
     def true_state(self) -> State:
@@ -418,7 +418,7 @@ class SimulatedRobot:
 
         :param part: its name; None for all joints
         :returns: each in the order of the joints' names, in SI units, shape (3 n,), a copy
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         return self.reader.measured(part)
 
@@ -432,7 +432,7 @@ class SimulatedRobot:
         Return the reference and the measured state of a part's driven joints, copies.
 
         :param part: such as ``arm``
-        :raises UnknownNameError: if there is no such part, or it is a gripper
+        :raises UnknownNameError: if the part is unknown, or it is a gripper
         """
         return self.joints.controller_state(part, self._physics.data, self._efforts.values)
 
@@ -495,7 +495,7 @@ class SimulatedRobot:
             and acceleration
         :param limit: 0 for none
         :raises CommandError: if the part is a gripper, or the limit negative or not finite
-        :raises UnknownNameError: if there is no such part or quantity
+        :raises UnknownNameError: if the part or quantity is unknown
         """
         self._check_no_gripper(part)
         self._physics.interrupt()
@@ -516,7 +516,7 @@ class SimulatedRobot:
         Let trajectories be followed slower, along the same paths; those that run change gradually.
 
         :param scaling: share of their speed, from 0 (they stand still) to 1
-        :raises CommandError: if it is no number of that range
+        :raises CommandError: if it is not a number of that range
         """
         share = positive_number(scaling, 'speed_scaling', CommandError, or_zero=True)
         if share > 1.0:

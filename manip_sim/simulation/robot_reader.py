@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read the joints and the grippers of a robot: what they do exactly, and what is measured."""
+"""Read the joints and the grippers of a robot: exact states and measurements."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class RobotReader:
     :ivar joint_names: all scalar joints, in the order of the states
     :ivar indices_of: indices of each part's joints in :attr:`joint_names`, by part
     :ivar end_effectors: readers of the grippers, by arm, of the arms with a gripper
-    :ivar sensing: what is measured: noise, resolution and latency
+    :ivar sensing: the measurements: noise, resolution and latency
     """
 
     def __init__(self, physics: Physics, name: str, parts: Mapping[str, Part],
@@ -85,7 +85,7 @@ class RobotReader:
         return found
 
     def measured(self, part: str | None = None) -> FloatArray:
-        """Return what is measured of the joints of a part, as :meth:`SimulatedRobot.measured`."""
+        """Return the measurements of a part's joints, as :meth:`SimulatedRobot.measured`."""
         if part not in self._addresses or not (
                 self.sensing.settings.measures or self.sensing.faulty() is not None):
             return self.exact(part)
@@ -115,7 +115,7 @@ class RobotReader:
 
     def end_period(self, steps: int, period_s: float) -> None:
         """
-        Measure what is remembered, at the end of a control period.
+        Record measurements at the end of a control period.
 
         :param steps: physics steps of the period
         :param period_s: its length [s]

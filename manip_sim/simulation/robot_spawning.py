@@ -60,7 +60,7 @@ def compose_base(world: World, visual: bool = False) -> Any:
     Return the ``mujoco.MjSpec`` of arena and robots as a simulation needs it, without objects.
 
     :param visual: with the geoms that cannot collide
-    :raises ModelError: if it is no world, or two parts have a name in common
+    :raises ModelError: if it is not a world, or two parts have a name in common
     """
     if not isinstance(world, World):
         raise ModelError(
@@ -106,7 +106,7 @@ def plan_without_robot(simulation: Simulation, name: str) -> RobotsPlan:
 
     :param simulation: only read
     :raises ModelError: if the robot was there at the start
-    :raises UnknownNameError: if there is no such robot
+    :raises UnknownNameError: if the robot is unknown
     """
     world = simulation.world
     if name not in simulation.robots:
@@ -154,7 +154,7 @@ def _follow(simulation: Simulation, world: World, start: Mapping[str, float] | N
 
 
 def _start_of(simulation: Simulation, robot: RobotModel) -> dict[str, float]:
-    """Return the start of a robot's joints; those of its grippers satisfy their couplings."""
+    """Return the start of a robot's joints; joints of grippers satisfy their couplings."""
     world = simulation.world
     alone: World = copy.copy(world.with_robots([robot]))
     alone.arena, alone.objects, alone.cameras, alone.lidars = EmptyArena(), [], [], []

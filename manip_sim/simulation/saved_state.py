@@ -40,7 +40,7 @@ _PASSING = (PointStreams, PoseStream, SeatState, Target, VelocityStream)
 @dataclass(frozen=True)
 class SimulationState:
     """
-    All that the future of a simulation depends on, besides its model and the commands to come.
+    Everything that the future of a simulation depends on, but its model and commands to come.
 
     It can be pickled, and restored in another process in a simulation of an equal world. Like
     every pickle, it must come from a source that you trust.
@@ -57,8 +57,8 @@ class SimulationState:
     :ivar control_steps: physics steps since the last reset
     :ivar contacts_change: whether contacts came or went in the last period
     :ivar diverged: why the physics is on hold, or None
-    :ivar sensing: of each robot, noise and what was measured and has not arrived, pickled
-    :ivar drawn: what was drawn for the episode, by name
+    :ivar sensing: of each robot, noise and measurements that have not arrived, pickled
+    :ivar drawn: the values drawn for the episode, by name
     :ivar seed: that the episode was drawn from
     :ivar layout: of what :attr:`control` refers to
     :ivar keyframe: that joints start from, and whether the next reset is the first to use it
@@ -103,7 +103,7 @@ class SavedStates:
         physics.on_change(self.look_at_robots)
 
     def look_at_robots(self) -> None:
-        """Find all that has a state anew, as robots or the model have changed, when asked for."""
+        """Find all objects with a state again, as robots or the model changed, when asked for."""
         self._control = None
 
     def _find_control(self) -> ControlState:

@@ -54,7 +54,7 @@ class Simulation:
     :ivar physics: the only holder of model and data
     :ivar robots: the robots, with their commands and states, by name
     :ivar efforts: of the actuators in the last physics step
-    :ivar instruments: what is measured of the sensors of the model
+    :ivar instruments: measurements of the sensors of the model
     :ivar sensors: values of all of these sensors, by name
     :ivar lidars: the lidars, by name
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
@@ -65,7 +65,7 @@ class Simulation:
     :ivar faults: of the robots
     :ivar states: what saved states consist of
     :ivar timestep_s: length of a physics step [s]
-    :ivar start_defects: what is wrong with the start, a sentence for each defect
+    :ivar start_defects: the defects of the start, a sentence for each
     """
 
     def __init__(self, world: World, visual: bool = False) -> None:
@@ -136,7 +136,7 @@ class Simulation:
         with spawned objects. It takes part in saved states: they can be restored only while there
         are the same robots.
 
-        :param robot: with all that is mounted on it; it stands where ``set_base_xpos`` places
+        :param robot: with everything mounted on it; it stands where ``set_base_xpos`` places
             it, else where the arena places a robot
         :raises ModelError: if a name is taken already, there are too many robots, or MuJoCo cannot
             compile the world; then nothing changes
@@ -150,7 +150,7 @@ class Simulation:
 
         :param name: of the robot, such as a key of :attr:`robots`
         :raises ModelError: if the robot was there at the start
-        :raises UnknownNameError: if there is no such robot
+        :raises UnknownNameError: if the robot is unknown
         """
         self.change_robots(plan_without_robot(self, name))
 
@@ -208,7 +208,7 @@ class Simulation:
 
     @property
     def randomized(self) -> Randomized:
-        """What was drawn for the present episode, where the world has ``randomization``."""
+        """The draws for the present episode, where the world has ``randomization``."""
         return self.episode_start.randomized
 
     @property
@@ -282,7 +282,7 @@ class Simulation:
         Run one control period; afterwards all of the data belongs to the new instant.
 
         :param steps: number of physics steps, from 1
-        :raises CommandError: if that is no whole number from 1
+        :raises CommandError: if that is not a whole number from 1
         :raises DivergenceError: if the physics diverges, or has diverged and was not reset; the
             last good state is held, at rest
         """
@@ -312,7 +312,7 @@ class Simulation:
             the world draws; None keeps all
         :param drawn: by name, in place of what ``randomization`` would draw, such as
             ``randomized.drawn`` of an earlier episode; None lets it draw
-        :raises ModelError: if the seed is no whole number from 0, or something cannot be drawn;
+        :raises ModelError: if the seed is not a whole number from 0, or something cannot be drawn;
             then nothing changes
         """
         if seed is not None:
@@ -329,7 +329,7 @@ class Simulation:
         self._reset(seed)
 
     def _randomize(self, seed: int, drawn: Drawn | None) -> None:
-        """Draw what differs between episodes, or take what was drawn."""
+        """Draw what differs between episodes, or take drawn values."""
         if drawn is None:
             self.randomized.draw(seed)
         else:
@@ -371,7 +371,7 @@ class Simulation:
 
     def restore(self, state: SimulationState) -> None:
         """
-        Continue from a state, to the last bit; time, too, is what it was.
+        Continue from a state, to the last bit; time, too, is restored.
 
         Commands that run are aborted; those of the state go on, with handles of their own.
 

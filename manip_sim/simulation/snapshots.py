@@ -22,7 +22,7 @@ from manip_sim.simulation.simulation import Simulation
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """
-    All that moves in a world, at one instant; copies.
+    The visible state of a world at one instant; copies.
 
     :ivar plan: what the world is compiled from
     :ivar time_ns: simulation time [ns]
@@ -49,7 +49,7 @@ class Snapshot:
 
 
 def take_snapshot(simulation: Simulation) -> Snapshot:
-    """Copy what is visible at the present instant; call it where the simulation may be used."""
+    """Copy the visible state at present; call it where the simulation may be used."""
     data = simulation.data
     return Snapshot(simulation.plan, simulation.time_ns, data.qpos.copy(), data.mocap_pos.copy(),
                     data.mocap_quat.copy(), simulation.randomized.drawn)

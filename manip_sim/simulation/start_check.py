@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find what is wrong with the start of robots, before anything moves."""
+"""Find defects of the start of robots, before anything moves."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _TRIAL_ACCELERATION = 100.0
 #: A moment of inertia so many times that of the same mass at the edge of a link is absurd; guesses
 #: of people who measure none are some ten times too large.
 _ABSURD_INERTIA = 50.0
-#: Smaller moments stand for those of rotors, too [kg m^2], and smaller links for larger ones [m].
+#: Smaller moments stand for rotors, too [kg m^2], and smaller links for larger ones [m].
 _SMALL_INERTIA, _SMALL_M = 0.01, 0.02
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def check_start(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]) -> list[str]:
     """
-    Return what is wrong with the start of robots, a sentence for each defect.
+    Return the defects of the start of robots, a sentence for each.
 
-    The parameters are those of :func:`find_start_defects`.
+    The parameters are as for :func:`find_start_defects`.
     """
     return [defect.text for defect in find_start_defects(model, data, roots)]
 

@@ -15,7 +15,7 @@ class StartDefect:
 
     :ivar kind: ``overlap``, ``blocked``, ``range``, ``actuators``, ``undriven``,
         ``effort``, ``inertia``, ``control``, ``meshes`` or ``states``
-    :ivar text: what is wrong, with the names of the compiled model
+    :ivar text: the defect, with the names of the compiled model
     :ivar remedy: what to write, with the names of the compiled model
     """
 

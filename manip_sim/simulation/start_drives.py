@@ -32,11 +32,11 @@ _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray,
                        urdf: tuple[str, ...] = ()) -> Iterator[StartDefect]:
     """
-    Yield what is wrong with the actuators of robots.
+    Yield the defects of the actuators of robots.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
-    :param own: which bodies are those of robots, shape (nbody,)
+    :param own: whether each body is of a robot, shape (nbody,)
     :param urdf: what the names of elements from URDF files begin with
     """
     joints = [joint for joint in np.flatnonzero(own[model.jnt_bodyid]).tolist()
