@@ -29,7 +29,7 @@ class Episode:
     """
     Episodes of a task, one after the other.
 
-    :param task: what is done
+    :param task: the task to do
     :param simulation: of the task's world
     :param period_s: length of a control period [s], a whole number of timesteps
     :param action: what actions mean, one of :data:`ACTIONS`
@@ -38,7 +38,7 @@ class Episode:
     :param noise: of all robots, by the names of ``manip_sim.sensing.settings.QUANTITIES``
     :raises ModelError: if a duration cannot be used
     :raises CommandError: if a number of noise is out of range
-    :raises UnknownNameError: if there is no such kind of actions
+    :raises UnknownNameError: if the kind of actions is unknown
     :ivar kind: what actions mean
     :ivar latency: of commands and states
     :ivar noise: of all robots, by name
@@ -90,7 +90,7 @@ class Episode:
 
         :param seed: draws the start; the same for the same seed, in any process
         :param drawn: as for :func:`start`
-        :raises ModelError: if it is no whole number from 0
+        :raises ModelError: if it is not a whole number from 0
         """
         start(self.task, self.simulation, seed, drawn)
         self.periods = 0
@@ -125,7 +125,7 @@ class Episode:
 
     def advance(self) -> None:
         """
-        Advance by one control period, with what has been commanded.
+        Advance by one control period, with the present commands.
 
         :raises DivergenceError: if the physics diverges
         """
@@ -204,7 +204,7 @@ def start(task: Task, simulation: Simulation, seed: int, drawn: Drawn | None = N
     :param simulation: of the world of the task
     :param seed: a whole number from 0
     :param drawn: by name, in place of what ``randomization`` would draw; None lets it draw
-    :raises ModelError: if the seed is no whole number, or something cannot be drawn
+    :raises ModelError: if the seed is not a whole number, or something cannot be drawn
     """
     seed = checked_seed(seed)
     simulation.reset(seed, drawn)

@@ -201,7 +201,7 @@ class PoseActions(Actions):
 
 
 def _shortened(vector: FloatArray, longest: float) -> FloatArray:
-    """Return a vector, or one in its direction that is no longer than a limit."""
+    """Return a vector, shortened to a limit if it is longer."""
     size = length(vector)
     return vector if size <= longest else vector * (longest / size)
 
@@ -247,7 +247,7 @@ def create_actions(kind: str, simulation: Simulation) -> Actions:
     Return what actions of a kind do, and set the control modes of arms that they need.
 
     :param kind: one of :data:`ACTIONS`
-    :raises UnknownNameError: if there is no such kind
+    :raises UnknownNameError: if the kind is unknown
     """
     if kind not in ACTIONS:
         raise UnknownNameError('action', kind, ACTIONS)

@@ -63,7 +63,7 @@ class HandOver(Task):
         """
         Return the world, with two robots if one has not two arms with grippers.
 
-        :raises ModelError: as ``compose`` does, and for what is about one robot if there are two
+        :raises ModelError: as ``compose`` does, and for options of one robot if there are two
         """
         world = super().compose(robot, gripper, composition)
         (first,) = world.robots

@@ -193,7 +193,7 @@ class LateAnswers:
 
     def begin_period(self) -> list[tuple[int, FloatArray]]:
         """
-        Let what is due take effect within the next control period.
+        Let due actions take effect within the next control period.
 
         :returns: the actions, and in how many steps they take effect
         :raises CommandError: if one cannot be carried out
@@ -208,7 +208,7 @@ class LateAnswers:
 
     def advance(self) -> list[tuple[int, FloatArray]]:
         """
-        Advance by one control period, with what is due in it.
+        Advance by one control period, with the actions due in it.
 
         :returns: as :meth:`begin_period`
         :raises CommandError: if an action cannot be carried out

@@ -83,7 +83,7 @@ class Latency:
 
     def check(self, timestep_s: float) -> None:
         """
-        Reject means that are no whole number of timesteps.
+        Reject means that are not a whole number of timesteps.
 
         :param timestep_s: of the physics [s]
         :raises ModelError: naming the nearest ones
@@ -100,7 +100,7 @@ def number_of_parts(duration_s: float, part_s: float, what: str, parts: str) -> 
     """
     Return the number of parts in a duration.
 
-    :raises ModelError: if it is no whole number of parts
+    :raises ModelError: if it is not a whole number of parts
     """
     count = duration_s / part_s
     if not math.isfinite(count) or abs(count - round(count)) > ROUNDING:

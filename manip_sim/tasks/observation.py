@@ -52,8 +52,8 @@ class Observer:
 
     All is as old as the latency of states of the robots: images as that of the robot that carries
     the camera, objects and the goal as that of the robot of the task. As with the images of the
-    node, what is no state of a robot is that of the present instant after a saved state was
-    restored, until what is measured from then on has arrived.
+    node, everything but states of robots is of the present instant after a saved state was
+    restored, until measurements from then on have arrived.
 
     :param pictures: renders the images of cameras; None for no images
     """
@@ -85,7 +85,7 @@ class Observer:
                 for key in (*_JOINTS, *_OF_ARMS, *self._surroundings) if key != 'goal'}
 
     def read(self) -> Observation:
-        """Return what is observed at the present instant, copies."""
+        """Return the observation of the present instant, copies."""
         return {key: rows[0] for key, rows in observe([self]).items()}
 
     @property
@@ -107,7 +107,7 @@ class Observer:
         return {key: read() for key, read in self._surroundings.items()}
 
     def _remember(self) -> None:
-        """Keep what is there at present, and forget what nobody sees any more."""
+        """Keep the present scene, and forget the scenes that nobody sees any more."""
         now = self._sensing.count
         oldest = min(robot.sensing.instant for robot in self._simulation.robots.values())
         self._scenes = {count: scene for count, scene in self._scenes.items()
@@ -115,7 +115,7 @@ class Observer:
         self._scenes[now] = _Scene(self._look(), take_snapshot(self._simulation))
 
     def _scene(self, sensing: RobotSensing) -> _Scene | None:
-        """Return what is seen with the latency of a robot; None for the present instant."""
+        """Return the scene at the latency of a robot; None for the present instant."""
         instant = sensing.instant
         return None if instant == sensing.count else self._scenes.get(instant)
 
@@ -152,7 +152,7 @@ class Observer:
         return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)
 
     def arms(self, channel: str) -> list[FloatArray]:
-        """Return what is measured of each arm with a gripper."""
+        """Return the measurement of a channel for each arm with a gripper."""
         return [robot.sensing.measured(f'{arm}/{channel}')
                 for robot in self._simulation.robots.values() for arm in robot.end_effectors]
 
@@ -163,7 +163,7 @@ class Observer:
 
 def observe(observers: Sequence[Observer]) -> Observation:
     """
-    Return what is observed in several simulations of one world, at the present instant of each.
+    Return the observations of several simulations of one world, at the present instant of each.
 
     :param observers: of the simulations, with the same pictures
     :returns: the arrays of all with a leading axis, copies

@@ -32,8 +32,8 @@ R = TypeVar('R')
 _CLOSED = 'these pictures are closed'
 #: Kinds of images: colours, depth along the view [m], and ids of bodies.
 KINDS = ('rgb', 'depth', 'labels')
-#: Thread, context and renderer of pictures that nobody closed. To free a renderer deletes what has
-#: its numbers in the context that is current, so it waits until nothing is being rendered.
+#: Thread, context and renderer of pictures that nobody closed. To free a renderer deletes the
+#: objects of its numbers in the current context, so it waits until nothing is being rendered.
 _LOST: list[tuple[int, Any, OffscreenRenderer]] = []
 
 
@@ -44,7 +44,7 @@ class Pictures:
     :param simulation: of the world; all whose pictures are taken must have its plan
     :param views: width and height of the images by camera [pixels]
     :param kinds: of images, among :data:`KINDS`
-    :raises UnknownNameError: if there is no such camera
+    :raises UnknownNameError: if the camera is unknown
     :raises ManipSimError: if nothing can be rendered
     """
 
@@ -108,7 +108,7 @@ class PictureThreads:
     """
     Renders in several threads at once, each with :class:`Pictures` of its own: the same pixels.
 
-    :param create: makes those of a thread, in that thread
+    :param create: makes the pictures of a thread, in that thread
     :param count: number of threads
     :raises ManipSimError: if nothing can be rendered
     """
@@ -156,7 +156,7 @@ class PictureThreads:
 
 
 def _free_lost() -> None:
-    """Free what was lost of this thread's pictures; another context is current afterwards."""
+    """Free the lost renderers of this thread; another context is current afterwards."""
     for lost in [lost for lost in _LOST if lost[0] == threading.get_ident()]:
         _LOST.remove(lost)
         _free(*lost[1:])
@@ -183,9 +183,9 @@ def views_of(given: Iterable[CameraLike], world: World, simulation: Simulation,
     Return width and height of the images [pixels], by camera.
 
     :param world: composed with those descriptions
-    :param image_size: width and height of all images; None for those of the cameras, as the node
-        has them
-    :raises UnknownNameError: if there is no such camera
+    :param image_size: width and height of all images; None for the sizes of the cameras, as the
+        node has them
+    :raises UnknownNameError: if the camera is unknown
     :raises ModelError: if a camera is chosen twice, or its name or the size cannot be used
     """
     if image_size is not None and not (len(image_size) == 2 and all(

@@ -62,7 +62,7 @@ def draw_yaw(random: np.random.Generator, most_rad: float) -> FloatArray:
 
     :param most_rad: greatest angle in both directions, below pi [rad]
     """
-    # No sine is taken of what was drawn, whose last bit may differ between processors.
+    # No sine is taken of a drawn number: its last bit may differ between processors.
     tangent = math.tan(most_rad / 2.0) * (2.0 * random.random() - 1.0)
     norm = math.sqrt(1.0 + tangent * tangent)
     return np.array([1.0 / norm, 0.0, 0.0, tangent / norm])

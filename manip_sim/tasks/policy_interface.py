@@ -107,8 +107,8 @@ def check_interface(expected: Mapping[str, Any], actual: Mapping[str, Any], wher
     """
     Reject a policy in episodes that have another rate, order or unit than it was made for.
 
-    :param expected: of the policy, as :func:`read_interface` returns it; what is missing may be
-        anything, and episodes may observe more
+    :param expected: of the policy, as :func:`read_interface` returns it; missing values may
+        be anything, and episodes may observe more
     :param actual: of the episodes, as :func:`interface_of` returns it
     :param where: of the former, for the message
     :raises ModelError: with the first difference
@@ -122,7 +122,7 @@ def check_interface(expected: Mapping[str, Any], actual: Mapping[str, Any], wher
 
 def _values(expected: Mapping[str, Any], actual: Mapping[str, Any]
             ) -> Iterator[tuple[str, Any, Any]]:
-    """Yield what is compared, with what is expected and what is there."""
+    """Yield the name of each compared value, its expected and its actual value."""
     if 'control_hz' in expected:
         yield 'control_hz', expected['control_hz'], actual['control_hz']
     for key, wanted in expected.get('action', {}).items():

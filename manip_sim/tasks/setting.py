@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""All that decides what an episode of a seed is, as plain data: task, robot, actions, latency."""
+"""Everything that determines an episode of a seed, as data: task, robot, actions, latency."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Setting:
     :ivar control_hz: actions per second of simulated time [Hz]
     :ivar latency: of commands and states, in simulated time [s], see :class:`Latency`
     :ivar cameras: whose images are observed: names, or descriptions as for ``compose``
-    :ivar image_size: width and height of images [pixels]; None for those of the cameras
+    :ivar image_size: width and height of images [pixels]; None for the cameras' sizes
     :ivar noise: of all robots, by the names of the node's parameters, such as
         ``noise.joint_position``
     :ivar image_kinds: of the cameras: ``rgb``, ``depth`` and ``labels``
@@ -85,9 +85,9 @@ class Setting:
         Return the task.
 
         If no timestep is given, it has the longest up to its own that fits ``control_hz``; a
-        warning is logged then, once for each process that is no worker of another one.
+        warning is logged then, once for each process that is not a worker of another one.
 
-        :raises UnknownNameError: if there is no such task or part
+        :raises UnknownNameError: if the task or part is unknown
         :raises ModelError: if the robot cannot do it, naming those that can
         """
         if isinstance(self.task, Task):

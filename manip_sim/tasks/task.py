@@ -42,7 +42,7 @@ class Task(ABC):
     """
     What a robot should do, without how; a subclass registers itself by its :attr:`name`.
 
-    A task keeps nothing of an episode: all that :meth:`start` draws and :meth:`end_period`
+    A task keeps nothing of an episode: everything that :meth:`start` draws and :meth:`end_period`
     changes is in the simulation (poses of objects and mocap bodies), so that saved states hold it
     and any number of simulations of :attr:`world` can share the task.
 
@@ -57,7 +57,7 @@ class Task(ABC):
     :param robot: as for ``compose``
     :param gripper: as for ``compose``
     :param composition: what else ``compose`` takes, such as ``cameras`` or ``timestep_s``;
-        ``objects`` are there in addition to those of the task
+        ``objects`` are there in addition to the task's own
     :raises ModelError: if the robot cannot do it, naming those that can, or as ``compose`` does
     :raises UnknownNameError: if a name is not known
     :ivar arguments: what it was made of: ``robot``, ``gripper`` and the composition
@@ -243,7 +243,7 @@ def create_task(name: str, robot: Robot = 'Panda', gripper: Gripper | Grippers =
     :param gripper: as for ``compose``; ``default`` is the robot's own, unless the task needs
         another one
     :param composition: what else ``compose`` takes, such as ``cameras`` or ``timestep_s``
-    :raises UnknownNameError: if there is no such task or part, naming the nearest ones
+    :raises UnknownNameError: if the task or part is unknown, naming the nearest ones
     :raises ModelError: if the robot cannot do the task, naming those that can
     """
     return TASKS.create(name, robot=robot, gripper=gripper, **composition)
