@@ -61,13 +61,13 @@ def create_context(way: str, width: int, height: int) -> Any:
     """
     Return an OpenGL context, current in this thread, with methods ``make_current`` and ``free``.
 
-    Where there is no graphics card, the driver renders in threads that it starts with the context.
-    On Linux they get a lower priority, this thread does not: it would hold Python's lock while it
+    Without a graphics card, the driver renders in threads that it starts with the context. On
+    Linux they get a lower priority, this thread does not: it would hold Python's lock while it
     waits for a processor.
 
     :param way: as :func:`choose_gl` returns it
     :param width: of the largest image [pixels], as ``height``
-    :raises ManipSimError: if it cannot be created, with what is missing
+    :raises ManipSimError: if it cannot be created, with the cause
     """
     module = _MODULES.get(sys.platform, {}).get(way, way)
     made: Future[Any] = Future()

@@ -39,7 +39,7 @@ def intrinsics_of(model: mujoco.MjModel, camera: str, width: int, height: int) -
     Return the intrinsics that MuJoCo renders a camera with.
 
     A camera with a field of view has square pixels; one with a sensor size, focal length and
-    principal point has those of its sensor, stretched to the image.
+    principal point has its sensor's pixels, stretched to the image.
 
     :param width: of the image [pixels], as ``height``
     :raises ModelError: if the camera is orthographic
@@ -72,9 +72,9 @@ def fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
 
 
 _Flag = mujoco.mjtRndFlag
-#: Effects that take most of the time where there is no graphics card.
+#: Effects that take most of the time without a graphics card.
 _LEFT_OUT = (_Flag.mjRND_SHADOW, _Flag.mjRND_REFLECTION, _Flag.mjRND_HAZE)
-#: The label of what is no body.
+#: The label of pixels without a body.
 BACKGROUND = -1
 #: What lets colours be the numbers of shapes in the scene.
 _SEGMENTS = (_Flag.mjRND_SEGMENT, _Flag.mjRND_IDCOLOR)
@@ -134,7 +134,7 @@ class OffscreenRenderer:
         Render what a camera sees.
 
         :param data: a ``mujoco.MjData`` of the model, after ``mj_camlight``
-        :param width: of the image [pixels], as ``height``, at most those of this renderer
+        :param width: of the image [pixels], as ``height``, at most this renderer's
         """
         area = mujoco.MjrRect(0, 0, width, height)
         colours = np.empty((height, width, 3), np.uint8) if rgb else None
