@@ -222,7 +222,7 @@ def compare(runs: Sequence[StoredRun], across: Collection[str] = ()) -> Comparis
     Compare runs by the seeds that all of them have.
 
     :param runs: at least two
-    :param across: keys of the description that may differ beside those of the policy
+    :param across: keys of the description that may differ, besides the policy's
     :raises ModelError: if a run is there twice, they are runs of something else, or they have no
         seed in common
     """
@@ -271,7 +271,7 @@ def seeds_to_add(comparison: Comparison, width: float, most: int) -> list[int]:
     :param comparison: of the runs so far
     :param width: of the interval of the difference, from 0 to 1
     :param most: number of seeds beyond which none are added
-    :returns: all seeds, those of the runs included; as many as before if ``most`` is reached
+    :returns: all seeds, with the seeds of the runs; as many as before if ``most`` is reached
     """
     seeds = [*dict.fromkeys(seed for run in comparison.runs for seed in run.seeds)]
     count = len(comparison.seeds)
@@ -290,7 +290,7 @@ def first_difference(first: StoredRun, second: StoredRun, seed: int) -> int | No
     :param second: another one
     :param seed: of the episode
     :returns: None if they are equal to the last bit to the end
-    :raises RecordError: if there is no record of an episode of the rows, or it is damaged
+    :raises RecordError: if the record of an episode of the rows is missing or damaged
     """
     states = [recorded_episode(run, seed).states for run in (first, second)]
     for period, (ours, theirs) in enumerate(zip(*states)):

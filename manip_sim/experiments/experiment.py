@@ -159,7 +159,7 @@ class Worker:
     """
     Runs the episodes of an experiment, one after the other, in one process.
 
-    :param experiment: what is run
+    :param experiment: to run
     :param report: gets when an answer of the policy is asked for, as ``time.monotonic()`` [s], and
         0 when it has come
     :raises ManipSimError: if the task or the policy cannot be used, with what fits

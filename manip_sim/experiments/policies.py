@@ -40,9 +40,9 @@ ROS = 'ros:'
 LIMIT_S, LOCAL_LIMIT_S = 10.0, 600.0
 _FORMS = ("'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt, FILE.onnx or "
           'ros:/NAMESPACE')
-#: Folders of installed packages, also of those of Debian, and of files that the kernel makes.
+#: Folders of installed packages, also of Debian's, and of files that the kernel makes.
 _INSTALLED, _KERNEL = ('site-packages', 'dist-packages'), ('/proc', '/sys')
-#: Files that loading has read in this process, by policy, and those of policies that load now.
+#: Files that loading has read in this process, by policy, and files of policies that load now.
 _READ: dict[str, set[Path]] = {}
 _WATCHERS: list[set[Path]] = []
 
@@ -230,7 +230,7 @@ def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy
         module; a ``.pt`` or ``.onnx`` file; or ``ros:/namespace`` of a node
     :param episode: in which it acts
     :param limit_s: how long an answer of a node may take, wall time [s]
-    :raises ModelError: if it cannot be used, with what is missing
+    :raises ModelError: if it cannot be used, with the cause
     """
     if name == EXPERT:
         return episode.task.expert(episode.simulation)

@@ -45,7 +45,7 @@ class WorkerPool:
     A process that has died is replaced, and one that uses more memory than its share, and twice
     what it used after its first episode.
 
-    :param experiment: what is run
+    :param experiment: to run
     :param count: number of processes
     """
 
@@ -126,7 +126,7 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
     """
     Yield the row of each seed, as they come.
 
-    :param experiment: what is run
+    :param experiment: to run
     :param seeds: of the episodes
     :param count: number of processes
     :raises ManipSimError: if a process cannot begin
@@ -200,7 +200,7 @@ class _WorkerProcess:
         """Return whether it uses more memory than that, and twice that of the first call."""
         try:
             pages = Path(f'/proc/{self._process.pid}/statm').read_text().split()[1]
-        except OSError:  # It has ended, or this is no Linux.
+        except OSError:  # It has ended, or the system is not Linux.
             return False
         used_bytes = int(pages) * os.sysconf('SC_PAGE_SIZE')
         self._first_bytes = self._first_bytes or used_bytes
@@ -263,11 +263,11 @@ def run_on_ray(experiment: Experiment, seeds: Sequence[int], address: str | None
     """
     Yield the row of each seed, as they come.
 
-    :param experiment: what is run; its policy must be importable on all nodes
+    :param experiment: to run; its policy must be importable on all nodes
     :param seeds: of the episodes
     :param address: of a running cluster, as ``ray.init`` takes it; None starts one here
     :param count: number of episodes at once; None for one per processor of the cluster
-    :raises ManipSimError: if Ray is not installed, or there is no cluster
+    :raises ManipSimError: if Ray is not installed, or the cluster is not reachable
     """
     try:
         import ray

@@ -41,7 +41,7 @@ class RosPolicy:
     :param namespace: of the topics, such as ``/policy``
     :param episode: in which it acts
     :param limit_s: how long an answer may take, wall time [s]
-    :raises ModelError: if it is no namespace
+    :raises ModelError: if it is not a namespace
     """
 
     def __init__(self, namespace: str, episode: Episode, limit_s: float) -> None:
@@ -129,7 +129,7 @@ class RosPolicy:
         Publish an observation and return the action that answers it.
 
         :param observation: of the present instant
-        :raises ManipSimError: if there is no answer in time
+        :raises ManipSimError: if no answer comes in time
         :raises CommandError: if the answer cannot be used
         """
         assert self._executor is not None

@@ -81,7 +81,7 @@ def wilson_interval(successes: int, count: int) -> tuple[float, float]:
     middle = (share + z2 / (2.0 * count)) / (1.0 + z2 / count)
     half = Z_95 / (1.0 + z2 / count) * math.sqrt(
         share * (1.0 - share) / count + z2 / (4.0 * count * count))
-    # At the ends, rounding must not leave a little of what is all or nothing.
+    # At the ends, rounding must not turn 0 or 1 into a little more or less.
     return (max(middle - half, 0.0) if successes else 0.0,
             min(middle + half, 1.0) if successes < count else 1.0)
 
