@@ -45,7 +45,7 @@ def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> dict[str, float]:
 
     :param other: of the same world, such as one loaded from its MJCF
     """
-    found = {}
+    differences = {}
     for field in dir(model):
         if field.startswith('_'):
             continue
@@ -53,10 +53,10 @@ def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> dict[str, float]:
         if not isinstance(ours, np.ndarray) or ours.dtype.kind != 'f' or not ours.size:
             continue
         if ours.shape != theirs.shape:
-            found[field] = np.inf
+            differences[field] = np.inf
         elif not np.array_equal(ours, theirs, equal_nan=True):
-            found[field] = float(np.nanmax(np.abs(ours - theirs)))
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+            differences[field] = float(np.nanmax(np.abs(ours - theirs)))
+    return dict(sorted(differences.items(), key=lambda item: -item[1]))
 
 
 def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
@@ -66,11 +66,11 @@ def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
     :param model: the ``mujoco.MjModel`` that was written
     :param other: the model that was read again
     """
-    found = roundings(model, other)
-    if not found:
+    differences = roundings(model, other)
+    if not differences:
         return 'the text of MJCF gives this model to the last bit'
-    worst = ', '.join(f'{field} by {most:.1e}' for field, most in list(found.items())[:3])
-    return (f'the text of MJCF changes {len(found)} fields of the model, at most {worst}; '
+    worst = ', '.join(f'{field} by {most:.1e}' for field, most in list(differences.items())[:3])
+    return (f'the text of MJCF changes {len(differences)} fields of the model, at most {worst}; '
             '.mjb is exact to the last bit')
 
 

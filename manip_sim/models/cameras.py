@@ -75,9 +75,9 @@ def create_lidar(description: LidarLike) -> LidarModel:
         return description
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
     from manip_sim.models.placed_descriptions import LidarDescription, read_mounted
-    found, where = read_mounted(LidarDescription, 'lidar', description)
-    given = found.model_dump(exclude_none=True)
-    rays = Rays(**{key: value for key, value in given.items() if key in Rays.__annotations__})
+    parsed, where = read_mounted(LidarDescription, 'lidar', description)
+    values = parsed.model_dump(exclude_none=True)
+    rays = Rays(**{key: value for key, value in values.items() if key in Rays.__annotations__})
     for low, high in (('angle_min', 'angle_max'), ('elevation_min', 'elevation_max'),
                       ('range_min', 'range_max')):
         if getattr(rays, low) >= getattr(rays, high):
@@ -86,11 +86,11 @@ def create_lidar(description: LidarLike) -> LidarModel:
     if rays.samples * rays.rings > MAX_RAYS:
         raise ModelError(f"{where}: 'samples' times 'rings' must be at most {MAX_RAYS}, got "
                          f'{rays.samples * rays.rings}')
-    quat_wxyz = found.quat_wxyz
-    return LidarModel(found.name, found.body or 'world',
-                      np.array(found.position or [0.0, 0.0, 0.0], dtype=float),
-                      np.array(NO_TURN) if quat_wxyz is None else quat_wxyz, rays, found.rate,
-                      found.noise)
+    quat_wxyz = parsed.quat_wxyz
+    return LidarModel(parsed.name, parsed.body or 'world',
+                      np.array(parsed.position or [0.0, 0.0, 0.0], dtype=float),
+                      np.array(NO_TURN) if quat_wxyz is None else quat_wxyz, rays, parsed.rate,
+                      parsed.noise)
 
 
 MAX_PIXELS = 4096
@@ -159,15 +159,15 @@ def create_camera(description: Camera) -> CameraModel:
         return description
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
     from manip_sim.models.placed_descriptions import CameraDescription, read_mounted
-    found, _ = read_mounted(CameraDescription, 'camera', description)
-    given: dict[str, Any] = {'width': found.width, 'height': found.height, 'rate_hz': found.rate,
-                             'depth': found.depth}
-    position = np.array(found.position or [0.0, 0.0, 0.0], dtype=float)
+    parsed, _ = read_mounted(CameraDescription, 'camera', description)
+    values: dict[str, Any] = {'width': parsed.width, 'height': parsed.height,
+                              'rate_hz': parsed.rate, 'depth': parsed.depth}
+    position = np.array(parsed.position or [0.0, 0.0, 0.0], dtype=float)
     quat_wxyz = np.empty(4)
-    mujoco.mju_mulQuat(quat_wxyz, _looks_along(found, position), _TO_MUJOCO)
+    mujoco.mju_mulQuat(quat_wxyz, _looks_along(parsed, position), _TO_MUJOCO)
     return CameraModel(
-        found.name, found.body or 'world', position, quat_wxyz, found.fovy,
-        replace(ImageSettings(), **{k: value for k, value in given.items() if value is not None}))
+        parsed.name, parsed.body or 'world', position, quat_wxyz, parsed.fovy,
+        replace(ImageSettings(), **{k: value for k, value in values.items() if value is not None}))
 
 
 def _looks_along(found: CameraDescription, position: FloatArray) -> FloatArray:

@@ -62,8 +62,8 @@ class CatalogueModel(MujocoXMLModel):
     @classmethod
     def model_file(cls) -> Path:
         """Return the MJCF file."""
-        own = asset_path(cls._kind, cls._folder)
-        return own if cls._model is None else Path(os.path.normpath(own.parent / cls._model))
+        file = asset_path(cls._kind, cls._folder)
+        return file if cls._model is None else Path(os.path.normpath(file.parent / cls._model))
 
     @classmethod
     def data(cls) -> dict[str, Any]:

@@ -74,21 +74,21 @@ def read_gripper(text: str, where: str = 'gripper') -> str | dict[str, str]:
     if not text.lstrip().startswith('{'):
         return text
     by_arm = parse_yaml(text, where)
-    for arm, wanted in by_arm.items():
-        if not isinstance(wanted, str):
+    for arm, choice in by_arm.items():
+        if not isinstance(choice, str):
             raise ModelError(f'{where}: the gripper of arm {quoted(arm)} must be a name or a '
-                             f'file, got {shown(wanted)}')
+                             f'file, got {shown(choice)}')
     return by_arm
 
 
 def _add_base(robot: RobotModel, base: Base, idn: int | str) -> None:
-    wanted = robot.default_base if base == DEFAULT else base
-    if wanted is None or wanted == NONE:
+    choice = robot.default_base if base == DEFAULT else base
+    if choice is None or choice == NONE:
         return
-    if isinstance(wanted, (str, PathLike)):
+    if isinstance(choice, (str, PathLike)):
         with _naming_its_robot(robot, 'base', base == DEFAULT):
-            wanted = create_base(wanted, idn=idn)
-    robot.add_base(wanted)
+            choice = create_base(choice, idn=idn)
+    robot.add_base(choice)
 
 
 @contextmanager
@@ -119,22 +119,22 @@ def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int
         gripper = read_gripper(gripper)
     by_arm: dict[str, Gripper] = dict.fromkeys(robot.arms, DEFAULT)
     if isinstance(gripper, Mapping):
-        by_arm.update({robot.arm_of(name): wanted for name, wanted in gripper.items()})
+        by_arm.update({robot.arm_of(name): choice for name, choice in gripper.items()})
     else:
         by_arm = dict.fromkeys(robot.arms, gripper)
-    for arm, wanted in by_arm.items():
-        is_default = wanted == DEFAULT
+    for arm, choice in by_arm.items():
+        is_default = choice == DEFAULT
         if is_default:
             if arm in robot.own_hands and arm not in robot.declared_grippers:
                 continue
-            wanted = robot.declared_grippers.get(arm)
+            choice = robot.declared_grippers.get(arm)
         robot.take_off_hand(arm)
-        if wanted is None or wanted == NONE:
+        if choice is None or choice == NONE:
             continue
-        if isinstance(wanted, (str, PathLike)):
+        if isinstance(choice, (str, PathLike)):
             with _naming_its_robot(robot, 'gripper', is_default):
-                wanted = create_gripper(wanted, idn=f'{idn}_{arm}')
-        robot.add_gripper(wanted, arm)
+                choice = create_gripper(choice, idn=f'{idn}_{arm}')
+        robot.add_gripper(choice, arm)
 
 
 def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,

@@ -86,27 +86,27 @@ class JointCouplings:
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Iterable[int]) -> None:
-        own = set(joints)
-        self._zeros = {j: float(model.qpos0[model.jnt_qposadr[j]]) for j in own}
-        self._ranges = {j: model.jnt_range[j].copy() for j in own if model.jnt_limited[j]}
-        self._neighbours: dict[int, list[tuple[int, FloatArray, bool]]] = {j: [] for j in own}
+        ids = set(joints)
+        self._zeros = {j: float(model.qpos0[model.jnt_qposadr[j]]) for j in ids}
+        self._ranges = {j: model.jnt_range[j].copy() for j in ids if model.jnt_limited[j]}
+        self._neighbours: dict[int, list[tuple[int, FloatArray, bool]]] = {j: [] for j in ids}
         is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
         for equality in np.flatnonzero(is_joint & (model.eq_active0 != 0)):
             follower, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
-            if follower in own and leader in own:
+            if follower in ids and leader in ids:
                 polynomial = model.eq_data[equality, :5].copy()
                 self._neighbours[leader].append((follower, polynomial, False))
                 self._neighbours[follower].append((leader, polynomial, True))
 
     def group(self, joint: int) -> frozenset[int]:
         """Return a joint and the joints that move with it."""
-        found, waiting = {joint}, [joint]
+        group, waiting = {joint}, [joint]
         while waiting:
             for other, _, _ in self._neighbours[waiting.pop()]:
-                if other not in found:
-                    found.add(other)
+                if other not in group:
+                    group.add(other)
                     waiting.append(other)
-        return frozenset(found)
+        return frozenset(group)
 
     def follow(self, positions: Mapping[int, float]) -> dict[int, float]:
         """
@@ -134,13 +134,13 @@ class JointCouplings:
     def ratios(self, joint: int) -> list[dict[int, float]]:
         """Return the velocities of coupled joints per that of one, at positions in its range."""
         low, high = self._ranges.get(joint, (self._zeros[joint], self._zeros[joint]))
-        found = []
+        ratios = []
         for place in np.linspace(low + _STEP, high - _STEP, _PLACES):
             before = self.follow({joint: place - _STEP})
             after = self.follow({joint: place + _STEP})
-            found.append({other: (after[other] - before[other]) / (2.0 * _STEP)
+            ratios.append({other: (after[other] - before[other]) / (2.0 * _STEP)
                           for other in before if other in after})
-        return found
+        return ratios
 
     def _solve(self, polynomial: FloatArray, value: float, joint: int) -> float | None:
         """Return the offset nearest to zero at which a polynomial has a value, or None."""

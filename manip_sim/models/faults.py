@@ -111,9 +111,11 @@ class FaultPlan:
             given = _listed(read_yaml(given), where)
         if isinstance(given, Mapping) or not isinstance(given, Iterable):
             raise ModelError(f'{where} must be a list of faults, got {shown(given)}')
-        self.given: list[Any] = [dict(one) if isinstance(one, Mapping) else one for one in given]
+        self.given: list[Any] = [
+            dict(fault) if isinstance(fault, Mapping) else fault for fault in given]
         self.faults: Sequence[PlannedFault] = [
-            planned(one, f'{where}: number {number}') for number, one in enumerate(self.given, 1)]
+            planned(fault, f'{where}: number {number}')
+            for number, fault in enumerate(self.given, 1)]
 
 
 def _listed(values: Mapping[str, Any], where: str) -> Any:
@@ -129,9 +131,9 @@ def fault_from_text(text: str) -> dict[str, Any]:
 
     :raises ModelError: if it cannot be used
     """
-    found = parse_yaml(text, 'the fault')
-    planned(found, 'the fault')
-    return dict(found)
+    values = parse_yaml(text, 'the fault')
+    planned(values, 'the fault')
+    return dict(values)
 
 
 def planned(given: Any, where: str) -> PlannedFault:

@@ -122,7 +122,7 @@ class JointActuation:
         """
         values = self._chosen(curve, 'torque_speed')
         self.torque_speed = checked(TorqueSpeed, values, f'torque_speed of {self._where}')
-        knee, no_load = (self.of_each(of, name) for name, of in (
+        knee, no_load = (self.of_each(value, name) for name, value in (
             ('knee', self.torque_speed.knee), ('no_load', self.torque_speed.no_load)))
         if (no_load <= knee).any():
             raise ModelError(f"torque_speed of {self._where}: 'no_load' must be above 'knee'")
@@ -158,10 +158,10 @@ class JointActuation:
         friction = self.friction
         if friction is None:
             return []
-        found = [('frictionloss', self.of_each(friction.coulomb, 'coulomb'))]
+        attributes = [('frictionloss', self.of_each(friction.coulomb, 'coulomb'))]
         if friction.viscous is not None:
-            found.append(('damping', self.of_each(friction.viscous, 'viscous')))
-        return found
+            attributes.append(('damping', self.of_each(friction.viscous, 'viscous')))
+        return attributes
 
     def laws(self) -> list[FrictionLaw]:
         """Return what depends on the velocity, for each joint."""
@@ -172,7 +172,7 @@ class JointActuation:
             rows[1] = self.of_each(friction.static, 'static')
             rows[2] = self.of_each(friction.stribeck_velocity, 'stribeck_velocity')
         if curve is not None:
-            rows[3], rows[4] = (self.of_each(of, '') for of in (curve.knee, curve.no_load))
+            rows[3], rows[4] = (self.of_each(speed, '') for speed in (curve.knee, curve.no_load))
         return [FrictionLaw(*(float(value) for value in values)) for values in zip(*rows)]
 
 
@@ -196,5 +196,5 @@ def read_catalogue(folder: Path, subsystem: str) -> dict[str, Any] | None:
     values = read_yaml(file).get(subsystem)
     if values is None:
         return None
-    found = checked(_OfSubsystem, values, f'{file}: {subsystem}')
-    return found.model_dump(exclude_none=True)
+    actuation = checked(_OfSubsystem, values, f'{file}: {subsystem}')
+    return actuation.model_dump(exclude_none=True)

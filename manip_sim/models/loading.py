@@ -92,10 +92,10 @@ def compile_copy(spec: mujoco.MjSpec, name: str, visual: bool = True) -> mujoco.
     A spec that was compiled keeps its meshes as MuJoCo's compiler made them, many times as large
     as the files, and so do copies of it.
     """
-    own = spec.copy()
+    copied = spec.copy()
     if not visual:
-        own.compiler.discardvisual = True
-    return compile_alone(own, name)
+        copied.compiler.discardvisual = True
+    return compile_alone(copied, name)
 
 
 def compile_without_meshes(spec: mujoco.MjSpec, name: str, kept: Collection[str]
@@ -149,15 +149,15 @@ def _reject_what_tactile_sensors_cannot_feel(model: mujoco.MjModel, name: str) -
 
 
 def _reject_not_finite(model: mujoco.MjModel, name: str) -> None:
-    for kind, what in _NUMBERS:
-        values = getattr(model, f'{kind}_{what}')
-        bad = np.isnan(values) if what in _MAY_BE_INFINITE else ~np.isfinite(values)
+    for kind, field in _NUMBERS:
+        values = getattr(model, f'{kind}_{field}')
+        bad = np.isnan(values) if field in _MAY_BE_INFINITE else ~np.isfinite(values)
         if bad.any():
             index = int(np.argwhere(bad)[0][0])
             if kind == 'dof':
                 index = int(model.dof_jntid[index])
             kind = {'jnt': 'joint', 'dof': 'joint'}.get(kind, kind)
-            raise ModelError(f'{name} does not compile: {what} of {kind} '
+            raise ModelError(f'{name} does not compile: {field} of {kind} '
                              f'{quoted(getattr(model, kind)(index).name)} must be finite')
 
 

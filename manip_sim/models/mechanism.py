@@ -45,11 +45,11 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> list[int]:
              if int(model.wrap_type[wrap]) == int(_WRAP.mjWRAP_JOINT)]
     if fixed:
         return fixed
-    found: dict[int, None] = {}
+    joints: dict[int, None] = {}
     for one, other in pairwise(_wrapped_body(model, wrap) for wrap in wraps):
         if one is not None and other is not None:
-            found.update(dict.fromkeys(joints_between(model, one, other)))
-    return list(found)
+            joints.update(dict.fromkeys(joints_between(model, one, other)))
+    return list(joints)
 
 
 def _wrapped_body(model: mujoco.MjModel, wrap: int) -> int | None:
@@ -87,9 +87,9 @@ def moved_joints(model: mujoco.MjModel) -> set[int]:
 
 
 def _equalities(model: mujoco.MjModel, *kinds: Any) -> Iterator[tuple[int, int, int]]:
-    wanted = [int(kind) for kind in kinds]
+    types = [int(kind) for kind in kinds]
     for equality in np.flatnonzero(model.eq_active0).tolist():
-        if int(model.eq_type[equality]) in wanted:
+        if int(model.eq_type[equality]) in types:
             yield equality, int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
 
 
@@ -127,8 +127,8 @@ def joints_between(model: mujoco.MjModel, one: int, other: int) -> list[int]:
 
 
 def _ancestry(model: mujoco.MjModel, body: int) -> set[int]:
-    found = set()
+    bodies = set()
     while body:
-        found.add(body)
+        bodies.add(body)
         body = int(model.body_parentid[body])
-    return found
+    return bodies

@@ -131,8 +131,8 @@ def _parts_of(compiled: mujoco.MjModel) -> list[tuple[FloatArray, FloatArray]] |
         content = io.BytesIO()
         np.savez(content, *(array for part in parts for array in part))
         keep_in_cache(kept, content.getvalue())
-    with np.load(kept) as found:
-        arrays = [found[name] for name in found.files]
+    with np.load(kept) as cached:
+        arrays = [cached[name] for name in cached.files]
     return list(zip(arrays[::2], arrays[1::2]))
 
 

@@ -84,16 +84,16 @@ def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
     groups: dict[tuple[str, str], list[Lost]] = {}
     for lost in every:
         groups.setdefault((lost.kind, lost.error.cause), []).append(lost)
-    found = []
+    sentences = []
     # Lost collision shapes change what happens, so they come first.
     for (kind, _), group in sorted(groups.items(), key=lambda item: item[0][0]):
         first = group[0]
         untouched = '; nothing touches these links there' if kind == 'collision shape' else ''
         remedy = f'; {first.error.remedy}' if first.error.remedy else ''
-        found.append(f'left out: {counted(len(group), kind)} of files that cannot be '
-                     f'read, such as {quoted(first.mesh)} ({first.error.why}) of '
-                     f'{first.element} in {file}{untouched}{remedy}')
-    return found
+        sentences.append(f'left out: {counted(len(group), kind)} of files that cannot be '
+                         f'read, such as {quoted(first.mesh)} ({first.error.why}) of '
+                         f'{first.element} in {file}{untouched}{remedy}')
+    return sentences
 
 
 def inferred_by_model(world: World, robot: RobotModel | None = None
@@ -179,9 +179,9 @@ def _error_of(geom: Any, missing: Missing) -> MissingMeshError | None:
 
 def _lacks_mass(body: Any, lost: list[tuple[Any, MissingMeshError]]) -> bool:
     """Return whether the mass of a body follows from lost shapes only."""
-    own = [geom for geom, _ in lost if geom.parent == body and _weighs(geom)]
+    shapes = [geom for geom, _ in lost if geom.parent == body and _weighs(geom)]
     left = [geom for geom in body.geoms if _weighs(geom)]
-    return bool(own) and len(own) == len(left) and not body.explicitinertial
+    return bool(shapes) and len(shapes) == len(left) and not body.explicitinertial
 
 
 def _weighs(geom: Any) -> bool:
@@ -194,8 +194,8 @@ def _give_mass(body: Any, lost: list[Any]) -> tuple[str, float]:
     end = max(ends, key=lambda pos: float(np.linalg.norm(pos)), default=np.zeros(3))
     length = float(np.linalg.norm(end)) or float(np.linalg.norm(body.pos)) or _LENGTH_M
     length = float(np.clip(length, *_LENGTHS_M))
-    given = [geom.mass for geom in lost if geom.mass > 0.0]
-    mass = float(sum(given)) or _DENSITY * length * (_SLENDERNESS * length)**2
+    masses = [geom.mass for geom in lost if geom.mass > 0.0]
+    mass = float(sum(masses)) or _DENSITY * length * (_SLENDERNESS * length)**2
     body.mass, body.ipos = mass, end / 2.0
     body.inertia = [mass * length**2 / 12.0] * 3
     body.explicitinertial = True

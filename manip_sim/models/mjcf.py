@@ -153,9 +153,9 @@ class MujocoXMLModel:
     def _root(self) -> mujoco.MjsBody:
         roots = self._spec.worldbody.bodies
         if len(roots) != 1:
-            found = ', '.join(body.name for body in roots) or 'none'
+            names = ', '.join(body.name for body in roots) or 'none'
             raise ModelError(f'{self.file} must have exactly one root body, found {len(roots)}: '
-                             f'{found}')
+                             f'{names}')
         return roots[0]
 
     @property
@@ -280,11 +280,11 @@ class MujocoXMLModel:
 
     def _record_shapes(self, model: mujoco.MjModel, bodies: Iterable[int]) -> None:
         """Record the sites and geoms of some bodies."""
-        own = np.zeros(model.nbody, dtype=bool)
-        own[list(bodies)] = True
-        here = own[model.geom_bodyid]
+        in_part = np.zeros(model.nbody, dtype=bool)
+        in_part[list(bodies)] = True
+        here = in_part[model.geom_bodyid]
         collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-        self._sites = _names(model, model.name_siteadr[own[model.site_bodyid]])
+        self._sites = _names(model, model.name_siteadr[in_part[model.site_bodyid]])
         self._contact_geoms = _names(model, model.name_geomadr[here & collides])
         self._visual_geoms = _names(model, model.name_geomadr[here & ~collides])
 
@@ -370,9 +370,9 @@ class MujocoXMLModel:
     @property
     def joint_ranges(self) -> dict[str, FloatArray]:
         """Range by name of the joint [rad or m], shape (2,), infinite where there is none."""
-        found = map(self._own_model.joint, self._joints)
+        joints = map(self._own_model.joint, self._joints)
         return {name: np.array(joint.range if joint.limited[0] else (-np.inf, np.inf))
-                for name, joint in zip(self.correct_naming(self._joints), found)}
+                for name, joint in zip(self.correct_naming(self._joints), joints)}
 
     @property
     def control_ranges(self) -> dict[str, FloatArray]:

@@ -161,7 +161,7 @@ def _add(model: XmlModel, documents: list[_Document]) -> str:
 
 def _resolve_included(model: XmlModel) -> None:
     """Let elements name their files by absolute paths if these lie beside an included file."""
-    own = model.folders[0]
+    folders = model.folders[0]
     for element, (file, _) in model.origins.items():
         for attribute in [key for key in element.attrib if element.tag in _WITH_FILES
                           and key.startswith('file')]:
@@ -169,7 +169,7 @@ def _resolve_included(model: XmlModel) -> None:
             beside = file.parent / name
             # MuJoCo reads a flexcomp's file at once, from the working directory.
             if beside.is_file() and (element.tag == 'flexcomp' or not any(
-                    place.is_file() for place in places(element.tag, name, own))):
+                    place.is_file() for place in places(element.tag, name, folders))):
                 element.set(attribute, os.path.abspath(beside))
 
 
@@ -193,9 +193,9 @@ def _read(documents: list[_Document], assets: Mapping[str, bytes], file: Path
 def _changed(documents: list[_Document], message: str) -> Iterator[str]:
     """Change what a message of MuJoCo rejects, if an earlier version had it; yield sentences."""
     match = _MESSAGE.search(message)
-    what, tag = (match['what'], match['tag']) if match else (message, '')
-    unknown, bad = _UNKNOWN.match(what), _BAD_FORMAT.match(what)
-    plugin, no_file = _NO_PLUGIN.match(what), _NO_FILE.match(what)
+    problem, tag = (match['what'], match['tag']) if match else (message, '')
+    unknown, bad = _UNKNOWN.match(problem), _BAD_FORMAT.match(problem)
+    plugin, no_file = _NO_PLUGIN.match(problem), _NO_FILE.match(problem)
     for document in documents:
         if plugin and plugin[1] in _PLUGINS:
             yield from _drop_plugin(document, plugin[1])
@@ -205,11 +205,11 @@ def _changed(documents: list[_Document], message: str) -> Iterator[str]:
             yield from _drop_commas(document, tag, bad[1])
         elif unknown and (tag, unknown[1]) in _ATTRIBUTES:
             yield from _drop_attribute(document, tag, unknown[1])
-        elif what == _UNKNOWN_ELEMENT:
+        elif problem == _UNKNOWN_ELEMENT:
             yield from _drop_elements(document, tag)
-        elif what == _RENAMED_MAIN:
+        elif problem == _RENAMED_MAIN:
             yield from _rename_main(document)
-        elif what.startswith(_TWO_ORIENTATIONS):
+        elif problem.startswith(_TWO_ORIENTATIONS):
             yield from _drop_orientations(document)
 
 
@@ -307,8 +307,8 @@ def _explained(documents: Iterable[_Document], error: Exception, file: Path) -> 
     begin = f'{one_line(str(file))} is not MJCF that MuJoCo can read'
     if match is None:
         return f'{begin}: {one_line(_joined(error))}'
-    what, tag = match['what'], match['tag']
-    unknown = _UNKNOWN.match(what)
+    problem, tag = match['what'], match['tag']
+    unknown = _UNKNOWN.match(problem)
     place = ''
     for document in documents:
         elements = [element for element in [document.at(int(match['line']))]
@@ -321,12 +321,12 @@ def _explained(documents: Iterable[_Document], error: Exception, file: Path) -> 
     if unknown:
         return (f'{begin}: {place}<{tag}> has no attribute {quoted(unknown[1])}: correct its '
                 'name, or delete it')
-    if what == _UNKNOWN_ELEMENT:
+    if problem == _UNKNOWN_ELEMENT:
         return (f'{begin}: {place}there is no element <{one_line(tag, 60)}> here: correct its '
                 'name or its place, or delete it')
     remedy = next((remedy for beginning, remedy in _REMEDIES.items()
-                   if what.startswith(beginning)), '')
-    return f'{begin}: {place}<{tag}>: {one_line(what)}{remedy}'
+                   if problem.startswith(beginning)), '')
+    return f'{begin}: {place}<{tag}>: {one_line(problem)}{remedy}'
 
 
 def _joined(error: Exception) -> str:

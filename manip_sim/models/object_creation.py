@@ -55,10 +55,10 @@ def create_object(description: Description, files: Files | None = None) -> Objec
     path = Path(description)
     if path.suffix not in _YAML:
         return _read(path, files=files)
-    found = load_objects(path, files)
-    if len(found) != 1:
-        raise ModelError(f'{path} must list one object here, it lists {len(found)}')
-    return found[0]
+    objects = load_objects(path, files)
+    if len(objects) != 1:
+        raise ModelError(f'{path} must list one object here, it lists {len(objects)}')
+    return objects[0]
 
 
 def object_from_model(model: HeldModel, name: str | None = None) -> ObjectModel:
@@ -70,10 +70,10 @@ def object_from_model(model: HeldModel, name: str | None = None) -> ObjectModel:
     """
     notes: list[str] = []
     spec = model.load(notes)
-    found = ObjectModel(name or _own_name(spec), spec, model.name)
-    found.inferred += notes
-    _check_dof(found)
-    return found
+    item = ObjectModel(name or _own_name(spec), spec, model.name)
+    item.inferred += notes
+    _check_dof(item)
+    return item
 
 
 def _check_dof(found: PlacedModel) -> None:
@@ -164,16 +164,16 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
             (spec, inferred), origin = mesh_spec(description, folder, where, files), where
         else:
             spec, origin = _file_spec(description, folder, files, inferred)
-        found = kind(description.name or _own_name(spec), spec, origin, description.visual)
+        item = kind(description.name or _own_name(spec), spec, origin, description.visual)
     except ModelError as error:
         if isinstance(error, UnknownNameError) or str(error).startswith(where):
             raise
         raise ModelError(f'{where}: {error}') from error
     if files is not None:
-        _check_dof(found)
-    found.inferred += inferred
-    found.place(description.position, description.quat_wxyz)
-    return found
+        _check_dof(item)
+    item.inferred += inferred
+    item.place(description.position, description.quat_wxyz)
+    return item
 
 
 def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
@@ -211,9 +211,9 @@ def _read(file: Path, name: str | None = None, files: Files | None = None) -> Ob
         return object_from_model(hold_model(file, files), name)
     notes: list[str] = []
     spec = load_spec(file, notes)
-    found = ObjectModel(name or _own_name(spec), spec, str(file))
-    found.inferred += notes
-    return found
+    item = ObjectModel(name or _own_name(spec), spec, str(file))
+    item.inferred += notes
+    return item
 
 
 def _own_name(spec: mujoco.MjSpec) -> str:

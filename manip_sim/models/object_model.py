@@ -79,14 +79,14 @@ class PlacedModel:
         self._resolve_pose()
 
     def _check_root(self) -> None:
-        world, one = self._spec.worldbody, f'{self.kind} is one root body'
-        one = f'an {one}' if self.kind[0] in 'aeiou' else f'a {one}'
+        world, rule = self._spec.worldbody, f'{self.kind} is one root body'
+        rule = f'an {rule}' if self.kind[0] in 'aeiou' else f'a {rule}'
         names = ', '.join(body.name or 'unnamed' for body in world.bodies) or 'none'
         if len(world.bodies) != 1:
-            raise ModelError(f'{self.origin}: {one}, found {len(world.bodies)}: {names}')
+            raise ModelError(f'{self.origin}: {rule}, found {len(world.bodies)}: {names}')
         for kind in ('geoms', 'sites', 'cameras', 'lights'):
             if getattr(world, kind):
-                raise ModelError(f'{self.origin}: {one}, found {kind} beside it: put them into '
+                raise ModelError(f'{self.origin}: {rule}, found {kind} beside it: put them into '
                                  f'the body {names}')
 
     def _prepare_root(self) -> None:
@@ -162,13 +162,13 @@ class PlacedModel:
         """
         self._check_own_names_are_free(spec)
         taken = taken or TakenNames(spec)
-        own = self._spec.copy()
-        taken.add(own, self._prefix, self.origin)
-        for key in list(own.keys):
-            own.delete(key)
-        own.option = spec.option
-        soften_contacts(own, spec.option.timestep)
-        attach_as_is(spec, own, self._prefix, spec.worldbody.add_frame())
+        copied = self._spec.copy()
+        taken.add(copied, self._prefix, self.origin)
+        for key in list(copied.keys):
+            copied.delete(key)
+        copied.option = spec.option
+        soften_contacts(copied, spec.option.timestep)
+        attach_as_is(spec, copied, self._prefix, spec.worldbody.add_frame())
         root = self._prefix + self._root.name
         rename_body(spec, spec.body(root), self.name)
         taken.rename('bodies', root, self.name)
@@ -238,9 +238,9 @@ class ObjectModel(PlacedModel):
             joints[0].name = 'joint'
 
     def _check_contents(self) -> None:
-        for size, what in NOT_SPAWNED.items():
+        for size, kind in NOT_SPAWNED.items():
             if getattr(self._own_model, size, 0) > (size == 'nmocap' and self.visual):
-                raise ModelError(f'{self.origin}: an object cannot have {what}')
+                raise ModelError(f'{self.origin}: an object cannot have {kind}')
         if not self.visual and not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:
             raise ModelError(f'{self.origin} weighs {self.mass_kg:g} kg, it must be '
                              f'{MIN_MASS_KG:g} to {MAX_MASS_KG:g} kg')

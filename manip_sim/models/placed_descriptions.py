@@ -320,6 +320,6 @@ def read_mounted(kind: type[Mounted], what: str, values: Mapping[str, Any]) -> t
     """Return the description of a camera or lidar, and what to call it in messages."""
     name = values.get('name')
     where = f'{what} without a name' if name is None else f'{what} {quoted(name)}'
-    found = checked(kind, values, where)
-    check_object_name(found.name, what, f'a {what} and its topics')
-    return found, where
+    parsed = checked(kind, values, where)
+    check_object_name(parsed.name, what, f'a {what} and its topics')
+    return parsed, where

@@ -243,7 +243,7 @@ def draw_places(placements: Sequence[Placement], sizes: Mapping[str, Extent], se
 
     :raises ModelError: if the objects of an area do not fit into it
     """
-    found: dict[str, tuple[FloatArray, FloatArray]] = {}
+    poses: dict[str, tuple[FloatArray, FloatArray]] = {}
     taken: list[tuple[float, float, float]] = []
     for placement in placements:
         random = generator(seed, f'placement {placement.name}')
@@ -258,25 +258,25 @@ def draw_places(placements: Sequence[Placement], sizes: Mapping[str, Extent], se
             taken.append((x, y, size.radius))
             turned = np.empty(4)
             mujoco.mju_mulQuat(turned, _turn(random, placement.yaw), size.quat_wxyz)
-            found[name] = np.array([x, y, placement.z - size.bottom]), turned
-    return found
+            poses[name] = np.array([x, y, placement.z - size.bottom]), turned
+    return poses
 
 
 def _try(placement: Placement, sizes: Mapping[str, Extent],
          taken: Sequence[tuple[float, float, float]], random: np.random.Generator
          ) -> list[tuple[float, float]] | None:
     """Return places of all objects of an area; None if two overlap."""
-    own: list[tuple[float, float, float]] = []
+    placed: list[tuple[float, float, float]] = []
     for name in placement.objects:
         x, y = (low + (high - low) * random.random()
                 for low, high in zip(placement.low, placement.high))
         radius = sizes[name].radius
-        for other_x, other_y, other in (*taken, *own):
+        for other_x, other_y, other in (*taken, *placed):
             apart = radius + other + placement.margin
             if (x - other_x)**2 + (y - other_y)**2 < apart * apart:
                 return None
-        own.append((x, y, radius))
-    return [(x, y) for x, y, _ in own]
+        placed.append((x, y, radius))
+    return [(x, y) for x, y, _ in placed]
 
 
 def _turn(random: np.random.Generator, most: float) -> FloatArray:

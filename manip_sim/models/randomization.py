@@ -188,7 +188,7 @@ class Randomization:
             lines = _lines_of(name)
         self.placements = tuple(read_placements(self.given.get(PLACEMENTS, {}), name))
         self.rules = tuple(_Reader(name, lines).rules(
-            {group: found for group, found in self.given.items() if group != PLACEMENTS}))
+            {group: rules for group, rules in self.given.items() if group != PLACEMENTS}))
 
     def with_placements(self, placements: Iterable[Placement]) -> Randomization:
         """Return the same with more areas where objects are placed, before its own."""
@@ -206,17 +206,17 @@ class Randomization:
         :param strict: whether a pattern must match one
         :raises ModelError: if a pattern matches none, naming the nearest
         """
-        found: dict[str, Rule] = {}
+        rules: dict[str, Rule] = {}
         for rule in self.rules:
             known = [name for name in names[rule.group] if name]
             matching = [name for name in known if rule.matches(name)]
             if not matching and strict:
-                one = _SINGULAR[rule.group]
-                raise ModelError(f'{rule.where}: no {one} matches {quoted(rule.pattern)}: '
+                kind = _SINGULAR[rule.group]
+                raise ModelError(f'{rule.where}: no {kind} matches {quoted(rule.pattern)}: '
                                  f'{describe_choices(rule.pattern, known)}')
             for name in matching:
-                found[rule.key(name)] = rule
-        return found
+                rules[rule.key(name)] = rule
+        return rules
 
 
 RandomizationLike = Union[str, 'os.PathLike[str]', Mapping[str, Any], Randomization]
@@ -226,16 +226,16 @@ _SINGULAR = {'bodies': 'body', 'geoms': 'geom', 'joints': 'joint', 'lights': 'li
 
 def _lines_of(file: str) -> dict[tuple[str, ...], int]:
     """Return the line of each key of a YAML file, by the keys that lead to it."""
-    found: dict[tuple[str, ...], int] = {}
+    lines: dict[tuple[str, ...], int] = {}
 
     def walk(node: Any, path: tuple[str, ...]) -> None:
         if isinstance(node, yaml.MappingNode):
             for key, value in node.value:
-                own = (*path, str(key.value))
-                found[own] = key.start_mark.line + 1
-                walk(value, own)
+                keys = (*path, str(key.value))
+                lines[keys] = key.start_mark.line + 1
+                walk(value, keys)
     walk(yaml.compose(Path(file).read_bytes(), Loader=StrictLoader), ())
-    return found
+    return lines
 
 
 class _Reader:
@@ -305,9 +305,9 @@ class _Reader:
         """Return the parameters of a distribution as rows of the same length."""
         if not isinstance(numbers, (list, tuple)) or (
                 not numbers if kind == 'choice' else len(numbers) != 2):
-            what = ('a list with choices' if kind == 'choice' else
+            form = ('a list with choices' if kind == 'choice' else
                     '[mean, standard deviation]' if kind == 'normal' else '[low, high]')
-            raise ModelError(f'{where}: {kind} needs {what}, got {shown(numbers)}')
+            raise ModelError(f'{where}: {kind} needs {form}, got {shown(numbers)}')
         rows = []
         for number in numbers:
             row = number if isinstance(number, (list, tuple)) else [number]

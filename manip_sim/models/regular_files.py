@@ -274,8 +274,8 @@ class KeptFiles(Files):
 
     def listed(self, folder: Path) -> list[Path]:
         """Return the entries of a folder at the first reading."""
-        found: list[Path] = self._asked('listed', folder, [])
-        return found
+        entries: list[Path] = self._asked('listed', folder, [])
+        return entries
 
     def named(self, name: Callable[[Path, bytes], str]) -> dict[str, Path]:
         """

@@ -47,11 +47,11 @@ def set_model_path(folders: Iterable[str | os.PathLike[str]]) -> None:
     :param folders: they replace the folders of the last call
     :raises ModelError: if one is not a folder
     """
-    found = [Path(folder).expanduser() for folder in folders]
-    for folder in found:
+    paths = [Path(folder).expanduser() for folder in folders]
+    for folder in paths:
         if not folder.is_dir():
             raise ModelError(f'no such folder in the model path: {folder}')
-    _model_path[:] = found
+    _model_path[:] = paths
 
 
 def model_path() -> list[Path]:
@@ -74,16 +74,16 @@ def names_in_folders(kind: str) -> dict[str, Path]:
 
     :param kind: ``robots``, ``grippers``, ``bases`` or ``arenas``
     """
-    found: dict[str, Path] = {}
+    models: dict[str, Path] = {}
     for folder in model_path():
         if not (folder / kind).is_dir():
             continue
         for entry in sorted((folder / kind).iterdir(), key=_rank):
             if entry.is_dir() and _of_folder(entry, kind) is not None:
-                found.setdefault(entry.name, entry)
+                models.setdefault(entry.name, entry)
             elif entry.is_file() and entry.suffix in _SUFFIXES:
-                found.setdefault(entry.stem, entry)
-    return found
+                models.setdefault(entry.stem, entry)
+    return models
 
 
 def _rank(entry: Path) -> tuple[int, str]:
@@ -195,21 +195,21 @@ def _main_file(folder: Path) -> Path:
 
 
 def _of_robosuite(name: str, kind: str) -> Path:
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for package, assets in (('robosuite', 'models/assets'), ('robosuite_models', 'assets')):
         # Importing them would load their simulator as well.
         spec = importlib.util.find_spec(package)
         for place in (spec.submodule_search_locations or []) if spec is not None else []:
             folder = Path(place) / assets / kind
             pattern = '*/robot.xml' if kind == 'robots' else '*.xml'
-            found.update({file.parent.name if kind == 'robots' else file.stem: file
+            files.update({file.parent.name if kind == 'robots' else file.stem: file
                           for file in sorted(folder.glob(pattern))})
-    if not found:
+    if not files:
         raise ModelError(f'robosuite:{name} needs the package robosuite or robosuite_models')
-    for known, file in found.items():
+    for known, file in files.items():
         if _letters(known) == _letters(name):
             return file
-    raise UnknownNameError(f'{kind[:-1]} of robosuite', name, found)
+    raise UnknownNameError(f'{kind[:-1]} of robosuite', name, files)
 
 
 def _letters(name: str) -> str:

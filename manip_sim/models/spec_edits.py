@@ -114,8 +114,8 @@ def rename_body(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
             setattr(element, attribute, name)
     for element, attribute, kinds in _lists_of_bodies(spec):
         names = list(getattr(element, attribute))
-        renamed = [name if found == body.name and kind in _BODIES else found
-                   for found, kind in zip(names, kinds or [_BODIES[0]] * len(names))]
+        renamed = [name if other == body.name and kind in _BODIES else other
+                   for other, kind in zip(names, kinds or [_BODIES[0]] * len(names))]
         if renamed != names:
             setattr(element, attribute, renamed)
     body.name = name
@@ -166,11 +166,11 @@ def body_for(spec: mujoco.MjSpec, what: str, name: str, body: str, others: Mappi
     for kind, hint in others.items():
         if any(element.name == name for element in elements[kind]):
             raise ModelError(f'{what}: there is a {kind} of this name already{hint}')
-    found = spec.body(body)
-    if found is None:
+    parent = spec.body(body)
+    if parent is None:
         raise UnknownNameError(f'body of the {what}', body,
                                [element.name for element in spec.bodies])
-    return found
+    return parent
 
 
 def begin_like(spec: mujoco.MjSpec) -> mujoco.MjSpec:

@@ -337,10 +337,10 @@ class World:
     def _add_keyframe(self, start: dict[str, float], keyframe: str) -> None:
         self.checked_keyframe(keyframe)
         for part in self._parts():
-            found = part.keyframes.get(keyframe, {}) if not isinstance(part, ObjectModel) else {}
+            places = part.keyframes.get(keyframe, {}) if not isinstance(part, ObjectModel) else {}
             of_arena = part is self.arena
             # A hand of the file may have been taken off.
-            start.update({joint: at for joint, at in found.items() if joint in start or of_arena})
+            start.update({joint: at for joint, at in places.items() if joint in start or of_arena})
 
     def _add_noise(self, start: dict[str, float], noise: InitializationNoise) -> None:
         for number, robot in enumerate(self.robots):

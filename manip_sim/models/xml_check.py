@@ -348,13 +348,13 @@ class XmlModel:
         self.name = attributes.get('model', '')
 
     def _check_numbers(self, tag: str, attributes: dict[str, str]) -> None:
-        found = excess(tag, attributes)
+        problem = excess(tag, attributes)
         if tag == 'key':
             self._budget.keys -= 1
             if self._budget.keys < 0:
-                found = f'the number of keyframes is more than {self._budget.limits.keys}'
-        if found:
-            raise ModelError(f'{self._place()}: {found}')
+                problem = f'the number of keyframes is more than {self._budget.limits.keys}'
+        if problem:
+            raise ModelError(f'{self._place()}: {problem}')
 
     def _follow(self, element: ElementTree.Element, parent: ElementTree.Element | None,
                 times: int, depth: int) -> None:
@@ -362,13 +362,13 @@ class XmlModel:
         file = attributes.get('file', '')
         if tag == 'include' and file:
             places = [self._file.parent / file, self._chain[-1].parent / file]
-            found = self._files.first(places)
-            if not self._files.rule and not os.path.lexists(found):
+            included = self._files.first(places)
+            if not self._files.rule and not os.path.lexists(included):
                 raise ModelError(
                     f"no such included file: {self._place()} names it; put it there ('git "
                     "submodule update --init' does if it is of a submodule), or correct the name: "
-                    f'{one_line(str(found))}')
-            content = self._read(found, 'included file', times, depth)
+                    f'{one_line(str(included))}')
+            content = self._read(included, 'included file', times, depth)
             _replace(element, parent, [*content, *element])
         elif tag == 'model':
             if not file:
@@ -381,10 +381,10 @@ class XmlModel:
             self._attached.append((attributes.get('model', ''), attributes.get('prefix', ''),
                                    times))
         elif tag == 'compiler':
-            own = self.folders[0]
+            folders = self.folders[0]
             directory = attributes.get('assetdir')
-            own.meshdir = attributes.get('meshdir', directory or own.meshdir)
-            own.texturedir = attributes.get('texturedir', directory or own.texturedir)
+            folders.meshdir = attributes.get('meshdir', directory or folders.meshdir)
+            folders.texturedir = attributes.get('texturedir', directory or folders.texturedir)
         elif tag == 'mesh' and 'filename' in attributes:
             name = attributes['filename']
             self.mesh_files[name.rpartition('/')[2]] = name

@@ -55,13 +55,13 @@ def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
                 if name != 'fname'}
     takes_any = any(keyword.kind is keyword.VAR_KEYWORD for keyword in keywords.values())
     arguments: dict[str, Any] = {}
-    for given, value in parameters.items():
-        argument = argument_of.get(given, given)
+    for key, value in parameters.items():
+        argument = argument_of.get(key, key)
         if argument not in keywords and not takes_any:
-            raise UnknownNameError(f'parameter of the arena {name}', given,
+            raise UnknownNameError(f'parameter of the arena {name}', key,
                                    argument_of or keywords)
         if argument in arguments:
-            raise ModelError(f"parameter '{given}' of the arena {name} is given twice")
+            raise ModelError(f"parameter '{key}' of the arena {name} is given twice")
         arguments[argument] = value
     return arguments
 

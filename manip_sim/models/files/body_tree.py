@@ -75,11 +75,11 @@ class BodyTree:
     def below(self, body: int) -> set[int]:
         """Return a body and all bodies below it."""
         if body not in self._below:
-            found = {body}
+            bodies = {body}
             for other in range(body + 1, self.model.nbody):
-                if self._parents[other] in found:
-                    found.add(other)
-            self._below[body] = found
+                if self._parents[other] in bodies:
+                    bodies.add(other)
+            self._below[body] = bodies
         return set(self._below[body])
 
     def joints(self, bodies: Iterable[int]) -> list[int]:
@@ -109,7 +109,7 @@ class BodyTree:
         """
         shared, joint = len(self.path(self.common(bodies))), self.model.joint
         ways = [self.path(body) for body in bodies]
-        of_joints = [side_of(str(joint(own).name) for own in self.joints(way[shared:]))
+        of_joints = [side_of(str(joint(index).name) for index in self.joints(way[shared:]))
                      for way in ways]
         if not {'right', 'left'} <= set(of_joints):  # One side alone is that of a finger.
             of_joints = [None] * len(ways)
@@ -143,13 +143,13 @@ class BodyTree:
 
     def coupled(self, joints: Iterable[int]) -> set[int]:
         """Return joints and those that equality constraints couple to them."""
-        found = set(joints)
+        coupled = set(joints)
         pairs = self._tied_pairs()
         while True:
-            more = {other for pair in pairs if pair & found for other in pair} - found
+            more = {other for pair in pairs if pair & coupled for other in pair} - coupled
             if not more:
-                return found
-            found |= more
+                return coupled
+            coupled |= more
 
     def followers(self) -> set[int]:
         """Return the joints whose position an equality constraint makes one of another joint."""

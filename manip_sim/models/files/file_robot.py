@@ -95,10 +95,10 @@ class FileRobot(RobotModel, registered=False):
         return offset
 
     def _placed_copy(self, floor_xpos: ArrayLike | None) -> mujoco.MjSpec:
-        own = super()._placed_copy(floor_xpos)
+        spec = super()._placed_copy(floor_xpos)
         if floor_xpos is None and self._floor_xpos is None and self._base is None:
-            own.body(self._root().name).pos[2] += self._plan.depth_in_floor
-        return own
+            spec.body(self._root().name).pos[2] += self._plan.depth_in_floor
+        return spec
 
     def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                   floor_xpos: ArrayLike | None = None) -> None:
@@ -229,10 +229,10 @@ def _described_plan(plan: RobotPlan, ranges: Mapping[str, FloatArray]) -> dict[s
     :param ranges: of the joints, by name in the file [rad or m], shape (2,)
     :returns: the keys of a robot's YAML file beside the model
     """
-    given = plan.description.model_dump(exclude_unset=True)
+    declared = plan.description.model_dump(exclude_unset=True)
     arms = {side: _arm(plan, side) for side in plan.ends}
-    return {**given, 'model': plan.file.name, 'arms': arms or 'none',
-            'subsystems': {**dict(plan.subsystems), **given.get('subsystems', {})},
+    return {**declared, 'model': plan.file.name, 'arms': arms or 'none',
+            'subsystems': {**dict(plan.subsystems), **declared.get('subsystems', {})},
             'start': {
                 joint: at if joint not in ranges else float(np.clip(at, *ranges[joint]))
                 for joint, at in plan.start.items()}}
@@ -240,12 +240,12 @@ def _described_plan(plan: RobotPlan, ranges: Mapping[str, FloatArray]) -> dict[s
 
 def _arm(plan: RobotPlan, side: str) -> dict[str, Any]:
     declared = plan.description.arm(side)
-    given = {} if declared is None else declared.model_dump(exclude_unset=True)
-    found = {**given, 'mount': given.get('mount', plan.arms[side].name)}
+    values = {} if declared is None else declared.model_dump(exclude_unset=True)
+    arm = {**values, 'mount': values.get('mount', plan.arms[side].name)}
     hand = plan.hands.get(side)
     if hand is None:
-        return {**found, 'hand': 'none'}
-    own = given.get('hand')
-    return {**found, 'hand': {
-        **(own if isinstance(own, dict) else {}), 'body': hand.body,
+        return {**arm, 'hand': 'none'}
+    hand_values = values.get('hand')
+    return {**arm, 'hand': {
+        **(hand_values if isinstance(hand_values, dict) else {}), 'body': hand.body,
         'grasp_point': hand.grasp_point.model_dump(), 'closing': hand.closing}}

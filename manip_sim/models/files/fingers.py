@@ -213,7 +213,7 @@ class Fingers:
 
         :returns: by id, opening and closing control, and whether the trial decided
         """
-        found = {}
+        closings = {}
         trial = self._trial_model() if actuators else None
         for actuator in actuators:
             limits = control_range(self._model, actuator)
@@ -224,8 +224,9 @@ class Fingers:
             # Positive where the fingers are farther apart at the upper end.
             change = self._change(low, high)
             is_clear = abs(change) > _TELLING
-            found[actuator] = (*(limits[::-1] if is_clear and change > 0.0 else limits), is_clear)
-        return found
+            closings[actuator] = (
+                *(limits[::-1] if is_clear and change > 0.0 else limits), is_clear)
+        return closings
 
     def reopening(self, closing: Mapping[int, Closing]) -> dict[int, Closing]:
         """
@@ -244,16 +245,16 @@ class Fingers:
         # Slow ones get more time before they count.
         long_s = 2.0 * _TRIAL_S
         stuck = self._stuck(model, closing, _TRIAL_S) and self._stuck(model, closing, long_s)
-        found: dict[int, Closing] = {}
+        reopening: dict[int, Closing] = {}
         if not stuck:
-            return found
+            return reopening
         for share in _SHORTER:
             changed = {actuator: self._lessened(actuator, closing[actuator], share)
                        for actuator in stuck}
-            still = self._stuck(model, {**closing, **found, **changed}, long_s)
-            found.update({actuator: changed[actuator] for actuator in stuck - still})
+            still = self._stuck(model, {**closing, **reopening, **changed}, long_s)
+            reopening.update({actuator: changed[actuator] for actuator in stuck - still})
             stuck &= still
-        return found
+        return reopening
 
     def _lessened(self, actuator: int, closing: Closing, share: float) -> Closing:
         """Return a closing that goes less far, or with less effort."""

@@ -65,28 +65,28 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     :param notes: gets a sentence for each subsystem that no name decides
     """
     model = tree.model
-    found: dict[int, str] = {}
+    subsystems: dict[int, str] = {}
     unnamed: set[int] = set()
     for joint in range(model.njnt):
         if int(model.jnt_type[joint]) == 0:
             continue
         name = str(model.joint(joint).name)
-        found[joint] = declared.get(name) or _by_name(name) or _by_body(tree, joint) or 'arm'
+        subsystems[joint] = declared.get(name) or _by_name(name) or _by_body(tree, joint) or 'arm'
         if name not in declared and not _by_name(name) and joint not in fingers:
             unnamed.add(joint)
-    free = {joint for joint in unnamed if found[joint] == 'arm'}
-    _correct_base(tree, found, declared)
+    free = {joint for joint in unnamed if subsystems[joint] == 'arm'}
+    _correct_base(tree, subsystems, declared)
     limbs = Limbs(tree)
-    _complete_wheels(tree, limbs, found, free)
+    _complete_wheels(tree, limbs, subsystems, free)
     for joint in free.difference(limbs.leading):  # One that moves the whole robot is of the base.
         if 'pelvis' in words_of(str(model.joint(joint).name)):
-            found[joint] = 'torso'
-    free |= {joint for joint in limbs.legs_with_shoulders() if found.get(joint) == 'arm'
+            subsystems[joint] = 'torso'
+    free |= {joint for joint in limbs.legs_with_shoulders() if subsystems.get(joint) == 'arm'
              and str(model.joint(joint).name) not in declared and joint not in fingers}
-    _find_unnamed(tree, limbs, found, free, notes)
-    _complete_legs(tree, limbs, found, declared, fingers)
-    _correct_single_limbs(tree, found, declared, fingers)
-    return found
+    _find_unnamed(tree, limbs, subsystems, free, notes)
+    _complete_legs(tree, limbs, subsystems, declared, fingers)
+    _correct_single_limbs(tree, subsystems, declared, fingers)
+    return subsystems
 
 
 def _by_name(name: str) -> str | None:
@@ -267,12 +267,12 @@ def lone_hands_as_arms(tree: BodyTree, subsystems: Mapping[int, str],
     :param subsystems: by id of the joint
     :param notes: gets a sentence if no name says that they are hands
     """
-    found, is_named = lone_hands(tree, subsystems, hands)
-    if not found or len(found) > 2:
+    lone, is_named = lone_hands(tree, subsystems, hands)
+    if not lone or len(lone) > 2:
         return {}
     sides = ['right']
-    if len(found) == 2:
-        bodies = [hand.body for hand in found]
+    if len(lone) == 2:
+        bodies = [hand.body for hand in lone]
         sides = [str(side) for side in tree.sides(bodies)]
         if set(sides) != {'right', 'left'}:
             by_place, why = _by_place(tree, bodies)
@@ -282,7 +282,7 @@ def lone_hands_as_arms(tree: BodyTree, subsystems: Mapping[int, str],
         notes.append('right/gripper is a guess by the number and kind of the joints: '
                      'arms: none in a YAML file if it is no hand')
     arms = {side: FoundArm('body', tree.name(hand.body), hand, ALONE)
-            for side, hand in zip(sides, found)}
+            for side, hand in zip(sides, lone)}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
 
 
@@ -301,8 +301,8 @@ def _ends_of_arms(tree: BodyTree, joints: Collection[int]) -> list[int]:
 
     def leads(tip: int) -> bool:
         others = [set(tree.path(other)) for other in tips if other != tip]
-        own = set(tree.path(tip)).difference(*others) & moved
-        return not own or not followers.issuperset(set(tree.joints(own)) & set(joints))
+        bodies = set(tree.path(tip)).difference(*others) & moved
+        return not bodies or not followers.issuperset(set(tree.joints(bodies)) & set(joints))
 
     return [tip for tip in tips if leads(tip)]
 
@@ -342,7 +342,7 @@ def _hands_of_chains(tree: BodyTree, subsystems: Mapping[int, str], hands: Colle
                      ) -> list[FoundHand]:
     """Return the hands whose fingers, without names of fingers, are the chains of other arms."""
     joints = _joints_of_arms(tree, subsystems, hands)
-    found: list[FoundHand] = []
+    of_chains: list[FoundHand] = []
     groups = [_longest_chains(tree, tree.ends(joints), joints)]
     while groups:
         tips = groups.pop()
@@ -362,10 +362,10 @@ def _hands_of_chains(tree: BodyTree, subsystems: Mapping[int, str], hands: Colle
                 shared > _ARM_SHARE * whole or (
                     shared and len(branches) >= FINGERS and not have_sides)
                 ) and not carries_arms(tree, carrier, above):
-            found.append(hand_below(tree, carrier))
+            of_chains.append(hand_below(tree, carrier))
         else:
             groups += branches.values()
-    return found
+    return of_chains
 
 
 def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int],
@@ -378,7 +378,7 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int],
     """
     if len(tips) <= 1:
         return dict.fromkeys(['right'], tips[0]) if tips else {}
-    found: dict[str | None, list[int]] = {}
+    by_side: dict[str | None, list[int]] = {}
 
     def rank(tip: int) -> tuple[int, bool]:
         return _length(tree, tip, joints), any(
@@ -386,28 +386,28 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int],
 
     ranked = sorted(tips, key=rank, reverse=True)
     for tip, side in zip(ranked, tree.sides(ranked)):
-        found.setdefault(side, []).append(tip)
-    if {'right', 'left'} < found.keys():
-        del found[None]  # Between two arms, there is a head rather than another one.
+        by_side.setdefault(side, []).append(tip)
+    if {'right', 'left'} < by_side.keys():
+        del by_side[None]  # Between two arms, there is a head rather than another one.
     ambiguous = any(len(of_side) > 1 and rank(of_side[0]) == rank(of_side[1])
-                    for of_side in found.values())
+                    for of_side in by_side.values())
     are_two = len(tips) == 2 and (
         ambiguous or not tree.common(tips) or all(_hand_of(tree, tip, hands) for tip in tips))
-    if set(found) == {None} and not (ambiguous or are_two):  # The others are rods beside an arm.
-        return {'right': found[None][0]}
+    if set(by_side) == {None} and not (ambiguous or are_two):  # The others are rods beside an arm.
+        return {'right': by_side[None][0]}
     shared = _length(tree, tree.common(tips), joints)
-    if set(found) == {None} and are_two and rank(ranked[-1])[0] > shared + 1:
+    if set(by_side) == {None} and are_two and rank(ranked[-1])[0] > shared + 1:
         sides, why = _by_place(tree, tips)
         right, left = (tree.name(sides[side]) for side in ('right', 'left'))
         notes.append(f"the arms' names have no side: {why}; arms: {{right: {{mount: {left}}}, "
                      f'left: {{mount: {right}}}}} in a YAML file changes it')
         return sides
-    if set(found) != {'right', 'left'} or ambiguous:
+    if set(by_side) != {'right', 'left'} or ambiguous:
         names = quoted_names([tree.name(tip) for tip in tips])
         notes.append(f'no arms: {len(tips)} chains of joints could be, they end at {names}; '
                      "declare 'arms' with the 'mount' of 'right' and 'left' in a YAML file")
         return {}
-    return {side: of_side[0] for side, of_side in found.items() if side is not None}
+    return {side: of_side[0] for side, of_side in by_side.items() if side is not None}
 
 
 def _by_place(tree: BodyTree, tips: list[int]) -> tuple[dict[str, int], str]:

@@ -246,12 +246,12 @@ def _name(tree: BodyTree, joint: int) -> str:
 def _by_side(tree: BodyTree, joints: Iterable[int]) -> dict[str | None, set[int]]:
     every = list(joints)
     carriers = [tree.parent(int(tree.model.jnt_bodyid[joint])) for joint in every]
-    found: dict[str | None, set[int]] = {}
+    by_side: dict[str | None, set[int]] = {}
     for joint, side in zip(every, tree.sides(carriers)):
-        found.setdefault(side, set()).add(joint)
-    if len(found) > 1 and _is_one_hand(tree, found.values()):
-        return {None: set().union(*found.values())}
-    return found
+        by_side.setdefault(side, set()).add(joint)
+    if len(by_side) > 1 and _is_one_hand(tree, by_side.values()):
+        return {None: set().union(*by_side.values())}
+    return by_side
 
 
 def _by_arm(tree: BodyTree, joints: Collection[int]) -> list[set[int]]:

@@ -95,13 +95,13 @@ class HandFromFile(GripperModel, registered=False):
         for name in declared:
             if name not in names:
                 raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
-        found = fingers.closing([i for name, i in zip(names, ids) if name not in declared])
-        changed = fingers.reopening(found)
-        found.update(changed)
+        closings = fingers.closing([i for name, i in zip(names, ids) if name not in declared])
+        changed = fingers.reopening(closings)
+        closings.update(changed)
         ends = []
         self.closing = {}
         for name, actuator in zip(names, ids):
-            opened, closed = declared.get(name) or found.get(actuator, (-1.0, 1.0, False))[:2]
+            opened, closed = declared.get(name) or closings.get(actuator, (-1.0, 1.0, False))[:2]
             low, high = control_range(self._own_model, actuator) or (opened, closed)
             if not all(low <= end <= high for end in (opened, closed)):
                 raise ModelError(f"'closing' of actuator '{name}' in {self._where} must be within "
@@ -113,7 +113,7 @@ class HandFromFile(GripperModel, registered=False):
         self._open, self._closed = np.array(ends).reshape(-1, 2).T
         notes = [f'{names[ids.index(actuator)]} from {opened:g} to {closed:g}'
                  f'{"" if is_clear else " (a guess)"}'
-                 for actuator, (opened, closed, is_clear) in found.items()]
+                 for actuator, (opened, closed, is_clear) in closings.items()]
         if notes:
             self.inferred.append(f'closing: {", ".join(notes)}')
         if changed:
@@ -265,8 +265,8 @@ class OwnHand(HandFromFile, registered=False):
             carries = joints.intersection(joint.name for joint in child.find_all('joint'))
             if carries or child.name == self._eef_body or not moves:
                 spec.delete(child)
-        own = {*self._important_sites.values(), f'{self.idn}_hand_ft_frame'}
-        delete_elements(spec, [site for site in body.sites if site.name in own or not moves])
+        names = {*self._important_sites.values(), f'{self.idn}_hand_ft_frame'}
+        delete_elements(spec, [site for site in body.sites if site.name in names or not moves])
         if not moves:
             delete_elements(spec, [*body.geoms, *body.cameras, *body.lights])
             body.explicitinertial = False

@@ -85,10 +85,10 @@ class Limbs:
 
     def by_root(self, link: int) -> list[list[int]]:
         """Return the limbs on a rigid link by their roots: several are a robot and its scene."""
-        found: dict[int, list[int]] = {}
+        by_root: dict[int, list[int]] = {}
         for limb in self.on(link):
-            found.setdefault(self._tree.path(limb)[0], []).append(limb)
-        return list(found.values())
+            by_root.setdefault(self._tree.path(limb)[0], []).append(limb)
+        return list(by_root.values())
 
     def tied(self, link: int) -> list[list[int]]:
         """Return the limbs on a rigid link, those together that loops tie to each other."""
@@ -250,10 +250,10 @@ class Limbs:
 
     def by_carrier(self, limbs: Iterable[int]) -> dict[int, list[int]]:
         """Return limbs by the body that they hang on."""
-        found: dict[int, list[int]] = {}
+        by_carrier: dict[int, list[int]] = {}
         for limb in limbs:
-            found.setdefault(self._tree.parent(limb), []).append(limb)
-        return found
+            by_carrier.setdefault(self._tree.parent(limb), []).append(limb)
+        return by_carrier
 
     def are_of_two_hands(self, groups: Sequence[Sequence[int]]) -> bool:
         """

@@ -72,9 +72,9 @@ def _carried_share(model: mujoco.MjModel, guessed: list[int]) -> float:
     share = 1.0
     others = sorted(set(range(1, model.nbody)) - set(guessed))
     for data in _in_random_poses(model):
-        given, made = (np.abs(_weight(model, data, bodies)[dofs]) for bodies in (others, guessed))
-        heavy = (made > 0.0) & (given < room)
-        share = float(np.min((room - given)[heavy] / made[heavy], initial=share))
+        known, made = (np.abs(_weight(model, data, bodies)[dofs]) for bodies in (others, guessed))
+        heavy = (made > 0.0) & (known < room)
+        share = float(np.min((room - known)[heavy] / made[heavy], initial=share))
     return max(share, _LEAST)
 
 

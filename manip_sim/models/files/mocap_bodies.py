@@ -122,9 +122,9 @@ class MocapBodies:
         :param before: pose of the robot's root in its file, position and w, x, y, z, shape (7,)
         :param after: its pose in the composition
         """
-        own = self.spec.copy()
-        TakenNames(spec).add(own, prefix + _APART, part)
-        attach(spec, own, prefix + _APART, spec.worldbody.add_frame())
+        copied = self.spec.copy()
+        TakenNames(spec).add(copied, prefix + _APART, part)
+        attach(spec, copied, prefix + _APART, spec.worldbody.add_frame())
         for name in self.names:
             body = spec.body(prefix + _APART + name)
             rename_body(spec, body, prefix + _as_topic(name))
@@ -165,15 +165,15 @@ def find_mocap_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, key: int | Non
 
 def _unheld(model: mujoco.MjModel) -> list[str]:
     """Return which other bodies connect constraints and welds of sites tie to mocap bodies."""
-    found = []
+    names = []
     for equality in np.flatnonzero(np.isin(model.eq_type, (_WELD, _CONNECT))).tolist():
         ends = [int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])]
         if int(model.eq_objtype[equality]) != _BODY:
             ends = model.site_bodyid[ends].tolist()
         others = [end for end in ends if model.body_mocapid[end] < 0]
         if len(others) == 1 and others[0] and not _ties(model, equality):
-            found.append(str(model.body(others[0]).name))
-    return found
+            names.append(str(model.body(others[0]).name))
+    return names
 
 
 def _ties(model: mujoco.MjModel, equality: int) -> bool:
@@ -195,25 +195,26 @@ def _weld(model: mujoco.MjModel, equality: int) -> Weld:
 
 def _alone(spec: mujoco.MjSpec, names: set[str]) -> Any:
     """Return a copy of a spec that has some bodies of the world, what they show, and no more."""
-    own = spec.copy()
-    world = own.worldbody
-    delete_elements(own, [*own.keys, *own.sensors])
-    delete_elements(own, [*world.geoms, *world.sites, *world.cameras, *world.lights])
+    alone = spec.copy()
+    world = alone.worldbody
+    delete_elements(alone, [*alone.keys, *alone.sensors])
+    delete_elements(alone, [*world.geoms, *world.sites, *world.cameras, *world.lights])
     for body in list(world.bodies):
         if body.name not in names:
-            own.delete(body)
-    delete_elements(own, [*own.equalities, *own.excludes, *own.pairs, *own.actuators,
-                          *own.tendons])
-    shapes = own.geoms
+            alone.delete(body)
+    delete_elements(alone, [*alone.equalities, *alone.excludes, *alone.pairs, *alone.actuators,
+                            *alone.tendons])
+    shapes = alone.geoms
     meshes = {geom.meshname for geom in shapes}
-    materials = {element.material for element in [*shapes, *own.sites]}
-    textures = {texture for material in own.materials if material.name in materials
+    materials = {element.material for element in [*shapes, *alone.sites]}
+    textures = {texture for material in alone.materials if material.name in materials
                 for texture in material.textures}
-    for elements, used in ((own.meshes, meshes), (own.materials, materials),
-                           (own.textures, textures), (own.hfields, {g.hfieldname for g in shapes}),
-                           (own.skins, set()), (own.flexes, set())):
-        delete_elements(own, [element for element in elements if element.name not in used])
-    return own
+    for elements, used in ((alone.meshes, meshes), (alone.materials, materials),
+                           (alone.textures, textures),
+                           (alone.hfields, {g.hfieldname for g in shapes}),
+                           (alone.skins, set()), (alone.flexes, set())):
+        delete_elements(alone, [element for element in elements if element.name not in used])
+    return alone
 
 
 def _as_topic(name: str) -> str:

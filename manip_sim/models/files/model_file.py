@@ -61,14 +61,14 @@ def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
     notes = [f'start pose: zero, and the middle of the range for {", ".join(moved)}'
              if moved else 'start pose: zero']
     best, overlap = zero, _overlap(model, zero)
-    for choose, what in (
+    for choose, wording in (
             (_away_from_ends, 'zero, with joints away from the ends of their ranges'),
             (lambda value, low, high: (low + high) / 2.0, 'the middle of all ranges')):
         if overlap > 0.0:
             pose, _, possible = _with(model, choose)
             if possible and _overlap(model, pose) < overlap - _BETTER_M:
                 best, overlap, notes = pose, _overlap(model, pose), [
-                    f'start pose: {what}, because links overlap at zero']
+                    f'start pose: {wording}, because links overlap at zero']
     return best, notes
 
 
@@ -102,13 +102,13 @@ def _with(model: mujoco.MjModel, choose: Callable[[float, float, float], float]
     ties = np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
                           & (model.eq_active0 != 0) & (model.eq_obj2id >= 0))
     followers = set(model.eq_obj1id[ties].tolist())
-    wanted = JointCouplings(model, scalar).follow(
+    followed = JointCouplings(model, scalar).follow(
         {joint: place for joint, place in places.items() if joint not in followers})
     possible = True
-    for joint in followers & set(wanted):
+    for joint in followers & set(followed):
         limits = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
-        places[joint] = float(np.clip(wanted[joint], *limits))
-        possible = possible and abs(places[joint] - wanted[joint]) < _SAME
+        places[joint] = float(np.clip(followed[joint], *limits))
+        possible = possible and abs(places[joint] - followed[joint]) < _SAME
     qpos: FloatArray = model.qpos0.copy()
     qpos[model.jnt_qposadr[list(places)]] = list(places.values())
     return qpos, moved, possible
@@ -187,13 +187,13 @@ def read_model(file: Path, description: Description, where: object,
         model = compile_copy(spec, str(file), visual) if lighter else model
         notes += [*lighter, *masses_from_shapes(spec, model)]
     declared = getattr(description, 'start', None)
-    wanted = declared if isinstance(declared, str) else None
-    key = _choose_key(model, keyframes, wanted, file)
+    keyframe = declared if isinstance(declared, str) else None
+    key = _choose_key(model, keyframes, keyframe, file)
     if key is None:
         qpos, why = choose_pose(model)
     else:
         qpos = model.key_qpos[key]
-        why = [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
+        why = [f"start pose: keyframe '{model.key(key).name}'"] if keyframe is None else []
     mocap = find_mocap_bodies(spec, model, key)
     places, named = positions_of(model, qpos), keyframes_of(model)
     notes += _of_undeclared(why, places, declared)
@@ -304,9 +304,9 @@ def depth_in_floor(model: mujoco.MjModel, start: Mapping[str, float]) -> float:
     for name, position in start.items():
         data.joint(name).qpos[0] = position
     mujoco.mj_kinematics(model, data)
-    own = ((model.geom_contype | model.geom_conaffinity) != 0) & (model.geom_bodyid != 0)
+    colliding = ((model.geom_contype | model.geom_conaffinity) != 0) & (model.geom_bodyid != 0)
     moves = model.body_weldid[model.geom_bodyid] != 0
-    moving, fixed = (shape_heights(model, data, own & which) for which in (moves, ~moves))
+    moving, fixed = (shape_heights(model, data, colliding & which) for which in (moves, ~moves))
     sunk = (fixed[:, 0] < -_BELOW_FLOOR_M) & (fixed.mean(axis=1) < 0.0)
     blocked = (moving[:, 0] < _TOUCHES_FLOOR_M).any() or sunk.any()
     return _ABOVE_FLOOR_M - float(np.vstack([moving, fixed])[:, 0].min()) if blocked else 0.0

@@ -82,23 +82,23 @@ class PackageFolders:
         places = [place for place in self._within[folder] if (place / parts[-1]).is_file()]
         for start in range(max(len(parts) - 1, 1)):
             ending = parts[start:-1]
-            found = [place / parts[-1] for place in places
-                     if place.parts[len(place.parts) - len(ending):] == ending]
-            if found:
-                return found[0] if len(found) == 1 else None
+            installed = [place / parts[-1] for place in places
+                         if place.parts[len(place.parts) - len(ending):] == ending]
+            if installed:
+                return installed[0] if len(installed) == 1 else None
         return None
 
     def _find(self, package: str) -> Iterator[Path]:
         if package == PACKAGE:  # A URDF that was written here.
             yield share_directory()
             return
-        found = [Path(prefix) / 'share' / package for prefix in
-                 os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
+        folders = [Path(prefix) / 'share' / package for prefix in
+                   os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
         for entry in _package_path():
-            found += [entry, entry / package]
+            folders += [entry, entry / package]
         for folder in self._file.resolve().parents:
-            found += [folder, folder / package]
-        named = [folder for folder in found if self._at.is_folder(folder)
+            folders += [folder, folder / package]
+        named = [folder for folder in folders if self._at.is_folder(folder)
                  and (folder.name == package or _own_name(folder, self._at) == package)]
         yield from named
         if not named and not self._requested:  # A request could ask for any number of names.
@@ -115,10 +115,10 @@ class PackageFolders:
             folders = (folder for top, depth in tops for folder in _walk(top, depth, seen))
             self._below = [(name, folder) for folder in islice(folders, _MAX_FOLDERS)
                            if (name := _own_name(folder, self._at)) is not None]
-        found = [folder for name, folder in self._below if name == package]
-        if found:
-            logging.getLogger(__name__).info('package %s is %s', package, found[0])
-        return found
+        matches = [folder for name, folder in self._below if name == package]
+        if matches:
+            logging.getLogger(__name__).info('package %s is %s', package, matches[0])
+        return matches
 
     def _levels_of_workspace(self, above: list[Path]) -> int:
         """Return how many of the folders above the file are likely to be of its workspace."""
@@ -209,7 +209,8 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool,
                                  error))
                 link.remove(shape)
     said = warnings_of(lost, file)
-    if any(one.kind == 'collision shape' for one in lost) and robot.find('link/collision') is None:
+    if (any(item.kind == 'collision shape' for item in lost)
+            and robot.find('link/collision') is None):
         unseen = '' if robot.find('link/visual') is not None else ', and it cannot be seen'
         said.append(f'no collision shape is left in {file}: nothing touches it{unseen}')
     return [LostShape(sentence) for sentence in said] if expected else said
@@ -221,21 +222,21 @@ def _read(mesh: Path, files: Files | None) -> Path:
 
     :raises MissingMeshError: if there is none
     """
-    found = _readable(mesh, files or Files()) or mesh
+    file = _readable(mesh, files or Files()) or mesh
     if files is not None:
         try:
-            content = files.read(found, 'mesh file', MAX_FILE_BYTES)
-            check_content('mesh', found.suffix.lower(), content, str(found))
+            content = files.read(file, 'mesh file', MAX_FILE_BYTES)
+            check_content('mesh', file.suffix.lower(), content, str(file))
         except ModelError as error:
             raise MissingMeshError(str(error)) from error
-        return found
-    check_fetched(found)
-    if found.suffix.lower() in _MESHES:
-        return found
-    if found.suffix.lower() not in _CONVERTIBLE:
+        return file
+    check_fetched(file)
+    if file.suffix.lower() in _MESHES:
+        return file
+    if file.suffix.lower() not in _CONVERTIBLE:
         raise MissingMeshError(f'not one of {", ".join((*_MESHES, *_CONVERTIBLE))}',
                                'convert it to STL or OBJ')
-    made, why = _converted(found)
+    made, why = _converted(file)
     if made is None:
         raise MissingMeshError(why)
     return made

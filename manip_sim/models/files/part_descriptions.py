@@ -222,8 +222,8 @@ def _explained(file: Path, kind: type[Strict], error: Any) -> ModelError:
     message = error['msg'].removeprefix('Value error, ')
     if error['type'] in ('model_type', 'dict_type'):
         message = 'should be a mapping of keys to values'
-    what = f"'{'.'.join(place)}' of {file}" if place else str(file)
-    return ModelError(f'{what}: {message[:1].lower()}{message[1:]}, '
+    subject = f"'{'.'.join(place)}' of {file}" if place else str(file)
+    return ModelError(f'{subject}: {message[:1].lower()}{message[1:]}, '
                       f'got {quoted(error["input"])}')
 
 
@@ -269,10 +269,10 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str, files: Files | N
         if files is None and is_of_others(str(path)):
             path = find_source(str(path), f'{stem}s') or path
         file, arguments = split_arguments(str(path))
-        found, description, where = _find(Path(file).expanduser(), kind, stem, files)
+        model, description, where = _find(Path(file).expanduser(), kind, stem, files)
         if arguments:
             description.xacro_args = {**description.xacro_args, **arguments}
-        return found, description, where
+        return model, description, where
     except (OSError, RuntimeError) as error:
         raise ModelError(f'cannot read {one_line(str(path), 200)}: '
                          f'{getattr(error, "strerror", None) or error}') from error
@@ -331,9 +331,9 @@ def _in_folder(folder: Path, stem: str, files: Files) -> Path:
     for candidates in (models, apart):
         if len(candidates) == 1:
             return candidates[0]
-    found = ', '.join(file.name for file in models[:5]) or 'no model'
+    listed = ', '.join(file.name for file in models[:5]) or 'no model'
     raise ModelError(f'{folder} has neither {stem}.yaml nor {folder.name}.xml nor one model '
-                     f'alone, but {found}')
+                     f'alone, but {listed}')
 
 
 def _models_in(folder: Path, files: Files) -> list[Path]:

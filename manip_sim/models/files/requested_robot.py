@@ -78,9 +78,9 @@ def load_held(file: Path, description: RobotDescription, where: str, files: Kept
     if model.nv > MAX_DOF:
         raise ModelError(f'{one_line(str(file), 200)} has {model.nv} degrees of freedom, and at '
                          f'most {MAX_DOF} can be spawned')
-    for size, what in NOT_SPAWNED.items():
+    for size, kind in NOT_SPAWNED.items():
         if size != 'nmocap' and getattr(model, size, None):
-            raise ModelError(f'{one_line(str(file), 200)}: what is spawned cannot have {what}')
+            raise ModelError(f'{one_line(str(file), 200)}: what is spawned cannot have {kind}')
     return robot
 
 

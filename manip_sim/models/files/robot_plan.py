@@ -85,10 +85,10 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
         notes += mocap.notes() if description.mocap else mocap.left_out()
         mocap = mocap.at_start(tree.model, start) if description.mocap else None
     _check_joints(tree, description, where)
-    found = _find_hands(tree, description, where)
+    file_hands = _find_hands(tree, description, where)
     subsystems = classify_joints(tree, description.subsystems,
-                                 {joint for hand in found for joint in hand.joints}, notes)
-    arms = _find_arms(model_file, tree, subsystems, found, description, where)
+                                 {joint for hand in file_hands for joint in hand.joints}, notes)
+    arms = _find_arms(model_file, tree, subsystems, file_hands, description, where)
     hands = {side: arm.hand for side, arm in arms.items() if arm.hand is not None}
     shaped = _with_shapes(model_file, hands) if hands else tree
     if description.foot is None and {arm.why for arm in arms.values()} == {ALONE}:
@@ -103,14 +103,14 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     notes += changes
     ends = {side: _add_end(spec, tree, side, arm, description, where, notes)
             for side, arm in arms.items()}
-    own = {side: _own_hand(spec, shaped, side, _in_tree(tree, hand, shaped), description, where,
-                           start) for side, hand in hands.items()}
+    own_hands = {side: _own_hand(spec, shaped, side, _in_tree(tree, hand, shaped), description,
+                                 where, start) for side, hand in hands.items()}
     of_hand_joints = {j for hand in hands.values() for j in hand.joints}
     by_name = {str(tree.model.joint(j).name): part for j, part in subsystems.items()
                if j not in of_hand_joints}
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
-    return RobotPlan(file, description, where, spec, start, by_name, ends, own, arms, loose,
+    return RobotPlan(file, description, where, spec, start, by_name, ends, own_hands, arms, loose,
                      notes, model_file.keyframes, mocap, depth)
 
 
@@ -153,9 +153,9 @@ def _raised(model: mujoco.MjModel, notes: list[str], description: RobotDescripti
     """Return a description that keeps the fingers of a hand alone above the floor."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    own = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom]]
+    geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom]]
     reach = max((length(data.geom_xpos[geom] - data.xpos[1]) + float(model.geom_rbound[geom])
-                 for geom in own), default=0.0)
+                 for geom in geoms), default=0.0)
     height = round(reach + _CLEARANCE_M, 3)
     notes.append(f'it is fixed {height:g} m above the floor, in the air')
     return description.model_copy(update={'foot': [0.0, 0.0, -height]})
@@ -196,19 +196,19 @@ def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, 
     One that an equality constraint couples to other joints is of their part, and one on a head, a
     leg or a wheel of that.
     """
-    model, own = tree.model, set()
+    model, used = tree.model, set()
     for arm in arms.values():
-        own |= set(tree.joints(tree.path(_end_body(tree, arm))))
-        own |= set(() if arm.hand is None else arm.hand.joints)
+        used |= set(tree.joints(tree.path(_end_body(tree, arm))))
+        used |= set(() if arm.hand is None else arm.hand.joints)
     # A joint below which a loop is closed may drive the arm, as the crank of a parallel one.
     loops = {body for pair in tree.tied_bodies() for body in pair if body} if arms else set()
     others = [joint for joint, part in subsystems.items()
-              if part == 'arm' and joint not in own and str(model.joint(joint).name)
+              if part == 'arm' and joint not in used and str(model.joint(joint).name)
               not in declared and not tree.below(int(model.jnt_bodyid[joint])) & loops]
     subsystems.update(dict.fromkeys(others, 'other'))
     for joint in reversed(others):  # What a joint carries is sorted before it.
         body = int(model.jnt_bodyid[joint])
-        leaders = {subsystems[other] for other in tree.coupled([joint]) if other in own}
+        leaders = {subsystems[other] for other in tree.coupled([joint]) if other in used}
         carried = {subsystems[j] for j in tree.joints(sorted(tree.below(body)))
                    if j != joint and j in subsystems}
         if leaders:
@@ -329,9 +329,9 @@ def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
 def _own_hand(spec: mujoco.MjSpec, tree: BodyTree, side: str, hand: FoundHand,
               description: RobotDescription, where: str, start: dict[str, float]) -> OwnHand:
     declared = _hand_description(description.arm(side)) or OwnHandDescription()
-    own = OwnHand(side, declared, where, start)
-    own.add_to(spec, tree, hand)
-    return own
+    gripper = OwnHand(side, declared, where, start)
+    gripper.add_to(spec, tree, hand)
+    return gripper
 
 
 def _limit_velocities(spec: mujoco.MjSpec, limits: Mapping[str, float]) -> None:
@@ -343,7 +343,7 @@ def _limit_velocities(spec: mujoco.MjSpec, limits: Mapping[str, float]) -> None:
 def _subsystem_notes(subsystems: Mapping[str, str]) -> list[str]:
     notes = []
     for part in ('base', 'torso', 'head', 'legs', 'other'):
-        joints = [joint for joint, of in subsystems.items() if of == part]
+        joints = [joint for joint, subsystem in subsystems.items() if subsystem == part]
         if joints:
             notes.append(f'{part}: {", ".join(joints)}')
     return notes

@@ -43,7 +43,7 @@ def leave_out_dangling(spec: mujoco.MjSpec) -> list[str]:
     lacks = _Lacking(spec)
     cameras = [camera for camera in spec.cameras if lacks.body(camera.targetbody)]
     notes: list[str] = []
-    for what, elements, missing in (
+    for kind, elements, missing in (
             ('exclude', spec.excludes, lambda e: lacks.bodies(e.bodyname1, e.bodyname2)),
             ('equality constraint', spec.equalities, lacks.of_equality),
             ('sensor', spec.sensors, lacks.of_sensor),
@@ -51,7 +51,7 @@ def leave_out_dangling(spec: mujoco.MjSpec) -> list[str]:
             ('light', spec.lights, lambda e: lacks.bodies(e.targetbody)),
             ('material', [*spec.geoms, *spec.sites],
              lambda e: lacks.materials(e.material))):
-        notes += _left_out(spec, what, list(elements), missing)
+        notes += _left_out(spec, kind, list(elements), missing)
     return notes + _left_out_keyframes(spec)
 
 
@@ -101,13 +101,13 @@ class _Lacking:
 def _left_out(spec: mujoco.MjSpec, what: str, elements: list[Any],
               missing: Callable[[Any], list[str]]) -> Iterator[str]:
     """Leave out what refers to missing elements, and yield a sentence if there is any."""
-    found = [(element, names) for element in elements if (names := missing(element))]
-    if not found:
+    dangling = [(element, names) for element in elements if (names := missing(element))]
+    if not dangling:
         return
-    named = {name for _, of_element in found for name in of_element}
-    yield (f'left out: {counted(len(found), what)} with a reference to what is not in the file: '
-           f'{quoted_names(sorted(named))}; {_INCLUDED}, else correct the name')
-    for element, _ in found:
+    named = {name for _, of_element in dangling for name in of_element}
+    yield (f'left out: {counted(len(dangling), what)} with a reference to what is not in the '
+           f'file: {quoted_names(sorted(named))}; {_INCLUDED}, else correct the name')
+    for element, _ in dangling:
         if what == 'material':
             element.material = ''
         elif what == 'camera target':
@@ -162,8 +162,8 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
         raise ModelError(f'{file} must have a body, found none; if other files include it, load '
                          'the one of the whole robot')
     loose = [*world.geoms, *world.sites]
-    loose_counts = ' and '.join(counted(len(found), noun) for noun, found in (
-        ('shape', world.geoms), ('site', world.sites)) if found)
+    loose_counts = ' and '.join(counted(len(elements), noun) for noun, elements in (
+        ('shape', world.geoms), ('site', world.sites)) if elements)
     free = [body for body in roots if _is_free(body)]
     # A camera that follows an omitted body has nothing to look at.
     cameras = [camera for camera in cameras if camera.has_target(spec)]
@@ -223,13 +223,13 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
     objects = _objects(spec, tree)
     notes += _keep_on_ground(spec, {geom.name for geom in grounds})
-    for what, elements in (('light', list(world.lights)), ('ground', grounds),
+    for kind, elements in (('light', list(world.lights)), ('ground', grounds),
                            ('body', objects)):
         names = [element.name for element in elements if element.name]
         if elements is objects:  # Of mocap bodies, who reads the file says what becomes of them.
             names = [body.name for body in objects if not body.mocap]
         if names or (elements and elements is not objects):
-            notes.append(f'left out: {counted(len(names) or len(elements), what)} of the world '
+            notes.append(f'left out: {counted(len(names) or len(elements), kind)} of the world '
                          'body' + (f' ({quoted_names(names)})' if names else ''))
         if elements is not objects:
             delete_elements(spec, elements)

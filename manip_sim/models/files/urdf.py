@@ -207,8 +207,8 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
                          for element in shape.findall(f'geometry/{tag}')):
                 link.remove(shape)
                 unknown.append(str(link.get('name')))
-    return [f'left out: {counted(len(names), "shape")} {what}, of {quoted_names(names)}'
-            for names, what in ((dropped, 'of size zero'), (
+    return [f'left out: {counted(len(names), "shape")} {reason}, of {quoted_names(names)}'
+            for names, reason in ((dropped, 'of size zero'), (
                 unknown, 'without a <box>, <cylinder>, <sphere> or <mesh> with its attributes'))
             if names]
 

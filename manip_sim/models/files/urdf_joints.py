@@ -116,14 +116,14 @@ def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joi
     if element is None:
         return values
     for attribute in attributes:
-        given = element.get(attribute, '0')
+        text = element.get(attribute, '0')
         try:
-            value = float(given)
+            value = float(text)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
             raise ModelError(f'{file}: joint {quoted(joint)}: {attribute} of its <{element.tag}> '
-                             f'must be a finite number, got {quoted(given)}')
+                             f'must be a finite number, got {quoted(text)}')
         values.append(value)
     return values
 
@@ -258,10 +258,11 @@ def _check_mimics(joints: Mapping[str, ElementTree.Element], file: Path) -> None
         if leader not in joints:
             raise UnknownNameError(f'joint in the <mimic> of joint {quoted(name)} of {file}',
                                    leader, joints)
-        for one, what in ((name, 'is on a joint'), (leader, f'names joint {quoted(leader)},')):
-            kind = joints[one].get('type')
+        for joint_name, relation in ((name, 'is on a joint'),
+                                     (leader, f'names joint {quoted(leader)},')):
+            kind = joints[joint_name].get('type')
             if kind not in _MOVES:
-                raise ModelError(f'{file}: joint {quoted(name)}: its <mimic> {what} which is '
+                raise ModelError(f'{file}: joint {quoted(name)}: its <mimic> {relation} which is '
                                  f'{kind}, not one of {", ".join(_MOVES)}')
     for name in leaders:
         chain = [name]

@@ -195,17 +195,17 @@ def expanded(file: Path, arguments: Mapping[str, str]) -> str:
     except ImportError as error:
         raise ModelError(f'{file} needs xacro: pip install xacro, or apt install '
                          f'{apt_names("xacro")}') from error
-    given = _Arguments(arguments)
+    mapping = _Arguments(arguments)
     with _ONE_FILE:
         finder = _Finder(xacro, file)
         with finder.replacing(substitution_args):
             try:
-                document = xacro.process_file(str(file), mappings=given)
+                document = xacro.process_file(str(file), mappings=mapping)
             except Exception as error:  # Expressions in the file may raise anything.
-                raise ModelError(_explained(file, error, given, finder)) from error
+                raise ModelError(_explained(file, error, mapping, finder)) from error
     for name in arguments:
-        if name not in given.known:
-            raise UnknownNameError(f'argument of {file}', name, sorted(given.known))
+        if name not in mapping.known:
+            raise UnknownNameError(f'argument of {file}', name, sorted(mapping.known))
     if not document.getElementsByTagName('link'):
         raise ModelError(f'{file} makes no link: it only defines what another xacro file uses; '
                          'load the one that calls its macros')
@@ -288,7 +288,7 @@ def _explained(file: Path, error: Exception, given: _Arguments, finder: _Finder)
         return (f'{begin}Undefined substitution argument {one_line(missing, 60)}: give it, as in '
                 f'{quoted(f"{file.name} {values}", 300)}, or by xacro_args in the YAML file')
     message = one_line(_message(causes), 300)
-    remedy = next((f': {what}' for words, what in _REMEDIES.items() if words in message), '')
+    remedy = next((f': {advice}' for words, advice in _REMEDIES.items() if words in message), '')
     return begin + message + remedy
 
 
@@ -303,10 +303,10 @@ def _message(causes: list[BaseException]) -> str:
     """Return what exceptions of xacro say, each once; they repeat those that they tell of."""
     said: list[str] = []
     for cause in reversed(causes):
-        own = str(cause.args[0]) if hasattr(cause, 'exc') and cause.args else str(cause)
+        text = str(cause.args[0]) if hasattr(cause, 'exc') and cause.args else str(cause)
         macros = [macro.body.getAttribute('name') for macro in getattr(cause, 'macros', ())]
         suffix = (getattr(cause, 'suffix', None) or '').strip()
-        parts = [own if own != 'None' and not own.startswith('<class ') else '',
+        parts = [text if text != 'None' and not text.startswith('<class ') else '',
                  f'of macro {quoted(macros[0])}' if macros else '', suffix]
         said += [part for part in parts if part and part not in said]
     return ' '.join(said) or type(causes[-1]).__name__

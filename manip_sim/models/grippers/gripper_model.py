@@ -104,10 +104,10 @@ class GripperModel(MujocoXMLModel, ABC):
         super()._check_declared()
         for name, kind in _WRENCH_SENSORS.items():
             raw = self._important_sensors.get(name, name)
-            found = int(self._own_model.sensor(raw).type[0])
-            if found != int(kind):
+            actual = int(self._own_model.sensor(raw).type[0])
+            if actual != int(kind):
                 raise ModelError(f"sensor '{raw}' of gripper {self.file} must be of the kind "
-                                 f'{_kind(kind)}, not {_kind(mujoco.mjtSensor(found))}')
+                                 f'{_kind(kind)}, not {_kind(mujoco.mjtSensor(actual))}')
 
     @property
     def important_sites(self) -> dict[str, str]:
@@ -246,14 +246,14 @@ class GripperModel(MujocoXMLModel, ABC):
 
         :param command: commands in [-1, 1], one for each actuator
         """
-        wanted = np.asarray(command, dtype=float)
+        target = np.asarray(command, dtype=float)
         best, best_error = np.zeros(self.dof), np.inf
-        for state in (wanted, wanted[:self.dof], np.zeros(self.dof)):
+        for state in (target, target[:self.dof], np.zeros(self.dof)):
             self.current_action = state.copy()
             idle = np.asarray(self.format_action(np.zeros(self.dof)), dtype=float)
-            if idle.shape != wanted.shape:
+            if idle.shape != target.shape:
                 continue
-            error = float(np.abs(idle - wanted).max(initial=0.0))
+            error = float(np.abs(idle - target).max(initial=0.0))
             if error < best_error:
                 best, best_error = state, error
             if not error:

@@ -145,8 +145,8 @@ class ManipulatorModel(RobotModel):
     @property
     def cameras(self) -> list[str]:
         """All cameras of the robot, its base and its grippers."""
-        own = super().cameras
-        return own + [camera for part in self.models for camera in part.cameras]
+        cameras = super().cameras
+        return cameras + [camera for part in self.models for camera in part.cameras]
 
     def _arm_of_body(self, name: str) -> str | None:
         return next((arm for arm, body in self.eef_name.items() if body == name), None)
@@ -190,10 +190,10 @@ class ManipulatorModel(RobotModel):
             raise ModelError(f"a gripper with the prefix '{gripper.naming_prefix}' is mounted on "
                              f'{self.name} already: give {gripper.name} another idn')
         for arm in arms:
-            own = gripper if len(arms) == 1 else gripper.clone(f'{gripper.idn}_{arm}')
-            own.set_mount_pose(self.gripper_mount_pos_offset.get(arm),
-                               self.gripper_mount_quat_offset.get(arm))
-            self._grippers[arm] = own
+            part = gripper if len(arms) == 1 else gripper.clone(f'{gripper.idn}_{arm}')
+            part.set_mount_pose(self.gripper_mount_pos_offset.get(arm),
+                                self.gripper_mount_quat_offset.get(arm))
+            self._grippers[arm] = part
         self._was_mounted()
 
     def arm_of(self, arm_name: str) -> str:

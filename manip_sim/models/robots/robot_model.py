@@ -229,24 +229,24 @@ class RobotModel(Subsystems, ABC):
         :raises ModelError: if the spec, the robot's base or a gripper has one of the names already
         """
         self._refresh_if_edited()
-        own, base = self._placed_copy(floor_xpos), self._base
+        placed, base = self._placed_copy(floor_xpos), self._base
         if isinstance(base, MobileBaseModel):
-            self._attach_on_mobile_base(spec, frame, base, own)
+            self._attach_on_mobile_base(spec, frame, base, placed)
             return
-        self._attach_copy(spec, frame, own)
+        self._attach_copy(spec, frame, placed)
         if isinstance(base, MountModel):
             self._attach_base(spec, spec.body(self.root_body), base)
 
     def _attach_base(self, spec: mujoco.MjSpec, root: mujoco.MjsBody,
                      base: RobotBaseModel) -> None:
         frame = root.add_frame(pos=self.foot_offset - base.top_offset - base.base_offset)
-        own = base._spec.copy()
-        for joint in own.body(base._root().name).joints:
+        base_spec = base._spec.copy()
+        for joint in base_spec.body(base._root().name).joints:
             if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE):
                 # Only a body of the world can be free, and the root carries the base.
                 root.add_freejoint().name = base.correct_naming(joint.name)
-                own.delete(joint)
-        base._attach_copy(spec, frame, own)
+                base_spec.delete(joint)
+        base._attach_copy(spec, frame, base_spec)
 
     def _attach_on_mobile_base(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                                base: MobileBaseModel, own: mujoco.MjSpec) -> None:
@@ -270,16 +270,16 @@ class RobotModel(Subsystems, ABC):
 
     def _placed_copy(self, floor_xpos: ArrayLike | None) -> mujoco.MjSpec:
         """Return a copy of the spec with the root at the pose that the robot gets."""
-        own = self._spec.copy()
-        root = own.body(self._root().name)
+        placed = self._spec.copy()
+        root = placed.body(self._root().name)
         compiled = self._own_model.body(root.name)
         floor = self._floor_xpos if floor_xpos is None else np.asarray(floor_xpos, dtype=float)
         root.pos = compiled.pos if floor is None else floor - self.bottom_offset
         root.quat = compiled.quat if self._root_quat is None else self._root_quat
         # Nothing else may turn or move the root.
         root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        root.set_frame(own.worldbody.add_frame())
-        return own
+        root.set_frame(placed.worldbody.add_frame())
+        return placed
 
     # ------------------------------------------------------------------ what a robot declares
 
@@ -391,9 +391,9 @@ class RobotModel(Subsystems, ABC):
 
     def _scalar_joints(self, subsystem: str) -> list[tuple[MujocoXMLModel, str]]:
         """Return the hinge and slide joints of a subsystem, by the part that they are in."""
-        wanted = self.joints_of(subsystem)
+        names = self.joints_of(subsystem)
         return [(part, raw) for part in self._own_parts() for raw in part._joints
-                if part.correct_naming(raw) in wanted
+                if part.correct_naming(raw) in names
                 and int(part._spec.joint(raw).type) in SCALAR]
 
 

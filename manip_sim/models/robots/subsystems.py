@@ -133,10 +133,10 @@ class Subsystems(MujocoXMLModel):
     def _subsystem(self, part: MujocoXMLModel, raw: str) -> str:
         if part is self and raw in self._subsystem_of_joint:
             return self._subsystem_of_joint[raw]
-        found = classify(raw)
-        if found == 'arm' and isinstance(part, RobotBaseModel):
+        subsystem = classify(raw)
+        if subsystem == 'arm' and isinstance(part, RobotBaseModel):
             return part.subsystem_of_others
-        return found
+        return subsystem
 
     def format_action(self, subsystem: str, action: ArrayLike,
                       ctrlrange: ArrayLike | None = None) -> FloatArray:

@@ -204,9 +204,9 @@ def urdfs_of(world: World, hardware: Mapping[str, Hardware] | None = None) -> di
     model = compile_spec(spec, world.name)
     held = {robot.naming_prefix + name: file for robot in world.robots
             for name, file in robot.held_files.items()}
-    meshes, wanted = files_of_meshes(spec, model, held), hardware or {}
+    meshes, hardware_of = files_of_meshes(spec, model, held), hardware or {}
     return {robot.name_in_world:
-            write_urdf(model, robot, meshes, wanted.get(robot.name_in_world),
+            write_urdf(model, robot, meshes, hardware_of.get(robot.name_in_world),
                        [lidar.name for lidar in world.lidars])
             for robot in world.robots}
 

@@ -76,10 +76,10 @@ def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequenc
     tag = ElementTree.SubElement(robot, 'ros2_control', name=robot.get('name', ''), type='system')
     system = ElementTree.SubElement(tag, 'hardware')
     ElementTree.SubElement(system, 'plugin').text = hardware.plugin
-    own = hardware.plugin == OWN_PLUGIN
+    is_own_plugin = hardware.plugin == OWN_PLUGIN
     parameters = {'joint_states_topic': hardware.states_topic,
                   'joint_commands_topic': hardware.commands_topic}
-    if own:
+    if is_own_plugin:
         parameters |= {'node': hardware.node, 'lockstep': str(hardware.lockstep).lower()}
     else:
         parameters['trigger_joint_command_threshold'] = _ALWAYS
@@ -88,7 +88,7 @@ def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequenc
     driven = [name for name in joints if name in hardware.interfaces and name not in mimics]
     for name in [*driven, *(name for name in joints if name not in driven)]:
         joint = ElementTree.SubElement(tag, 'joint', name=name)
-        parameter = hardware.mode_parameters.get(name) if own else None
+        parameter = hardware.mode_parameters.get(name) if is_own_plugin else None
         if name in driven:
             if parameter is not None:
                 ElementTree.SubElement(joint, 'param', name='mode_parameter').text = parameter
@@ -97,7 +97,7 @@ def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequenc
         for state in _STATES:
             ElementTree.SubElement(joint, 'state_interface', name=state)
     for topics, interfaces in ((hardware.wrench_topics, _WRENCH), (hardware.imu_topics, _IMU)):
-        for name, topic in topics.items() if own else ():
+        for name, topic in topics.items() if is_own_plugin else ():
             sensor = ElementTree.SubElement(tag, 'sensor', name=name)
             ElementTree.SubElement(sensor, 'param', name='topic').text = topic
             if name in hardware.rates_hz:
@@ -168,14 +168,14 @@ def find_mimics(model: mujoco.MjModel, joints: Collection[int], actuated: Iterab
     linear = [coupling for coupling in couplings if coupling.linear]
     followers = {coupling.follower for coupling in linear}
     candidates = [*actuated, *(c.leader for c in linear if c.leader not in followers), *joints]
-    found: dict[int, Mimic] = {}
+    mimics: dict[int, Mimic] = {}
     used: list[_Coupling] = []
     for head in candidates:
-        if head not in found and head in joints:
-            _spread(head, linear, found, used)
+        if head not in mimics and head in joints:
+            _spread(head, linear, mimics, used)
     notes += [f'{_name(model, c.follower)} follows two joints: one mimic'
               for c in linear if not any(c is other for other in used)]
-    return {joint: mimic for joint, mimic in found.items() if mimic.leader != joint}, notes
+    return {joint: mimic for joint, mimic in mimics.items() if mimic.leader != joint}, notes
 
 
 def _spread(head: int, couplings: list[_Coupling], found: dict[int, Mimic],
@@ -214,7 +214,7 @@ def _name(model: mujoco.MjModel, joint: int) -> str:
 
 def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]:
     """Return by id of the joint its actuators' ids, and the effort at the joint per force."""
-    found: dict[int, list[tuple[int, float]]] = {}
+    actuators: dict[int, list[tuple[int, float]]] = {}
     for actuator in range(model.nu):
         gear = float(model.actuator_gear[actuator, 0])
         kind, target = int(model.actuator_trntype[actuator]), model.actuator_trnid[actuator, 0]
@@ -228,8 +228,8 @@ def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]
         else:
             terms = []
         for joint, coefficient in terms:
-            found.setdefault(joint, []).append((actuator, abs(gear * coefficient)))
-    return found
+            actuators.setdefault(joint, []).append((actuator, abs(gear * coefficient)))
+    return actuators
 
 
 def position_limits(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:

@@ -71,7 +71,7 @@ def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel,
     :param spec: the ``mujoco.MjSpec``, whose files are absolute paths
     :param held: the files whose contents the spec holds, by their names in it
     """
-    found = {}
+    files = {}
     for mesh in spec.meshes:
         file = held.get(mesh.file, Path(mesh.file))
         turn, scale = matrix_of(_unit(mesh.refquat)).T, np.array(mesh.scale, dtype=float)
@@ -83,8 +83,8 @@ def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel,
         # The compiler has moved the vertices into the inertial frame of the mesh.
         back = matrix_of(model.mesh_quat[index]).T
         position = -back @ (scale * (turn @ np.asarray(mesh.refpos)) + model.mesh_pos[index])
-        found[mesh.name] = MeshFile(uri_of(file), scale, position, back @ turn)
-    return found
+        files[mesh.name] = MeshFile(uri_of(file), scale, position, back @ turn)
+    return files
 
 
 def triangles_of(model: mujoco.MjModel, mesh: int) -> Any:
