@@ -41,8 +41,8 @@ class Belts:
             name = str(model.geom(geom).name)
             if name in actuators:
                 # A model that has replaced another one holds the velocity written last.
-                own = known.get(name, model.geom_surfacevel[geom].copy())
-                self._per_control[name] = own
+                velocity = known.get(name, model.geom_surfacevel[geom].copy())
+                self._per_control[name] = velocity
                 self._geoms.append(geom)
                 self._actuators.append(actuators[name])
         self._velocities = np.array(list(self._per_control.values())).reshape(-1, 6)
@@ -62,8 +62,8 @@ class Belts:
         """Let surfaces move as the present controls say; return whether any has changed."""
         if not self._geoms:
             return False
-        wanted = data.ctrl[self._actuators][:, None] * self._velocities
-        if (wanted == model.geom_surfacevel[self._geoms]).all():
+        velocities = data.ctrl[self._actuators][:, None] * self._velocities
+        if (velocities == model.geom_surfacevel[self._geoms]).all():
             return False
-        model.geom_surfacevel[self._geoms] = wanted
+        model.geom_surfacevel[self._geoms] = velocities
         return True

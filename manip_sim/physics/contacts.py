@@ -51,8 +51,8 @@ def pulling_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
     :param data: its ``mujoco.MjData``
     """
     pulls = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_BODY)) & (data.actuator_force > 0.0)
-    found: set[int] = set(model.actuator_trnid[pulls, 0].tolist())
-    return found
+    bodies: set[int] = set(model.actuator_trnid[pulls, 0].tolist())
+    return bodies
 
 
 def read_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:

@@ -87,8 +87,8 @@ class _World(NamedTuple):
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> _World:
         """Return that of a world, after ``mj_forward``."""
-        actuators, dofs, found = _entries(data)
-        whole = len(found) == len(data.actuator_moment)  # Else rows have room left.
+        actuators, dofs, moments = _entries(data)
+        whole = len(moments) == len(data.actuator_moment)  # Else rows have room left.
         return cls((model.nv, model.nu, model.njnt), (actuators, dofs.copy()) if whole else None,
                    data.actuator_moment, model.actuator_biastype, model.opt,
                    (model.jnt_actfrclimited, model.jnt_dofadr, model.jnt_actfrcrange))
@@ -183,10 +183,10 @@ class ActuatorEfforts:
 
     @property
     def _world(self) -> _World:
-        found: _World | None = self._derived.of.get('world')
-        if found is None:
-            found = self._derived.of['world'] = _World.of(self._physics.model, self._physics.data)
-        return found
+        world: _World | None = self._derived.of.get('world')
+        if world is None:
+            world = self._derived.of['world'] = _World.of(self._physics.model, self._physics.data)
+        return world
 
     def _moments(self) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
         """Return the entries of moments, and the moments again, 0 for loads."""
@@ -205,13 +205,13 @@ def compute(efforts: Iterable[ActuatorEfforts]) -> None:
     :param efforts: of each world; where they are not due, nothing happens
     """
     alike: dict[tuple[int, int, int], list[ActuatorEfforts]] = {}
-    for one in efforts:
-        if one.stale[0]:
-            alike.setdefault(one._world.sizes, []).append(one)
+    for item in efforts:
+        if item.stale[0]:
+            alike.setdefault(item._world.sizes, []).append(item)
     for (nv, nu, njnt), some in alike.items():
-        for one, acted in zip(some, _acted(some, nv, nu, njnt)):
-            one._values = acted - one._loaded
-            one.stale[0] = False
+        for item, acted in zip(some, _acted(some, nv, nu, njnt)):
+            item._values = acted - item._loaded
+            item.stale[0] = False
 
 
 def _rows(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
@@ -223,8 +223,8 @@ def _rows(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 def _acted(efforts: Sequence[ActuatorEfforts], nv: int, nu: int, njnt: int) -> FloatArray:
     """Return what acted in worlds with arrays of equal shapes, loads included, (count, nv)."""
-    count, worlds = len(efforts), [one._world for one in efforts]
-    last = _rows([one._last for one in efforts])
+    count, worlds = len(efforts), [item._world for item in efforts]
+    last = _rows([item._last for item in efforts])
     acted, of_actuators = last[:, :nv], last[:, 2 * nv:]
     at_actuator, at_joint = _explicit_at_limits()
     damped = _rows([world.bias_types for world in worlds]) == _AFFINE
@@ -244,10 +244,10 @@ def _acted(efforts: Sequence[ActuatorEfforts], nv: int, nu: int, njnt: int) -> F
         limited, first, ranges = map(_rows, zip(*[world.limits for world in worlds]))
         joints = limited.ravel().nonzero()[0]
         if joints.size:
-            own = first.ravel()[joints] + joints // njnt * nv
+            places = first.ravel()[joints] + joints // njnt * nv
             low, high = ranges.reshape(-1, 2)[joints].T
-            at_limit = acted.ravel()[own]
-            missing[own[(at_limit <= low) | (at_limit >= high)]] = 0.0
+            at_limit = acted.ravel()[places]
+            missing[places[(at_limit <= low) | (at_limit >= high)]] = 0.0
     return np.asarray(acted + missing.reshape(count, nv))
 
 
@@ -258,11 +258,11 @@ def _entries_together(efforts: Sequence[ActuatorEfforts], nv: int, nu: int
 
     The last are the moments, 0 where an actuator is a load.
     """
-    found = [one._moments() for one in efforts]
-    if len(found) == 1:
-        return found[0]
-    actuators, dofs, moment, drives = map(np.concatenate, zip(*found))
-    number = np.repeat(np.arange(len(found)), [len(own) for own, *_ in found])
+    moments = [item._moments() for item in efforts]
+    if len(moments) == 1:
+        return moments[0]
+    actuators, dofs, moment, drives = map(np.concatenate, zip(*moments))
+    number = np.repeat(np.arange(len(moments)), [len(entries) for entries, *_ in moments])
     return actuators + number * nu, dofs + number * nv, moment, drives
 
 

@@ -221,9 +221,9 @@ class Entities:
         :raises UnknownNameError: if the entity is unknown
         """
         body, model = self._body(name), self._model
-        own = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body_rootid[body])
+        geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body_rootid[body])
         frame = 0 if in_world else body
-        return box_around(model, data, own.tolist(), data.xpos[frame],
+        return box_around(model, data, geoms.tolist(), data.xpos[frame],
                           data.xmat[frame].reshape(3, 3))
 
     def place(self, data: mujoco.MjData, name: str, pose: Pose | None, twist: Twist | None

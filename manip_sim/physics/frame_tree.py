@@ -196,8 +196,8 @@ def _frames_of(model: mujoco.MjModel, tree: KinematicTree
     for link, joint in zip(tree.links[1:], tree.joints):
         body = link.body
         if body is None:
-            of = -1 if joint.id is None else int(model.jnt_bodyid[joint.id])
-            if of < 0 or _has_scalar_joints(model, of):
+            joint_body = -1 if joint.id is None else int(model.jnt_bodyid[joint.id])
+            if joint_body < 0 or _has_scalar_joints(model, joint_body):
                 yield TreeFrame(joint.child, joint.parent), 0, joint
         elif not _has_scalar_joints(model, body) or (
                 joint.parent in names and joint.kind != 'fixed') or model.body_mocapid[body] >= 0:

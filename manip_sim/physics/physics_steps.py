@@ -286,7 +286,7 @@ class PhysicsSteps:
         laws, pushed, step = self._laws, self._pushed, mujoco.mj_step
         tools = [(tool.forces, b'' if pushed else tool.no_forces, tool.record)
                  for tool in self.tools]
-        seats = [own for own in self.seats if own.of]
+        seats = [seat for seat in self.seats if seat.of]
         if seats:
             step = partial(_step_with_laws, seats, mujoco.mj_step1)
         # What depends on positions and velocities alone may have been computed already.
@@ -435,14 +435,14 @@ def _step_with_laws(seats: Sequence[StepLaws],
 
 def _places(model: mujoco.MjModel, wanted: int) -> list[slice]:
     """Return the places of parts of the state in the array of all of it."""
-    found: list[slice] = []
+    slices: list[slice] = []
     begin = 0
     for number in range(PHYSICS.bit_length()):
         part = PHYSICS & (1 << number)
         end = begin + (mujoco.mj_stateSize(model, part) if part else 0)
         if part & wanted and end > begin:
-            if found and found[-1].stop == begin:
-                begin = found.pop().start
-            found.append(slice(begin, end))
+            if slices and slices[-1].stop == begin:
+                begin = slices.pop().start
+            slices.append(slice(begin, end))
         begin = end
-    return found
+    return slices

@@ -71,8 +71,8 @@ class Twist:
         """
         speeds = {'linear velocity': finite_command_numbers(linear, 3, 'linear velocity'),
                   'angular velocity': finite_command_numbers(angular, 3, 'angular velocity')}
-        for what, values in speeds.items():
+        for quantity, values in speeds.items():
             if np.abs(values).max() > MAX_VELOCITY:
-                raise CommandError(f'{what} must be within {MAX_VELOCITY:g}, got '
+                raise CommandError(f'{quantity} must be within {MAX_VELOCITY:g}, got '
                                    f'{values.tolist()}')
         return cls(*speeds.values())

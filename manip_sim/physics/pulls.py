@@ -146,10 +146,10 @@ class Pulls:
         """
         self.check(body, point, target)
         self._physics.interrupt()
-        found = self._pulls.get(body)
-        if found is None or found.number != number:
-            found = self._begin(self._bodies[body], np.asarray(point, float), number)
-        self._pulls[body] = replace(found, target=np.array(target, float),
+        pull = self._pulls.get(body)
+        if pull is None or pull.number != number:
+            pull = self._begin(self._bodies[body], np.asarray(point, float), number)
+        self._pulls[body] = replace(pull, target=np.array(target, float),
                                     until_ns=self._clock.time_ns + round(PULL_S * 1e9))
 
     def _begin(self, body: int, point: FloatArray, number: int) -> _Pull:

@@ -134,12 +134,12 @@ def _arrays(struct: str) -> dict[str, str]:
     """Return the name of the size that counts the rows of each array, such as ``nbody``."""
     from mujoco.introspect import structs  # It is large, and only needed to change objects.
     bound = getattr(mujoco, struct[:1].upper() + struct[1:])
-    found: dict[str, str] = {}
+    sizes: dict[str, str] = {}
     for field in structs.STRUCTS[struct].fields:
         extent: Any = getattr(field, 'array_extent', None)
         if extent and isinstance(extent[0], str) and hasattr(bound, field.name):
-            found[field.name] = extent[0]
-    return found
+            sizes[field.name] = extent[0]
+    return sizes
 
 
 def _assign(target: Any, rows: IntArray, values: Any) -> None:

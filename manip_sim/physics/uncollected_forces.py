@@ -103,11 +103,11 @@ class FlexForces:
             forces -= model.flex_edgedamping[self.flexes] * data.flexedge_velocity
         rows = np.flatnonzero(data.efc_type == _EQUALITY)
         for equality in np.flatnonzero(model.eq_type == _OF_EDGES).tolist():
-            own = rows[data.efc_id[rows] == equality]
-            if own.size:
+            constraints = rows[data.efc_id[rows] == equality]
+            if constraints.size:
                 flex = int(model.eq_obj1id[equality])
                 edges = np.flatnonzero((self.flexes == flex) & (model.flexedge_rigid == 0))
-                forces[edges] += data.efc_force[own]
+                forces[edges] += data.efc_force[constraints]
         return forces
 
     def _add_contact(self, wrench: FloatArray, model: mujoco.MjModel, data: mujoco.MjData,
@@ -314,8 +314,8 @@ class UncollectedForces:
             bodies = [body for body in range(self.first, self.end) if model.body_mass[body] > 0.0]
             floating = _floating(model, bodies)
             known[self] = bodies, floating, mujoco.MjData(floating)
-        found: tuple[list[int], mujoco.MjModel, mujoco.MjData] = known[self]
-        return found
+        entry: tuple[list[int], mujoco.MjModel, mujoco.MjData] = known[self]
+        return entry
 
 
 def has_fluid(options: mujoco.MjOption) -> bool:
