@@ -114,13 +114,13 @@ def find_instruments(model: mujoco.MjModel) -> list[Instrument]:
             open_groups[key] = group
         group.append(sensor)
     complete = [part for kind, group in groups for part in _complete(model, kind, group)]
-    found: list[Instrument] = []
+    instruments: list[Instrument] = []
     taken: set[str] = set()
     for kind, group in complete:
         instrument = _instrument(model, kind, group, taken)
         taken.add(instrument.topic)
-        found.append(instrument)
-    return found
+        instruments.append(instrument)
+    return instruments
 
 
 def _kind(model: mujoco.MjModel, sensor: int) -> str:
@@ -146,28 +146,28 @@ def _instrument(model: mujoco.MjModel, kind: str, group: list[int], taken: set[s
     sources, targets = [], []
     for sensor in group:
         begin, size = int(model.sensor_adr[sensor]), int(model.sensor_dim[sensor])
-        own = np.arange(begin, begin + size)
+        addresses = np.arange(begin, begin + size)
         if kind == VALUES:
             places = slice(0, size)
         else:
             places = _ROLES[sensor_type(model, sensor)][1]
             if places == ORIENTATION:
-                own = own[XYZW]
-        sources.append(own)
+                addresses = addresses[XYZW]
+        sources.append(addresses)
         targets.append(np.arange(places.start, places.stop))
     length = _IMU_LENGTH if kind == IMU else sum(map(len, targets))
-    wanted = elements[0] if kind in (IMU, WRENCH) and elements[0] else sensors[0]
-    found = Instrument(
-        wanted, kind, _frame(model, group[0]), sensors,
+    name = elements[0] if kind in (IMU, WRENCH) and elements[0] else sensors[0]
+    instrument = Instrument(
+        name, kind, _frame(model, group[0]), sensors,
         tuple(sensor_type(model, n) for n in group), elements, np.concatenate(sources),
         np.concatenate(targets), length,
         # MuJoCo shortens longer distances to the cutoff; 0 for none.
         (float(model.sensor_cutoff[group[0]]) or math.inf) if kind == RANGE else math.inf)
     number = 2
-    while found.topic in taken:
-        found = replace(found, name=f'{wanted}_{number}')
+    while instrument.topic in taken:
+        instrument = replace(instrument, name=f'{name}_{number}')
         number += 1
-    return found
+    return instrument
 
 
 def _name(model: mujoco.MjModel, kind: int, number: int) -> str:
@@ -219,9 +219,9 @@ class Sensors(Mapping[str, FloatArray]):
         model, data = self._present.model, self._present.data
         if model is not self._model:
             self._instruments = find_instruments(model)
-            self._by_name = {found.name: found for found in self._instruments}
-            self._of_sensor = {sensor: found for found in self._instruments
-                               for sensor in found.sensors}
+            self._by_name = {instrument.name: instrument for instrument in self._instruments}
+            self._of_sensor = {sensor: instrument for instrument in self._instruments
+                               for sensor in instrument.sensors}
             self._slices = {
                 mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, n) or f'sensor_{n}':
                 slice(int(model.sensor_adr[n]), int(model.sensor_adr[n] + model.sensor_dim[n]))
@@ -244,8 +244,8 @@ class Sensors(Mapping[str, FloatArray]):
         data = self._look()
         if name not in self._slices:
             raise UnknownNameError('sensor', name, self._slices)
-        found, values = self._of_sensor[name], np.empty(len(data.sensordata))
-        values[found.sources] = self._measure(found)[found.targets]
+        instrument, values = self._of_sensor[name], np.empty(len(data.sensordata))
+        values[instrument.sources] = self._measure(instrument)[instrument.targets]
         return values[self._slices[name]].copy()
 
     def __iter__(self) -> Iterator[str]:

@@ -124,7 +124,7 @@ class RobotSensing:
 
     def forget(self, begin: str) -> None:
         """Remove the channels whose names begin so."""
-        self._channels = {name: found for name, found in self._channels.items()
+        self._channels = {name: channel for name, channel in self._channels.items()
                           if not name.startswith(begin)}
 
     def set(self, name: str, value: float) -> None:
