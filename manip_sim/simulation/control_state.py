@@ -58,9 +58,9 @@ class ControlState:
 
     def _index(self) -> None:
         # The content of a queue is a part of the state, so another one may replace it.
-        self._index_of = {id(found): index for index, found in enumerate(self._fixed)
-                          if not isinstance(found, deque)}
-        places = {id(found): index for index, found in enumerate(self._fixed)}
+        self._index_of = {id(item): index for index, item in enumerate(self._fixed)
+                          if not isinstance(item, deque)}
+        places = {id(item): index for index, item in enumerate(self._fixed)}
         #: By owner: what stands for its queue in a digest while that is empty.
         self._queues = {id(owner): places[id(value)] for owner in self._stateful
                         for value in vars(owner).values() if isinstance(value, deque)}
@@ -73,29 +73,29 @@ class ControlState:
               passing: tuple[type, ...]) -> None:
         seen: set[int] = set()
         while left:
-            found = left.pop(0)
-            if isinstance(found, _VALUES) or id(found) in seen:
+            item = left.pop(0)
+            if isinstance(item, _VALUES) or id(item) in seen:
                 continue
-            seen.add(id(found))
-            if isinstance(found, Mapping):
-                left += [*found, *found.values()]
-            elif isinstance(found, (list, tuple, set, frozenset)):
-                left += found
-            elif isinstance(found, np.ndarray):
-                if is_foreign(found):
-                    self._fixed.append(found)
-            elif not (isinstance(found, passing) or is_frozen(found, compares=True)):
-                self._fixed.append(found)
-                if isinstance(found, GripperModel):
-                    self._grippers.append(found)
-                if _is_own(found) and not isinstance(found, stateless):
-                    left += vars(found).values()
-                    if not is_frozen(found):
-                        self._stateful.append(found)
+            seen.add(id(item))
+            if isinstance(item, Mapping):
+                left += [*item, *item.values()]
+            elif isinstance(item, (list, tuple, set, frozenset)):
+                left += item
+            elif isinstance(item, np.ndarray):
+                if is_foreign(item):
+                    self._fixed.append(item)
+            elif not (isinstance(item, passing) or is_frozen(item, compares=True)):
+                self._fixed.append(item)
+                if isinstance(item, GripperModel):
+                    self._grippers.append(item)
+                if _is_own(item) and not isinstance(item, stateless):
+                    left += vars(item).values()
+                    if not is_frozen(item):
+                        self._stateful.append(item)
 
     def content(self) -> Content:
         """Return the attributes of all objects with a state, and of grippers; no copies."""
-        return [vars(found) for found in self._stateful], [_numbers(g) for g in self._grippers]
+        return [vars(item) for item in self._stateful], [_numbers(g) for g in self._grippers]
 
     @property
     def fixed(self) -> list[object]:
@@ -110,7 +110,7 @@ class ControlState:
     @property
     def layout(self) -> str:
         """What a state refers to; another one where control consists of other parts."""
-        return ' '.join(type(found).__qualname__ for found in self._fixed)
+        return ' '.join(type(item).__qualname__ for item in self._fixed)
 
     def save(self) -> bytes:
         """Return the state, pickled."""
@@ -120,23 +120,23 @@ class ControlState:
 
     def loaded(self, state: bytes) -> Content:
         """Return the content of what :meth:`save` has returned, here or in another process."""
-        found: Content = _StateUnpickler(io.BytesIO(state), self._fixed).load()
-        return found
+        content: Content = _StateUnpickler(io.BytesIO(state), self._fixed).load()
+        return content
 
     def replace(self, content: Content) -> None:
         """Restore a content, which nobody else may use then."""
         controls, grippers = content
-        for found, values in zip(self._stateful, controls):
-            vars(found).clear()
-            vars(found).update(values)
+        for owner, values in zip(self._stateful, controls):
+            vars(owner).clear()
+            vars(owner).update(values)
         for gripper, values in zip(self._grippers, grippers):
             vars(gripper).update(values)
 
     def encoded(self) -> Iterator[bytes]:
         """Yield the state in a form that depends on nothing else, for a digest."""
         encoder = _Encoder(self._index_of, self._queues)
-        for found in self._stateful:
-            yield from encoder.members(found)
+        for owner in self._stateful:
+            yield from encoder.members(owner)
         for gripper in self._grippers:
             yield from encoder.value(_numbers(gripper))
 

@@ -160,10 +160,10 @@ def apply_to_model(model: mujoco.MjModel, nominal: mujoco.MjModel, drawn: Drawn,
         if element.quantity == 'orientation' and key in drawn:
             value = xyzw_to_wxyz(value)
         if element.quantity == 'mass':
-            own = float(nominal.body_mass[element.id])
-            if own <= 0.0:
+            mass = float(nominal.body_mass[element.id])
+            if mass <= 0.0:
                 continue
-            model.body_inertia[element.id] = nominal.body_inertia[element.id] * (value[0] / own)
+            model.body_inertia[element.id] = nominal.body_inertia[element.id] * (value[0] / mass)
         element.write(model, value)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
@@ -201,9 +201,10 @@ class Randomized:
                                  'cannot be drawn')
 
     def _names(self) -> dict[str, list[str]]:
-        one = len(self._sensing) == 1
+        is_single = len(self._sensing) == 1
         return {**element_names(self._physics.plan.compiled), OF_NODE: [
-            name if one else f'{robot}.{name}' for robot in self._sensing for name in QUANTITIES]}
+            name if is_single else f'{robot}.{name}'
+            for robot in self._sensing for name in QUANTITIES]}
 
     def _rules(self) -> dict[str, Rule]:
         return {} if self._given is None else self._given.resolve(self._names(), strict=False)
@@ -227,10 +228,10 @@ class Randomized:
 
     def _placed(self, nominal: mujoco.MjModel, seed: int) -> dict[str, Any]:
         """Return the poses of objects that are placed in areas; of those that still exist."""
-        given = () if self._given is None else self._given.placements
+        declared = () if self._given is None else self._given.placements
         there = set(self._physics.plan.object_names)
         areas = [replace(area, objects=tuple(name for name in area.objects if name in there))
-                 for area in given]
+                 for area in declared]
         names = [name for area in areas for name in area.objects]
         return {f'bodies/{name}/{quantity}': value.tolist() for name, (position, quat) in
                 draw_places(areas, extents(nominal, names) if names else {}, seed).items()
@@ -272,9 +273,9 @@ class Randomized:
                 self._set_parameter(name, value)
 
     def _set_parameter(self, name: str, value: float) -> None:
-        one = len(self._sensing) == 1
+        is_single = len(self._sensing) == 1
         for robot, sensing in self._sensing.items():
-            begin = '' if one else f'{robot}.'
+            begin = '' if is_single else f'{robot}.'
             if name.startswith(begin) and name[len(begin):] in QUANTITIES:
                 sensing.set(name[len(begin):], value)
 

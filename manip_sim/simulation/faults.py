@@ -72,9 +72,9 @@ class RobotFaults:
     def acting(self, *kinds: str) -> Iterator[tuple[int, str, str, float, int]]:
         """Yield place, kind, part, value and number of the faults that act at present."""
         now = self._clock.control_steps
-        for place, (what, part, begin, end, value, number) in enumerate(self.scheduled):
-            if what in kinds and begin <= now < end:
-                yield place, what, part, value, number
+        for place, (kind, part, begin, end, value, number) in enumerate(self.scheduled):
+            if kind in kinds and begin <= now < end:
+                yield place, kind, part, value, number
 
     def _random(self, number: int) -> np.random.Generator:
         """Return a generator for a fault and the present step."""
@@ -105,17 +105,17 @@ class RobotFaults:
         if not acting:
             self.seen = None
             return
-        found = self._reader.sensing.without_faults(JOINTS).reshape(3, -1)
-        for place, what, part, value, number in acting:
+        states = self._reader.sensing.without_faults(JOINTS).reshape(3, -1)
+        for place, kind, part, value, number in acting:
             joints = self._reader.indices_of[part]
-            if what == OFFSET:
-                found[0, joints] += value
-            elif what == NOISY:
-                found[0, joints] += value * self._random(number).standard_normal(len(joints))
+            if kind == OFFSET:
+                states[0, joints] += value
+            elif kind == NOISY:
+                states[0, joints] += value * self._random(number).standard_normal(len(joints))
             else:
-                found[:, joints] = self._remembered(
-                    self._held[place], found[:, joints], what, value, number)
-        self.seen = found.ravel()
+                states[:, joints] = self._remembered(
+                    self._held[place], states[:, joints], kind, value, number)
+        self.seen = states.ravel()
 
     def _remembered(self, held: list[tuple[int, FloatArray]], measured: FloatArray, what: str,
                     value: float, number: int) -> FloatArray:
@@ -165,17 +165,17 @@ class Faults:
     @staticmethod
     def _check(fault: PlannedFault, robot: Any) -> None:
         part = robot.parts[fault.part]
-        what = f'{fault.what} of {fault.part}'
+        title = f'{fault.what} of {fault.part}'
         if fault.what == STUCK and (part.gripper is None or not part.joints):
-            raise ModelError(f'{what}: only fingers of a gripper can be stuck; {LOST_COMMANDS} '
+            raise ModelError(f'{title}: only fingers of a gripper can be stuck; {LOST_COMMANDS} '
                              'keeps a part as it is')
         curved = {name for name, law in robot.robot_model.friction_laws.items()
                   if np.isfinite(law.no_load)}
         if fault.what == LIMP and curved.intersection(part.joints):
-            raise ModelError(f'{what}: its joints have a torque-speed curve, which decides what '
+            raise ModelError(f'{title}: its joints have a torque-speed curve, which decides what '
                              'they exert; set torque_speed to false')
         if fault.what != LOST_COMMANDS and not part.joints:
-            raise ModelError(f'{what}: it has no joints')
+            raise ModelError(f'{title}: it has no joints')
 
     def begin(self, seed: int) -> None:
         """
@@ -227,36 +227,36 @@ class Faults:
 
     def write(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
         """Let joints fail as scheduled, and return whether the model has changed."""
-        wanted = {(joint, what) for robot in self._robots.values() if robot.faults.scheduled
-                  for _, what, part, *_ in robot.faults.acting(LIMP, STUCK)
-                  for joint in robot.parts[part].joints}
-        if wanted == self._before.keys():
+        failing = {(joint, kind) for robot in self._robots.values() if robot.faults.scheduled
+                   for _, kind, part, *_ in robot.faults.acting(LIMP, STUCK)
+                   for joint in robot.parts[part].joints}
+        if failing == self._before.keys():
             return False
-        self._end(self._before.keys() - wanted)
-        for joint, what in sorted(wanted - self._before.keys()):
-            found = model.joint(joint)
-            if what == LIMP:
-                number = found.id
-                self._before[joint, what] = (
+        self._end(self._before.keys() - failing)
+        for joint, kind in sorted(failing - self._before.keys()):
+            element = model.joint(joint)
+            if kind == LIMP:
+                number = element.id
+                self._before[joint, kind] = (
                     int(model.jnt_actfrclimited[number]), model.jnt_actfrcrange[number].copy())
                 model.jnt_actfrclimited[number], model.jnt_actfrcrange[number] = 1, 0.0
             else:
-                dof = int(found.dofadr[0])
-                self._before[joint, what] = float(model.dof_frictionloss[dof])
+                dof = int(element.dofadr[0])
+                self._before[joint, kind] = float(model.dof_frictionloss[dof])
                 model.dof_frictionloss[dof] = _STUCK_FRICTION
         return True
 
     def _end(self, keys: Iterable[tuple[str, str]]) -> None:
         model = self._physics.model
-        for joint, what in sorted(keys):
-            before = self._before.pop((joint, what))
+        for joint, kind in sorted(keys):
+            before = self._before.pop((joint, kind))
             if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint) < 0:
                 continue  # Its robot has gone.
-            found = model.joint(joint)
-            if what == LIMP:
-                model.jnt_actfrclimited[found.id], model.jnt_actfrcrange[found.id] = before
+            element = model.joint(joint)
+            if kind == LIMP:
+                model.jnt_actfrclimited[element.id], model.jnt_actfrcrange[element.id] = before
             else:
-                model.dof_frictionloss[int(found.dofadr[0])] = before
+                model.dof_frictionloss[int(element.dofadr[0])] = before
 
     def lift(self) -> None:
         """Let no joint fail, until the next step, as the model will change."""
@@ -270,14 +270,14 @@ class Faults:
             reset [s]; None: to the end), ``value`` where it has one, ``state`` (``waits``,
             ``acts`` or ``over``) and for lost commands their number ``lost``
         """
-        now, step_s, found = self._clock.control_steps, (self._clock.step_ns * 1e-9), []
+        now, step_s, faults = self._clock.control_steps, (self._clock.step_ns * 1e-9), []
         for name, robot in self._robots.items():
-            for (what, part, begin, end, value, _), lost in zip(
+            for (kind, part, begin, end, value, _), lost in zip(
                     robot.faults.scheduled, robot.faults.lost):
                 state = 'waits' if now < begin else 'acts' if now < end else 'over'
-                found.append({
-                    'what': what, 'robot': name, 'part': part, 'from': round(begin * step_s, 9),
+                faults.append({
+                    'what': kind, 'robot': name, 'part': part, 'from': round(begin * step_s, 9),
                     'until': None if end == _NEVER else round(end * step_s, 9),
-                    **({'value': value} if KINDS[what].value else {}), 'state': state,
-                    **({'lost': lost} if what == LOST_COMMANDS else {})})
-        return found
+                    **({'value': value} if KINDS[kind].value else {}), 'state': state,
+                    **({'lost': lost} if kind == LOST_COMMANDS else {})})
+        return faults

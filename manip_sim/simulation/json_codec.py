@@ -146,8 +146,8 @@ class Decoder:
         self._depth += 1
         if self._depth > _MAX_DEPTH:
             raise ModelError('values are nested too deeply')
-        kind, *found = content
-        value = self._readers[kind](*found)
+        kind, *arguments = content
+        value = self._readers[kind](*arguments)
         self._depth -= 1
         return value
 
@@ -155,10 +155,10 @@ class Decoder:
         return self._fixed[_natural(index)]
 
     def _again(self, number: int) -> Any:
-        found = self.met[_natural(number)]
-        if found is None:
+        value = self.met[_natural(number)]
+        if value is None:
             raise ModelError('a value contains itself')
-        return found
+        return value
 
     def _meet(self, value: Any) -> Any:
         self.met.append(value)
@@ -265,9 +265,9 @@ def _name(cls: type) -> str:
 def _found(name: str) -> Any:
     module, _, qualname = name.partition(':')
     if module.startswith(_ROOMS) and module in sys.modules:
-        found = getattr(sys.modules[module], qualname, None)
-        if isinstance(found, type) and found.__module__ == module:
-            return found
+        definition = getattr(sys.modules[module], qualname, None)
+        if isinstance(definition, type) and definition.__module__ == module:
+            return definition
     raise ModelError(f'there is no class {quoted(name)}')
 
 

@@ -62,14 +62,14 @@ def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHan
     state = simulation.save()
     encoders = [Encoder(simulation.states.control.index_of) for _ in range(3)]
     control = [encoder.encode(part) for encoder, part in zip(encoders, _live(simulation))]
-    found = {name: getattr(state, name) for name in _NUMBERS}
-    found.update({name: b64encode(getattr(state, name)).decode() for name in _BYTES})
-    found.update(gains={name: b64encode(content).decode()
+    plain = {name: getattr(state, name) for name in _NUMBERS}
+    plain.update({name: b64encode(getattr(state, name)).decode() for name in _BYTES})
+    plain.update(gains={name: b64encode(content).decode()
                         for name, content in state.gains.items()},
                  start=dict(state.start), drawn=dict(state.drawn), control=control,
                  robots=list(state.robots),
                  keyframe=state.keyframe)
-    return found, [met for met in encoders[0].met if isinstance(met, CommandHandle)]
+    return plain, [met for met in encoders[0].met if isinstance(met, CommandHandle)]
 
 
 def _live(simulation: Simulation) -> list[Any]:
@@ -85,11 +85,11 @@ def decoded(simulation: Simulation, content: Any) -> tuple[Any, list[CommandHand
     """
     decoder, model = Decoder(simulation.states.control.fixed), simulation.model
     value = decoder.decode(content)
-    for found in decoder.met:
+    for item in decoder.met:
         # MuJoCo does not check them.
-        if isinstance(found, Frame) and not (
-                found.body in range(model.nbody)
-                and (found.site is None or found.site in range(model.nsite))):
+        if isinstance(item, Frame) and not (
+                item.body in range(model.nbody)
+                and (item.site is None or item.site in range(model.nsite))):
             raise ModelError('a frame of no body or site')
     return value, [met for met in decoder.met if isinstance(met, CommandHandle)]
 
@@ -129,14 +129,14 @@ def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
             raise ModelError('control consists of other parts here')
         for values, present in zip(new, now):
             check_like(values, present)
-    own = gains(simulation.model)
-    found = {name: b64decode(text, validate=True) for name, text in content['gains'].items()}
-    if {name: len(value) for name, value in found.items()} != {
-            name: len(value) for name, value in own.items()}:
+    current = gains(simulation.model)
+    saved = {name: b64decode(text, validate=True) for name, text in content['gains'].items()}
+    if {name: len(value) for name, value in saved.items()} != {
+            name: len(value) for name, value in current.items()}:
         raise ModelError('gains of another model')
     numbers: dict[str, Any] = {name: content[name] for name in _NUMBERS}
     state = replace(
-        simulation.save(), gains=found,
+        simulation.save(), gains=saved,
         start={str(name): float(value) for name, value in content['start'].items()},
         drawn=content['drawn'], keyframe=content['keyframe'], **numbers,
         physics=b64decode(content['physics'], validate=True),

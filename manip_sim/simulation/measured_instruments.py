@@ -44,12 +44,12 @@ class MeasuredInstruments:
         owners = {name: robot for robot in robots for name in robot.sensor_names}
         for robot in robots:
             robot.sensing.forget(_CHANNELS)
-        for found in self.sensors.instruments:
-            owner = owners.get(found.sensors[0], robots[0])
-            sensing = self._sensing[found.name] = owner.sensing
-            sensing.add(_CHANNELS + found.name, partial(self._exact, found.name),
-                        InstrumentChannel(found, self._physics.model,
-                                          self._noise.get(found.name, 0.0)))
+        for instrument in self.sensors.instruments:
+            owner = owners.get(instrument.sensors[0], robots[0])
+            sensing = self._sensing[instrument.name] = owner.sensing
+            sensing.add(_CHANNELS + instrument.name, partial(self._exact, instrument.name),
+                        InstrumentChannel(instrument, self._physics.model,
+                                          self._noise.get(instrument.name, 0.0)))
 
     def set_noise(self, noise: Mapping[str, float]) -> None:
         """
@@ -76,9 +76,9 @@ class MeasuredInstruments:
                     robots[0]).sensing
 
     def _exact(self, name: str) -> FloatArray:
-        found = self.sensors.instrument(name)
-        assert found is not None
-        return found.read(self._physics.data)
+        instrument = self.sensors.instrument(name)
+        assert instrument is not None
+        return instrument.read(self._physics.data)
 
     def measured(self, found: Instrument) -> FloatArray:
         """

@@ -149,9 +149,9 @@ class Operations:
 
     def _direct_command(self, part: str, name: str, quantity: str, value: float) -> None:
         # Objects may have come or gone since the message came, and actuators with them.
-        found = self._simulation.surroundings.commands[part]
-        found.command(found.checked([name], **{
-            one: [value] * (one == quantity) for one in ('position', 'velocity', 'effort')}))
+        commands = self._simulation.surroundings.commands[part]
+        commands.command(commands.checked([name], **{
+            kind: [value] * (kind == quantity) for kind in ('position', 'velocity', 'effort')}))
 
     def _target(self, name: str, position: list[float], quat_xyzw: list[float]) -> None:
         self._simulation.surroundings.set_target(name, position, quat_xyzw)

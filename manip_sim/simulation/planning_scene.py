@@ -114,19 +114,19 @@ class PlanningScene:
     def __init__(self, model: mujoco.MjModel, root: str,
                  grippers: Mapping[str, tuple[str, ...]]) -> None:
         self._model = model
-        own = set(subtree(model, model.body(root).id))
-        insets = _insets(model, own)
+        robot_bodies = set(subtree(model, model.body(root).id))
+        insets = _insets(model, robot_bodies)
         self.left_out: list[str] = []
         self.obstacles: dict[str, Obstacle] = {}
         for body in range(model.nbody):
-            solids = tuple(self._solids(body, insets)) if body not in own else ()
+            solids = tuple(self._solids(body, insets)) if body not in robot_bodies else ()
             if solids:
                 name = model.body(body).name if body else 'arena'
                 while not name or name in self.obstacles:
                     name += f'_{body}'
                 self.obstacles[name] = Obstacle(name, body, solids, float(model.body_mass[body]))
         free = set(model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)].tolist())
-        self._free = [one for one in self.obstacles.values() if one.body in free]
+        self._free = [obstacle for obstacle in self.obstacles.values() if obstacle.body in free]
         self._grippers = [tuple(sorted(int(model.body(name).id) for name in bodies))
                           for bodies in grippers.values()]
         self._shown: dict[str, FloatArray] = {}
@@ -137,9 +137,9 @@ class PlanningScene:
     def _solids(self, body: int, insets: Mapping[int, float]) -> Iterator[Solid]:
         for geom in geoms_of_body(self._model, body):
             if collides(self._model, geom):
-                found = list(solids_of(self._model, geom, insets.get(geom, 0.0)))
-                yield from found
-                if not found:
+                solids = list(solids_of(self._model, geom, insets.get(geom, 0.0)))
+                yield from solids
+                if not solids:
                     self.left_out.append(self._model.geom(geom).name or f'geom_{geom}')
 
     def look(self, data: mujoco.MjData) -> Changes:
@@ -183,8 +183,8 @@ class PlanningScene:
 
     def poses(self, data: mujoco.MjData) -> dict[str, FloatArray]:
         """Return the poses of the objects that are not held, which count as known from now on."""
-        self._shown = {name: _pose(data, one.body) for name, one in self.obstacles.items()
-                       if name not in self.holds}
+        self._shown = {name: _pose(data, obstacle.body)
+                       for name, obstacle in self.obstacles.items() if name not in self.holds}
         return dict(self._shown)
 
     def _grasps(self, data: mujoco.MjData) -> Iterator[tuple[str, tuple[int, ...]]]:
@@ -262,14 +262,14 @@ def _insets(model: mujoco.MjModel, own: set[int]) -> dict[int, float]:
     fixed = [geom for geom in range(model.ngeom) if collides(model, geom)
              and int(model.body_weldid[model.geom_bodyid[geom]]) == 0]
     robot = [geom for geom in fixed if int(model.geom_bodyid[geom]) in own]
-    found = {}
+    insets = {}
     for geom in fixed:
-        nearest = min((mujoco.mj_geomDistance(model, data, one, geom, 1.0, None)
-                       for one in robot), default=1.0) if geom not in robot else 1.0
+        nearest = min((mujoco.mj_geomDistance(model, data, robot_geom, geom, 1.0, None)
+                       for robot_geom in robot), default=1.0) if geom not in robot else 1.0
         # A geom deeper inside of the robot is not one that it only stands on.
         if -_CLEARANCE_M < nearest < _CLEARANCE_M:
-            found[geom] = _CLEARANCE_M - nearest
-    return found
+            insets[geom] = _CLEARANCE_M - nearest
+    return insets
 
 
 def _pose(data: mujoco.MjData, body: int) -> FloatArray:

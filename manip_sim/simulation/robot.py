@@ -287,12 +287,13 @@ class SimulatedRobot:
         """
         self._check_no_gripper(part)
         self._physics.interrupt()
-        own = law_of(law)
-        compiled = own.is_compiled if compiled is None else bool(compiled)
+        joint_law = law_of(law)
+        compiled = joint_law.is_compiled if compiled is None else bool(compiled)
         if not compiled:
             _LOGGER.warning("the law '%s' of %s runs as plain Python in each physics step, which "
-                            'is slow', own.name, part)
-        self.joints.set_law(part, own, own.values(parameters), compiled, self._physics.data)
+                            'is slow', joint_law.name, part)
+        self.joints.set_law(
+            part, joint_law, joint_law.values(parameters), compiled, self._physics.data)
         self.reflexes.hold_laws(self._physics.data)
 
     def law_parameters(self, part: str) -> LawParameters:
@@ -385,22 +386,22 @@ class SimulatedRobot:
     @property
     def settings(self) -> dict[str, Any]:
         """Acting settings, by the name of the parameter of the node."""
-        found: dict[str, Any] = {}
+        acting: dict[str, Any] = {}
         for part, limits in self.reflexes.limits.items():
             values = self.joints.settings(part)
-            found.update({f'{name}.{part}': value for name, value in values.items()})
-            found.update({f'reflex.{part}.{name}': v for name, v in asdict(limits).items()})
+            acting.update({f'{name}.{part}': value for name, value in values.items()})
+            acting.update({f'reflex.{part}.{name}': v for name, v in asdict(limits).items()})
         for part in self.laws:
-            found.update({f'law.{part}.{name}': value
+            acting.update({f'law.{part}.{name}': value
                           for name, value in self.law_parameters(part).items()})
         for arm, settings in self.joints.cartesian.settings.items():
-            found.update({
+            acting.update({
                 f'{name}.{arm}' if name in IMPEDANCE else f'cartesian.{arm}.{name}':
                 list(value) if isinstance(value, tuple) else value
                 for name, value in asdict(settings).items()})
         for arm, reader in self.end_effectors.items():
-            found[f'wrench_cutoff.{arm}'] = reader.external.cutoff_hz
-        return {**found, 'speed_scaling': self.joints.speed_scaling, **self.sensing.settings.all}
+            acting[f'wrench_cutoff.{arm}'] = reader.external.cutoff_hz
+        return {**acting, 'speed_scaling': self.joints.speed_scaling, **self.sensing.settings.all}
 
     def state(self) -> State:
         """Return the measured state of the present instant, with noise and latency."""
@@ -588,7 +589,7 @@ class SimulatedRobot:
         """
         if self.faults.scheduled or self.sensing.settings.delays_commands or (
                 self.reflexes.tripped) or not command.handle.is_active or not any(
-                [own is command for own in self.joints.commands.running]):
+                [other is command for other in self.joints.commands.running]):
             return 0
         return self.runs.address
 

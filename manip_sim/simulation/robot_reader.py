@@ -81,8 +81,8 @@ class RobotReader:
 
     def _read(self, arm: str, name: str) -> FloatArray:
         """Return one of the readings of a gripper, exactly."""
-        found: FloatArray = getattr(self.end_effectors[arm], name)(self._physics.data)
-        return found
+        reading: FloatArray = getattr(self.end_effectors[arm], name)(self._physics.data)
+        return reading
 
     def measured(self, part: str | None = None) -> FloatArray:
         """Return the measurements of a part's joints, as :meth:`SimulatedRobot.measured`."""

@@ -98,10 +98,10 @@ class RobotRuns:
         """
         if len(self._grippers) > _MOST_GRIPPERS:
             return None
-        found, data = self._joints.begin_run(intervals, self._clock), self._physics.data
-        if found is None:
+        run, data = self._joints.begin_run(intervals, self._clock), self._physics.data
+        if run is None:
             return None
-        joints, targets, count = found
+        joints, targets, count = run
         if count < len(intervals):
             intervals = intervals[:count]
         moving = [gripper for gripper in self._grippers.values() if gripper.moving]

@@ -319,11 +319,11 @@ class Simulation:
             seed = checked_seed(seed)
         self.physics.interrupt()
         self.faults.lift()
-        own = self.seed if seed is None else seed
+        episode_seed = self.seed if seed is None else seed
         positions = self.episode_start.draw(seed)
         if drawn is not None or (seed is not None and self.randomized.draws):
-            self._randomize(own, drawn)
-        self.episode_start.begin(own, positions)
+            self._randomize(episode_seed, drawn)
+        self.episode_start.begin(episode_seed, positions)
         if positions is not None:
             self._settle()
         self._reset(seed)

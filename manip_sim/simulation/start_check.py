@@ -60,14 +60,14 @@ def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterab
     :param urdf: what the names of elements from URDF files begin with; their remedies are for URDF
     :returns: overlaps first, the deepest before others; empty if nothing is wrong
     """
-    own = _bodies_below(model, [model.body(root).id for root in roots])
+    of_robots = _bodies_below(model, [model.body(root).id for root in roots])
     contacts = [contact for contact in data.contact if min(contact.geom) >= 0
-                and own[model.geom_bodyid[contact.geom]].any()]
-    joints = [joint for joint in _actuated_joints(model) if own[model.jnt_bodyid[joint]]]
-    return [*_overlaps(model, contacts, own, urdf),
-            *_blocked(model, data, contacts, joints, own, urdf),
-            *_out_of_range(model, data, own, urdf),
-            *find_drive_defects(model, data, own, urdf), *_inertias(model, own)]
+                and of_robots[model.geom_bodyid[contact.geom]].any()]
+    joints = [joint for joint in _actuated_joints(model) if of_robots[model.jnt_bodyid[joint]]]
+    return [*_overlaps(model, contacts, of_robots, urdf),
+            *_blocked(model, data, contacts, joints, of_robots, urdf),
+            *_out_of_range(model, data, of_robots, urdf),
+            *find_drive_defects(model, data, of_robots, urdf), *_inertias(model, of_robots)]
 
 
 def _bodies_below(model: mujoco.MjModel, roots: list[int]) -> BoolArray:
@@ -81,8 +81,8 @@ def _bodies_below(model: mujoco.MjModel, roots: list[int]) -> BoolArray:
 
 def _actuated_joints(model: mujoco.MjModel) -> list[int]:
     """Return the scalar joints that actuators act on."""
-    found = [joint for a in range(model.nu) for joint in actuated_joints(model, a)]
-    return [joint for joint in dict.fromkeys(found) if int(model.jnt_type[joint]) in _SCALAR]
+    joints = [joint for a in range(model.nu) for joint in actuated_joints(model, a)]
+    return [joint for joint in dict.fromkeys(joints) if int(model.jnt_type[joint]) in _SCALAR]
 
 
 def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray, urdf: tuple[str, ...]

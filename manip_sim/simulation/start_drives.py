@@ -76,11 +76,11 @@ def _undriven(model: mujoco.MjModel, joints: list[int], urdf: tuple[str, ...]
     moved = moved_joints(model)
     names = [model.joint(joint).name for joint in joints if joint not in moved]
     if names:
-        one = len(names) == 1
+        is_single = len(names) == 1
         yield StartDefect(
-            'undriven', f'{"joint" if one else "joints"} {quoted_names(names, _LISTED)} '
-            f'{"has" if one else "have"} no actuator, and no spring or coupling to a joint that '
-            f'has one: nothing holds {"it" if one else "them"}',
+            'undriven', f'{"joint" if is_single else "joints"} {quoted_names(names, _LISTED)} '
+            f'{"has" if is_single else "have"} no actuator, and no spring or coupling to a joint '
+            f'that has one: nothing holds {"it" if is_single else "them"}',
             remedies_for(names[0], urdf).drive(names))
 
 
