@@ -236,10 +236,10 @@ class JointActions(Actions):
     @property
     def bounds(self) -> FloatArray:
         """Ranges of the joints in the mode, and [-1, 1] for grippers, shape (size, 2)."""
-        found = super().bounds
+        bounds = super().bounds
         for item in self.arms:
-            found[item.goals] = item.robot.limits(item.arm)
-        return found
+            bounds[item.goals] = item.robot.limits(item.arm)
+        return bounds
 
 
 def create_actions(kind: str, simulation: Simulation) -> Actions:

@@ -154,12 +154,12 @@ class Expert(ABC):
         # Its speed is the share of half a stroke in a period; zero: it moves at once.
         if not body or not 0.0 < _gripper(arm).speed * periods < _STROKE:
             return
-        own = bodies_of_gripper(self.simulation, arm.item.robot, arm.item.arm)
+        gripper = bodies_of_gripper(self.simulation, arm.item.robot, arm.item.arm)
         weight_n = float(self.simulation.model.body(body).subtreemass[0]) * _GRAVITY
         for _ in range(_MOST_WAITED):
-            if pressure(self.simulation, own, {body}) > _WEIGHTS * weight_n:
+            if pressure(self.simulation, gripper, {body}) > _WEIGHTS * weight_n:
                 return
-            if pressure(self.simulation, own, but={body}):
+            if pressure(self.simulation, gripper, but={body}):
                 # What the fingers stand on keeps them from closing.
                 arm.position = arm.position + [0.0, 0.0, _UP_M]
             yield

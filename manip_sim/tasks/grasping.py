@@ -20,10 +20,10 @@ def touching(simulation: Simulation, body: str) -> set[int]:
 
     :param body: of the object, which is one body
     """
-    own = simulation.model.body(body).id
+    object_id = simulation.model.body(body).id
     _, pairs = bodies_in_contact(simulation.model, simulation.data)
-    found: set[int] = set(pairs[pairs[:, 0] == own, 1].tolist())
-    return found | set(pairs[pairs[:, 1] == own, 0].tolist())
+    bodies: set[int] = set(pairs[pairs[:, 0] == object_id, 1].tolist())
+    return bodies | set(pairs[pairs[:, 1] == object_id, 0].tolist())
 
 
 def bodies_of_gripper(simulation: Simulation, robot: SimulatedRobot, arm: str) -> set[int]:

@@ -57,8 +57,8 @@ class Latency:
                 raise UnknownNameError('key of latency', key, _KEYS)
             if (isinstance(value, bool) or not isinstance(value, (int, float))
                     or not 0.0 <= value <= LONGEST_S):  # NaN is not either.
-                what = key.replace('_', ', ')
-                raise ModelError(f'latency of a {what} must be from 0 to {LONGEST_S:g} s, got '
+                kind = key.replace('_', ', ')
+                raise ModelError(f'latency of a {kind} must be from 0 to {LONGEST_S:g} s, got '
                                  f'{shown(value)}')
         return cls(*(float(values.get(key, 0.0)) for key in _KEYS))
 

@@ -136,15 +136,15 @@ class Observer:
             noise[camera] = ImageNoise(
                 camera, sensing.seed, count, sensing.settings['noise.pixel'],
                 sensing.settings['noise.depth'])
-        found: Observation = {}
+        images: Observation = {}
         for camera, picture in pictures.take(self._simulation, scenes).items():
             if picture.rgb is not None:
-                found[f'{IMAGE}{camera}'] = noise[camera].on_colours(picture.rgb)
+                images[f'{IMAGE}{camera}'] = noise[camera].on_colours(picture.rgb)
             if picture.depth is not None:
-                found[f'{DEPTH}{camera}'] = noise[camera].on_depth(picture.depth)
+                images[f'{DEPTH}{camera}'] = noise[camera].on_depth(picture.depth)
             if picture.labels is not None:
-                found[f'{LABELS}{camera}'] = picture.labels
-        return found
+                images[f'{LABELS}{camera}'] = picture.labels
+        return images
 
     def joints(self) -> FloatArray:
         """Return positions, velocities and efforts of all joints, shape (3, n)."""
@@ -169,12 +169,13 @@ def observe(observers: Sequence[Observer]) -> Observation:
     :returns: the arrays of all with a leading axis, copies
     """
     compute(observer.efforts for observer in observers)
-    found = dict(zip(_JOINTS, np.stack([observer.joints() for observer in observers], axis=1)))
+    joints = np.stack([observer.joints() for observer in observers], axis=1)
+    observation = dict(zip(_JOINTS, joints))
     for key, channel in _OF_ARMS.items():
         rows = [row for observer in observers for row in observer.arms(channel)]
-        found[key] = np.stack(rows).reshape(len(observers), -1, len(rows[0]))
+        observation[key] = np.stack(rows).reshape(len(observers), -1, len(rows[0]))
     others = [[observer.surroundings() for observer in observers]]
     if (pictures := observers[0].pictures) is not None:
         others.append(pictures.each(lambda own, observer: observer.images(own), observers))
-    return found | {key: np.stack([one[key] for one in seen]) for seen in others
-                    for key in seen[0]}
+    return observation | {key: np.stack([item[key] for item in seen]) for seen in others
+                          for key in seen[0]}

@@ -82,15 +82,15 @@ class Pictures:
             raise SimulationEnded(_CLOSED)
         _free_lost()
         self._context.make_current()
-        found: dict[str, Picture] = {}
+        pictures: dict[str, Picture] = {}
         present, shown = take_snapshot(simulation), None
         for camera, (width, height) in self._views.items():
             if scenes.get(camera, present) is not shown:
                 shown = scenes.get(camera, present)
                 self._world.show(shown)
-            found[camera] = self._renderer.render(
+            pictures[camera] = self._renderer.render(
                 self._world.data, camera, width, height, **self._kinds)
-        return found
+        return pictures
 
     def each(self, render: Callable[[Pictures, T], R], items: Sequence[T]) -> list[R]:
         """Render for several items, as :meth:`PictureThreads.each` does."""
@@ -139,17 +139,17 @@ class PictureThreads:
         if not self._own:
             raise SimulationEnded(_CLOSED)
         count = len(self._threads)
-        work = [thread.submit(own.each, render, items[begin::count])
-                for begin, (thread, own) in enumerate(zip(self._threads, self._own))]
+        work = [thread.submit(pictures.each, render, items[begin::count])
+                for begin, (thread, pictures) in enumerate(zip(self._threads, self._own))]
         wait(work)
         shares = [share.result() for share in work]
         return [shares[number % count][number // count] for number in range(len(items))]
 
     def close(self) -> None:
         """Free the OpenGL resources and end the threads; nothing happens the second time."""
-        for thread, own in zip(self._threads, self._own):
+        for thread, pictures in zip(self._threads, self._own):
             with suppress(RuntimeError):  # As the interpreter ends, its threads have ended.
-                thread.submit(own.close).result()
+                thread.submit(pictures.close).result()
         self._own = []
         for thread in self._threads:
             thread.shutdown()

@@ -53,17 +53,17 @@ def interface_of(episode: Episode) -> dict[str, Any]:
     actions, names = episode.actions, episode.observer.names
     observed: dict[str, Any] = {}
     for key, value in episode.observation.items():
-        found = observed[key] = {'shape': list(value.shape), 'dtype': str(value.dtype)}
+        entry = observed[key] = {'shape': list(value.shape), 'dtype': str(value.dtype)}
         if key in names:
-            found['names'] = list(names[key])
+            entry['names'] = list(names[key])
         if key in _COLUMNS:
-            found['columns'], found['units'] = map(list, zip(*_COLUMNS[key]))
+            entry['columns'], entry['units'] = map(list, zip(*_COLUMNS[key]))
         elif key in _OF_JOINTS:
             model = episode.simulation.model
-            found['units'] = [
+            entry['units'] = [
                 _OF_JOINTS[key][int(model.joint(name).type[0]) == _SLIDE] for name in names[key]]
         elif key.startswith(IMAGE):
-            found['columns'], found['units'] = ['y', 'x'], ['red', 'green', 'blue']
+            entry['columns'], entry['units'] = ['y', 'x'], ['red', 'green', 'blue']
     return {'format': FORMAT, 'control_hz': 1.0 / episode.period_s,
             'action': {'kind': episode.kind, 'names': actions.names, 'units': actions.units,
                        'bounds': actions.bounds.tolist()},
@@ -78,20 +78,20 @@ def read_interface(file: Path) -> dict[str, Any]:
     :raises ModelError: if it cannot be read, or holds something else
     """
     try:
-        found = json.loads(file.read_text())
+        content = json.loads(file.read_text())
     except (OSError, ValueError, RecursionError) as error:
         raise ModelError(f'{file} cannot be read: {error}') from error
-    _check_keys(found, '', file)
-    if found.get('format', FORMAT) != FORMAT:
-        raise ModelError(f'{file} has the format {shown(found["format"])}, not {FORMAT}')
-    if 'action' in found:
-        _check_keys(found['action'], 'action', file)
-    observed = found.get('observation', {})
+    _check_keys(content, '', file)
+    if content.get('format', FORMAT) != FORMAT:
+        raise ModelError(f'{file} has the format {shown(content["format"])}, not {FORMAT}')
+    if 'action' in content:
+        _check_keys(content['action'], 'action', file)
+    observed = content.get('observation', {})
     if not isinstance(observed, dict):
         raise ModelError(f'{file}: observation must be an object, by key')
     for described in observed.values():
         _check_keys(described, 'observation', file)
-    return dict(found)
+    return dict(content)
 
 
 def _check_keys(found: Any, part: str, file: Path) -> None:
@@ -113,11 +113,11 @@ def check_interface(expected: Mapping[str, Any], actual: Mapping[str, Any], wher
     :param where: of the former, for the message
     :raises ModelError: with the first difference
     """
-    for what, wanted, found in _values(expected, actual):
-        if isinstance(wanted, list) and isinstance(found, list) and len(wanted) == len(found):
-            for index, (one, other) in enumerate(zip(wanted, found)):
-                _compare(f'{what}, number {index}', one, other, where)
-        _compare(what, wanted, found, where)
+    for name, needed, present in _values(expected, actual):
+        if isinstance(needed, list) and isinstance(present, list) and len(needed) == len(present):
+            for index, (one, other) in enumerate(zip(needed, present)):
+                _compare(f'{name}, number {index}', one, other, where)
+        _compare(name, needed, present, where)
 
 
 def _values(expected: Mapping[str, Any], actual: Mapping[str, Any]
@@ -125,15 +125,15 @@ def _values(expected: Mapping[str, Any], actual: Mapping[str, Any]
     """Yield the name of each compared value, its expected and its actual value."""
     if 'control_hz' in expected:
         yield 'control_hz', expected['control_hz'], actual['control_hz']
-    for key, wanted in expected.get('action', {}).items():
-        yield f'{key} of actions', wanted, actual['action'][key]
+    for key, needed in expected.get('action', {}).items():
+        yield f'{key} of actions', needed, actual['action'][key]
     for name, described in expected.get('observation', {}).items():
-        found = actual['observation'].get(name)
-        if found is None:
+        present = actual['observation'].get(name)
+        if present is None:
             yield f'observation {quoted(name)}', 'there', 'not there'
         else:
-            for key, wanted in described.items():
-                yield f'{key} of {name}', wanted, found.get(key)
+            for key, needed in described.items():
+                yield f'{key} of {name}', needed, present.get(key)
 
 
 def _compare(what: str, wanted: Any, found: Any, where: str) -> None:

@@ -73,12 +73,12 @@ class Setting:
     @property
     def plain_composition(self) -> dict[str, Any]:
         """The composition with the content of files that are not only named."""
-        found = dict(self.composition)
-        if found.get('randomization') is not None:
-            found['randomization'] = Randomization(found['randomization']).given
-        if 'faults' in found:
-            found['faults'] = FaultPlan(found['faults']).given
-        return found
+        composition = dict(self.composition)
+        if composition.get('randomization') is not None:
+            composition['randomization'] = Randomization(composition['randomization']).given
+        if 'faults' in composition:
+            composition['faults'] = FaultPlan(composition['faults']).given
+        return composition
 
     def create_task(self) -> Task:
         """

@@ -115,8 +115,8 @@ class Task(ABC):
         arms, kind = usable_arms(robot, self.needs_fingers), type(robot).__name__
         moved = not {'position'}.isdisjoint(self.arguments)
         if len(arms) < self.arms_needed:
-            what = 'with grippers that grasp' if self.needs_fingers else 'with grippers'
-            reason = (f'{self.name} needs {counted(self.arms_needed, "arm")} {what}, {robot.name} '
+            kit = 'with grippers that grasp' if self.needs_fingers else 'with grippers'
+            reason = (f'{self.name} needs {counted(self.arms_needed, "arm")} {kit}, {robot.name} '
                       f'has {len(arms)} here')
         elif kind in self.unable and not moved:
             reason = f'{self.name}: {kind} cannot do it, {self.unable[kind]}'

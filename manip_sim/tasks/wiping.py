@@ -70,25 +70,25 @@ class WipeTable(Task):
         :returns: in ``world`` [m], shape (n, 3), a view
         """
         first = int(simulation.model.body('spot0').mocapid[0])
-        found: FloatArray = simulation.data.mocap_pos[first:first + _ROWS * _COLUMNS]
-        return found
+        spots: FloatArray = simulation.data.mocap_pos[first:first + _ROWS * _COLUMNS]
+        return spots
 
     def left(self, simulation: Simulation) -> BoolArray:
         """Return which spots are still on the table, shape (n,)."""
-        found: BoolArray = self.spots(simulation)[:, 2] > 0.0
-        return found
+        is_left: BoolArray = self.spots(simulation)[:, 2] > 0.0
+        return is_left
 
     def end_period(self, simulation: Simulation) -> None:
         """Remove the spots that a gripper covers while it presses on the table."""
         for robot in simulation.robots.values():
             for arm, reader in robot.end_effectors.items():
                 contacts = read_contacts(simulation.model, simulation.data)
-                own = np.isin(contacts.body, list(bodies_of_gripper(simulation, robot, arm)))
-                if contacts.force[own, 2].sum() <= _PRESSES_N:
+                touching = np.isin(contacts.body, list(bodies_of_gripper(simulation, robot, arm)))
+                if contacts.force[touching, 2].sum() <= _PRESSES_N:
                     continue
                 site = simulation.data.site(reader.grip_site)
                 origin, axes = site.xpos, site.xmat.reshape(3, 3)
-                covered = np.einsum('ni,ij->nj', contacts.position[own] - origin, axes)[:, :2]
+                covered = np.einsum('ni,ij->nj', contacts.position[touching] - origin, axes)[:, :2]
                 spots = self.spots(simulation)
                 inside = np.einsum('ni,ij->nj', spots - origin, axes)[:, :2]
                 wiped = ((inside >= covered.min(axis=0) - _AROUND_M)
@@ -109,8 +109,8 @@ class WipeTable(Task):
     def goal(self, simulation: Simulation) -> FloatArray:
         """Return x, y [m] and 1 of each spot that is left; zeros of one that is not; (3 n,)."""
         left = self.left(simulation)
-        found = np.column_stack([self.spots(simulation)[:, :2], np.ones(len(left))])
-        return np.where(left[:, None], found, 0.0).ravel()
+        rows = np.column_stack([self.spots(simulation)[:, :2], np.ones(len(left))])
+        return np.where(left[:, None], rows, 0.0).ravel()
 
     def expert(self, simulation: Simulation) -> Expert:
         """Return an expert that wipes in two strokes, there and back."""
