@@ -183,21 +183,21 @@ class Comparison:
     @property
     def notes(self) -> list[str]:
         """Remarks for a reader: seeds that are left out, errors, versions."""
-        found, first, compared = [], self.runs[0], set(self.seeds)
+        remarks, first, compared = [], self.runs[0], set(self.seeds)
         for run in self.runs:
             if len(run.rows) < len(run.seeds):
-                found.append(f'{run.path} is not finished: it has {len(run.rows)} of '
-                             f'{counted(len(run.seeds), "episode")}')
+                remarks.append(f'{run.path} is not finished: it has {len(run.rows)} of '
+                               f'{counted(len(run.seeds), "episode")}')
             if left := [seed for seed in run.rows if seed not in compared]:
-                found.append(f'{run.path}: {counted(len(left), "seed")} left out, which another '
-                             f'run does not have: {shown(spans(left))}')
+                remarks.append(f'{run.path}: {counted(len(left), "seed")} left out, which another '
+                               f'run does not have: {shown(spans(left))}')
             if failed := sum(bool(run.rows[seed].error) for seed in self.seeds):
-                found.append(f'{run.path}: {counted(failed, "episode")} without success because '
-                             'of an error')
+                remarks.append(f'{run.path}: {counted(failed, "episode")} without success because '
+                               'of an error')
             versions = _differences(first.description['versions'], run.description['versions'])
-            found += [f'{run.path}: {name} is {theirs}, not {ours}'
-                      for name, ours, theirs in versions]
-        return found
+            remarks += [f'{run.path}: {name} is {theirs}, not {ours}'
+                        for name, ours, theirs in versions]
+        return remarks
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison as JSON can hold it."""
@@ -297,7 +297,7 @@ def first_difference(first: StoredRun, second: StoredRun, seed: int) -> int | No
         if not np.array_equal(ours, theirs, equal_nan=True):
             return period
     shortest = min(map(len, states))
-    return None if all(len(found) == shortest for found in states) else shortest
+    return None if all(len(of_run) == shortest for of_run in states) else shortest
 
 
 def recorded_episode(run: StoredRun, seed: int) -> RecordedEpisode:

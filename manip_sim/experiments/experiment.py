@@ -53,13 +53,13 @@ def parse_seeds(text: str) -> list[int]:
                              '0:1000:10, of whole numbers from 0')
         first, stop, step = (None if group is None else int(group) for group in match.groups())
         assert first is not None
-        found = range(first, first + 1 if stop is None else stop, 1 if step is None else step or 1)
-        if not found or step == 0:
+        span = range(first, first + 1 if stop is None else stop, 1 if step is None else step or 1)
+        if not span or step == 0:
             raise ModelError(f'seeds {quoted(text)}: {quoted(piece)} has no seed; 0:1000 is 0 to '
                              '999')
-        if len(seeds) + len(found) > MOST:
+        if len(seeds) + len(span) > MOST:
             raise ModelError(f'seeds {quoted(text)}: more than {MOST} seeds')
-        seeds += found
+        seeds += span
     if len(set(seeds)) != len(seeds):
         raise ModelError(f'seeds {quoted(text)}: a seed appears twice')
     return seeds

@@ -66,12 +66,12 @@ def policy_content(name: str, read: Iterable[str] = ()) -> str | None:
     if name == EXPERT or name.startswith(ROS):
         return None
     file = _policy_file(name)
-    found: set[Path] = set()
+    files: set[Path] = set()
     if file is not None:
         more = (Path(os.path.abspath(file.parent / path)) for path in read)
-        found = _files([file, *filter(os.path.isfile, more)])
+        files = _files([file, *filter(os.path.isfile, more)])
     # Sorted by content: other machines have them in other folders.
-    return hashlib.sha256(b''.join(sorted(map(_digest, found)))).hexdigest()
+    return hashlib.sha256(b''.join(sorted(map(_digest, files)))).hexdigest()
 
 
 def files_read(name: str) -> list[str]:
@@ -118,19 +118,19 @@ def _digest(path: Path) -> bytes:
 
 def _files(beginning: Sequence[Path]) -> set[Path]:
     """Return files and what they import or name, but no packages that the first is none of."""
-    found, waiting = set[Path](), [path.resolve() for path in beginning]
-    own = _installed(waiting[0])
+    files, waiting = set[Path](), [path.resolve() for path in beginning]
+    package = _installed(waiting[0])
     while waiting:
         path = waiting.pop()
-        if path in found or _installed(path) not in (None, own):
+        if path in files or _installed(path) not in (None, package):
             continue
-        found.add(path)
+        files.add(path)
         if path.suffix == '.py':
             with contextlib.suppress(SyntaxError, ValueError):
                 waiting += _referred(path, ast.parse(path.read_bytes()))
         elif path.suffix == '.onnx':  # Large weights are in files beside it.
             waiting += path.parent.glob(f'{path.name}.*')
-    return found
+    return files
 
 
 def _installed(file: Path) -> Path | None:
@@ -169,9 +169,9 @@ def _writes(node: ast.AST) -> bool:
     if not isinstance(node, ast.Call) or 'open' not in (
             getattr(node.func, 'id', ''), getattr(node.func, 'attr', '')):
         return False
-    given = [*node.args, *(keyword.value for keyword in node.keywords if keyword.arg == 'mode')]
+    modes = [*node.args, *(keyword.value for keyword in node.keywords if keyword.arg == 'mode')]
     return any(isinstance(value, ast.Constant) and isinstance(value.value, str)
-               and re.fullmatch('[rwaxbt+]*[wax+][rwaxbt+]*', value.value) for value in given)
+               and re.fullmatch('[rwaxbt+]*[wax+][rwaxbt+]*', value.value) for value in modes)
 
 
 def _texts(node: ast.AST) -> Iterator[str]:
@@ -255,13 +255,13 @@ def _loaded(name: str, keys: Collection[str] | None) -> Policy:
     where, colon, attribute = name.rpartition(':')
     if not (colon and where and attribute):
         raise ModelError(f'policy {quoted(name)} must be {_FORMS}')
-    found: Any = _module(where)
+    item: Any = _module(where)
     for part in attribute.split('.'):
-        if not hasattr(found, part):
+        if not hasattr(item, part):
             raise ModelError(f'policy {quoted(name)}: no {quoted(part)} in {where}: '
-                             + describe_choices(part, [n for n in vars(found) if n[0] != '_']))
-        found = getattr(found, part)
-    return _made(name, found)
+                             + describe_choices(part, [n for n in vars(item) if n[0] != '_']))
+        item = getattr(item, part)
+    return _made(name, item)
 
 
 @contextlib.contextmanager
@@ -271,7 +271,7 @@ def _watched(name: str) -> Iterator[None]:
     if file is None:
         yield
         return
-    folder, opened, own = file.resolve().parent, set[Path](), _installed(file.resolve())
+    folder, opened, package = file.resolve().parent, set[Path](), _installed(file.resolve())
     _watch_opening()
     _WATCHERS.append(opened)
     modules = {*sys.modules}
@@ -287,7 +287,7 @@ def _watched(name: str) -> Iterator[None]:
         _READ.setdefault(name, set()).update(
             path.resolve() for path in map(_source_of, paths) if path.is_file()
             and (_is_below(path, folder) or _is_below(path, here))
-            and _installed(path) in (None, own))
+            and _installed(path) in (None, package))
 
 
 def _is_below(path: Path, folder: Path) -> bool:
@@ -411,7 +411,7 @@ def _onnx(file: str, keys: Collection[str] | None) -> Callable[[Observation], Fl
         session = onnxruntime.InferenceSession(file, options, ['CPUExecutionProvider'])
     except Exception as error:
         raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
-    names = [found.name for found in session.get_inputs()]
+    names = [item.name for item in session.get_inputs()]
     return lambda observation: _answer(session.run(None, _inputs(observation, names, keys))[0])
 
 
@@ -433,9 +433,9 @@ def _torch_script(file: str, keys: Collection[str] | None
 
     def act(observation: Observation) -> FloatArray:
         names = list(observation) if takes_dict else ['']
-        given = {key: torch.from_numpy(value)
-                 for key, value in _inputs(observation, names, keys).items()}
+        tensors = {key: torch.from_numpy(value)
+                   for key, value in _inputs(observation, names, keys).items()}
         with torch.no_grad():
-            found = module(given if takes_dict else given[''])
-        return _answer(found.numpy())
+            answer = module(tensors if takes_dict else tensors[''])
+        return _answer(answer.numpy())
     return act

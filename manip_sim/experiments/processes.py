@@ -99,9 +99,9 @@ class WorkerPool:
             ready = wait([worker.pipe for worker in asked], min(_LOOK_S, self._limit_s / _LOOKS))
             for worker in asked:
                 worker.end_if_late(self._limit_s)
-            found = [worker for worker in asked if worker.pipe in ready or not worker.alive]
-            if found:
-                return found
+            done = [worker for worker in asked if worker.pipe in ready or not worker.alive]
+            if done:
+                return done
 
     def _failed(self, seed: int, count: int, worker: _WorkerProcess) -> Row | None:
         """Return the row of a seed whose process died, or None if it is to be tried again."""
@@ -318,8 +318,8 @@ def _spread(ray: Any, experiment: Experiment, seeds: Sequence[int], count: int |
         while pieces and len(under_way) < 2 * most:
             under_way.append(run.remote(shared, pieces.pop(0)))
         ready, under_way = ray.wait(under_way, num_returns=1)
-        for found in ready:
-            answer = ray.get(found)
+        for reference in ready:
+            answer = ray.get(reference)
             if isinstance(answer, str):
                 raise ManipSimError(answer)
             yield from answer

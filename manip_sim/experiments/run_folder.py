@@ -126,9 +126,9 @@ class RunFolder:
             if other != str(count):
                 raise ModelError(f'{self.path} has shards of {other}, not of {count}')
         file = self.path / _ROWS.format(number, count)
-        with file.open('a+') as own:
-            _lock(own, file)
-            yield Shard(own, self._seeds[number - 1::count], retry_errors)
+        with file.open('a+') as opened:
+            _lock(opened, file)
+            yield Shard(opened, self._seeds[number - 1::count], retry_errors)
 
     def rows(self) -> dict[int, Row]:
         """
@@ -236,7 +236,7 @@ def read_run(path: Path) -> StoredRun:
 
 def _rows_in(folder: Path, seeds: Iterable[int]) -> dict[int, Row]:
     """Return the rows of all shards by seed, in the order of some seeds."""
-    found: dict[int, Row] = {}
+    by_seed: dict[int, Row] = {}
     for file in sorted(folder.glob('rows-*.jsonl')):
         with file.open() as opened:
             try:
@@ -244,10 +244,10 @@ def _rows_in(folder: Path, seeds: Iterable[int]) -> dict[int, Row]:
             except (ModelError, ValueError) as error:
                 raise ModelError(f'{file}: {error}') from error
         for seed, row in rows.items():
-            if seed in found:
+            if seed in by_seed:
                 raise ModelError(f'{folder}: two shards have the seed {seed}')
-            found[seed] = row
-    return {seed: found[seed] for seed in seeds if seed in found}
+            by_seed[seed] = row
+    return {seed: by_seed[seed] for seed in seeds if seed in by_seed}
 
 
 def read_rows(lines: Iterable[str]) -> dict[int, Row]:
@@ -257,7 +257,7 @@ def read_rows(lines: Iterable[str]) -> dict[int, Row]:
     :param lines: JSON each; one without an end is left out
     :raises ModelError: if a line is not a row
     """
-    found = {}
+    rows = {}
     for number, line in enumerate(lines, 1):
         if not line.endswith('\n'):
             break
@@ -265,8 +265,8 @@ def read_rows(lines: Iterable[str]) -> dict[int, Row]:
             row = Row.of(json.loads(line))
         except (ValueError, TypeError, AttributeError) as error:
             raise ModelError(f'line {number} is not a row: {line[:60]!r}') from error
-        found[row.seed] = row
-    return found
+        rows[row.seed] = row
+    return rows
 
 
 def read_json(file: Path) -> dict[str, Any]:
@@ -276,12 +276,12 @@ def read_json(file: Path) -> dict[str, Any]:
     :raises ModelError: if it is not JSON of a run
     """
     try:
-        found = json.loads(file.read_text())
+        content = json.loads(file.read_text())
     except ValueError as error:
         raise ModelError(f'{file} does not belong to a run: {error}') from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise ModelError(f'{file} does not belong to a run')
-    return found
+    return content
 
 
 def spans(seeds: Sequence[int]) -> str:

@@ -49,8 +49,8 @@ class Row:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the columns of the row."""
-        found = asdict(self)
-        return {'return' if key == 'returned' else key: value for key, value in found.items()}
+        columns = asdict(self)
+        return {'return' if key == 'returned' else key: value for key, value in columns.items()}
 
     @classmethod
     def of(cls, columns: dict[str, Any]) -> Row:
@@ -94,19 +94,19 @@ def summarize(rows: Iterable[Row], seeds: int, period_s: float) -> dict[str, Any
     :param seeds: number of episodes that there will be
     :param period_s: length of a control period [s]
     """
-    found = list(rows)
-    times_s = [row.periods * period_s for row in found if row.success]
+    finished = list(rows)
+    times_s = [row.periods * period_s for row in finished if row.success]
     successes = len(times_s)
-    low, high = wilson_interval(successes, len(found)) if found else (0.0, 1.0)
+    low, high = wilson_interval(successes, len(finished)) if finished else (0.0, 1.0)
     return {
-        'episodes': len(found), 'of': seeds, 'complete': len(found) == seeds,
+        'episodes': len(finished), 'of': seeds, 'complete': len(finished) == seeds,
         'successes': successes,
-        'success_rate': successes / len(found) if found else None,
+        'success_rate': successes / len(finished) if finished else None,
         'success_rate_95': [low, high],
-        'mean_return': statistics.fmean(row.returned for row in found) if found else None,
-        'wall_time_s': sum(row.wall_time_s for row in found),
+        'mean_return': statistics.fmean(row.returned for row in finished) if finished else None,
+        'wall_time_s': sum(row.wall_time_s for row in finished),
         'answer_time_s': {
-            'mean': statistics.fmean(row.answer_mean_s for row in found) if found else None,
-            'max': max((row.answer_max_s for row in found), default=None)},
+            'mean': statistics.fmean(row.answer_mean_s for row in finished) if finished else None,
+            'max': max((row.answer_max_s for row in finished), default=None)},
         'median_time_of_success_s': statistics.median(times_s) if times_s else None,
-        'errors': dict(Counter(row.error for row in found if row.error).most_common(20))}
+        'errors': dict(Counter(row.error for row in finished if row.error).most_common(20))}
