@@ -170,13 +170,13 @@ def create_camera(description: Camera) -> CameraModel:
         replace(ImageSettings(), **{k: value for k, value in values.items() if value is not None}))
 
 
-def _looks_along(found: CameraDescription, position: FloatArray) -> FloatArray:
+def _looks_along(description: CameraDescription, position: FloatArray) -> FloatArray:
     """Return the orientation w, x, y, z of the frame that looks along x, with z up."""
-    if found.quat_wxyz is not None:
-        return found.quat_wxyz
-    if found.look_at is None:
+    if description.quat_wxyz is not None:
+        return description.quat_wxyz
+    if description.look_at is None:
         return np.array(NO_TURN)
-    forward = np.array(found.look_at) - position
+    forward = np.array(description.look_at) - position
     forward /= length(forward)
     left = np.cross([0.0, 0.0, 1.0], forward)
     if length(left) < _PARALLEL:

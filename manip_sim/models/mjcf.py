@@ -288,8 +288,8 @@ class MujocoXMLModel:
         self._contact_geoms = _names(model, model.name_geomadr[here & collides])
         self._visual_geoms = _names(model, model.name_geomadr[here & ~collides])
 
-    def _check_important(self, kind: str, wanted: Iterable[str], existing: list[str]) -> None:
-        for name in wanted:
+    def _check_important(self, kind: str, names: Iterable[str], existing: list[str]) -> None:
+        for name in names:
             if name not in existing:
                 raise UnknownNameError(f'{kind} of {self.name} in {self.file}', name, existing)
 

@@ -76,9 +76,9 @@ def object_from_model(model: HeldModel, name: str | None = None) -> ObjectModel:
     return item
 
 
-def _check_dof(found: PlacedModel) -> None:
-    if found.dof > _MAX_DOF:
-        raise ModelError(f'{found.origin} has {found.dof} degrees of freedom, and at most '
+def _check_dof(item: PlacedModel) -> None:
+    if item.dof > _MAX_DOF:
+        raise ModelError(f'{item.origin} has {item.dof} degrees of freedom, and at most '
                          f'{_MAX_DOF} can be spawned')
 
 

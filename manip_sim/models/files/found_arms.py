@@ -106,7 +106,7 @@ def _by_body(tree: BodyTree, joint: int) -> str | None:
     return next((part for part, known in _BODY_WORDS.items() if words & known), None)
 
 
-def _find_unnamed(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set[int],
+def _find_unnamed(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str], free: set[int],
                   notes: list[str]) -> None:
     """
     Find planar bases, wheels and legs by what their joints are.
@@ -121,15 +121,16 @@ def _find_unnamed(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set
             ('legs', limbs.legs(free.union(limbs.legs_with_shoulders())),
              'these limbs are alike, in pairs or too many for a hand'),
             ('legs', limbs.standing_pair(free), 'they are all that a floating robot stands on')):
-        joints = [joint for joint in joints if joint in free and found[joint] == 'arm']
+        joints = [joint for joint in joints if joint in free and subsystems[joint] == 'arm']
         if joints:
-            found.update(dict.fromkeys(joints, part))
+            subsystems.update(dict.fromkeys(joints, part))
             first = str(tree.model.joint(joints[0]).name)
             notes.append(f'{part} is a guess: {why}; subsystems: {{{first}: other}} in a YAML '
                          'file, and so on for each joint, changes it')
 
 
-def _complete_wheels(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: set[int]) -> None:
+def _complete_wheels(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str], free: set[int]
+                     ) -> None:
     """
     Assign joints between the trunk and wheels to the base, and joints of limbs tied to them.
 
@@ -140,69 +141,70 @@ def _complete_wheels(tree: BodyTree, limbs: Limbs, found: dict[int, str], free: 
     """
     def carries_wheels(limb: int) -> bool:
         joints = limbs.joints(limb)
-        ends = tree.ends(j for j in joints if j in found)
-        return len(joints) > 1 and 'legs' not in map(found.get, joints) and all(
-            found.get(joint) == 'base' for joint in tree.joints(ends))
+        ends = tree.ends(j for j in joints if j in subsystems)
+        return len(joints) > 1 and 'legs' not in map(subsystems.get, joints) and all(
+            subsystems.get(joint) == 'base' for joint in tree.joints(ends))
 
     groups = [group for group in limbs.tied(limbs.trunk) if any(map(carries_wheels, group))]
     if len(groups) > 1:
         joints = {joint for group in groups for limb in group for joint in limbs.joints(limb)}
-        found.update(dict.fromkeys(joints & free, 'base'))
+        subsystems.update(dict.fromkeys(joints & free, 'base'))
         free -= joints
 
 
-def _complete_legs(tree: BodyTree, limbs: Limbs, found: dict[int, str],
+def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
                    declared: Mapping[str, str], fingers: Collection[int]) -> None:
     """Assign joints without a part of their own to the legs of their limb, or to the base."""
     def can_change(joint: int) -> bool:
         name = str(tree.model.joint(joint).name)
-        return found.get(joint) == 'arm' and name not in declared and joint not in fingers
+        return subsystems.get(joint) == 'arm' and name not in declared and joint not in fingers
 
     for limb in limbs.on(limbs.trunk):
-        joints = [joint for joint in limbs.joints(limb) if joint in found]
+        joints = [joint for joint in limbs.joints(limb) if joint in subsystems]
         words = set().union(*(words_of(str(tree.model.joint(j).name)) for j in joints))
-        parts = {found[joint] for joint in joints}
+        parts = {subsystems[joint] for joint in joints}
         if 'legs' in parts <= {'legs', 'arm', 'base'} and not (
                 words & _ARM_BEYOND_SHOULDER or set(joints) & set(fingers)):
-            found.update({joint: 'legs' for joint in joints if can_change(joint)})
-    beyond = {found[joint] for limb in limbs.on(limbs.trunk) for joint in limbs.joints(limb)
-              if joint in found}
+            subsystems.update({joint: 'legs' for joint in joints if can_change(joint)})
+    beyond = {subsystems[joint] for limb in limbs.on(limbs.trunk) for joint in limbs.joints(limb)
+              if joint in subsystems}
     if 'legs' in beyond <= {'legs', 'base'}:
-        found.update({joint: 'base' for joint in limbs.leading if can_change(joint)})
-    if 'legs' not in beyond and 'arm' in {found.get(joint) for joint in limbs.leading}:
-        found.update({joint: 'arm' for joint in limbs.leading if found.get(joint) == 'legs'
-                      and (name := str(tree.model.joint(joint).name)) not in declared
-                      and words_of(name) & _WORDS['legs'] <= _OF_SHOULDERS})
+        subsystems.update({joint: 'base' for joint in limbs.leading if can_change(joint)})
+    if 'legs' not in beyond and 'arm' in {subsystems.get(joint) for joint in limbs.leading}:
+        subsystems.update({
+            joint: 'arm' for joint in limbs.leading if subsystems.get(joint) == 'legs'
+            and (name := str(tree.model.joint(joint).name)) not in declared
+            and words_of(name) & _WORDS['legs'] <= _OF_SHOULDERS})
 
 
-def _correct_base(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str]) -> None:
+def _correct_base(tree: BodyTree, subsystems: dict[int, str], declared: Mapping[str, str]) -> None:
     """Assign the joints of a root to the base if all are named after the axes of a plane."""
     model = tree.model
     for root in (body for body in range(1, model.nbody) if tree.parent(body) == 0):
         axes = [(joint, _AXIS.search(str(model.joint(joint).name)))
                 for joint in tree.joints([root]) if tree.is_scalar(joint)]
         if len(axes) >= 2 and all(match for _, match in axes):
-            found.update({joint: 'base' for joint, _ in axes
-                          if str(model.joint(joint).name) not in declared})
+            subsystems.update({joint: 'base' for joint, _ in axes
+                               if str(model.joint(joint).name) not in declared})
 
 
-def _correct_single_limbs(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str],
+def _correct_single_limbs(tree: BodyTree, subsystems: dict[int, str], declared: Mapping[str, str],
                           fingers: Collection[int]) -> None:
     """
     Assign torso and leg joints to the arm where they move one limb, legs only with fingers.
 
     A torso that moves none is an arm, too, in a robot without legs.
     """
-    most = 0 if 'legs' in found.values() else -1
-    for joint, subsystem in list(found.items()):
+    most = 0 if 'legs' in subsystems.values() else -1
+    for joint, subsystem in list(subsystems.items()):
         name = str(tree.model.joint(joint).name)
         if subsystem not in ('torso', 'legs') or name in declared or classify(name) == subsystem:
             continue
         below = set(tree.joints(tree.below(int(tree.model.jnt_bodyid[joint]))))
-        limbs = {j for j in below - set(fingers) if found.get(j) in ('arm', 'head', 'legs')}
+        limbs = {j for j in below - set(fingers) if subsystems.get(j) in ('arm', 'head', 'legs')}
         count = len(tree.ends(limbs))
         if most < count < 2 if subsystem == 'torso' else count < 2 and below.intersection(fingers):
-            found[joint] = 'arm'
+            subsystems[joint] = 'arm'
 
 
 #: Why a hand alone ends an arm.

@@ -244,13 +244,13 @@ def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:
             f'<option gravity="{numbers}"/> in the MJCF file of an arena sets that of its worlds']
 
 
-def _choose_key(model: mujoco.MjModel, preferred: Sequence[str], wanted: str | None, file: Path
+def _choose_key(model: mujoco.MjModel, preferred: Sequence[str], keyframe: str | None, file: Path
                 ) -> int | None:
     names = [str(model.key(i).name) for i in range(model.nkey)]
-    if wanted is not None:
-        if wanted not in names:
-            raise UnknownNameError(f'keyframe of {file}', wanted, names)
-        return names.index(wanted)
+    if keyframe is not None:
+        if keyframe not in names:
+            raise UnknownNameError(f'keyframe of {file}', keyframe, names)
+        return names.index(keyframe)
     for name in preferred:
         if name in names:
             return names.index(name)

@@ -178,18 +178,18 @@ def find_mimics(model: mujoco.MjModel, joints: Collection[int], actuated: Iterab
     return {joint: mimic for joint, mimic in mimics.items() if mimic.leader != joint}, notes
 
 
-def _spread(head: int, couplings: list[_Coupling], found: dict[int, Mimic],
+def _spread(head: int, couplings: list[_Coupling], mimics: dict[int, Mimic],
             used: list[_Coupling]) -> None:
     """Record how joints that are coupled to a leader follow it, and the couplings used."""
-    found[head] = Mimic(head, 1.0, 0.0)
+    mimics[head] = Mimic(head, 1.0, 0.0)
     waiting = [head]
     while waiting:
         joint = waiting.pop(0)
         for coupling in couplings:
             if joint in (coupling.follower, coupling.leader):
-                other, mimic = coupling.seen_from(joint, found[joint])
-                if other not in found:
-                    found[other] = mimic
+                other, mimic = coupling.seen_from(joint, mimics[joint])
+                if other not in mimics:
+                    mimics[other] = mimic
                     used.append(coupling)
                     waiting.append(other)
 
