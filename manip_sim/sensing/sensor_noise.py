@@ -141,16 +141,16 @@ class InstrumentChannel(Channel):
     :param own_sd: standard deviation that each of its numbers has in any case, in its unit
     """
 
-    def __init__(self, found: Instrument, model: mujoco.MjModel, own_sd: float = 0.0) -> None:
-        self._kind, self._types, self._reach = found.kind, found.types, found.reach
-        sensors = np.repeat(np.arange(model.nsensor), model.sensor_dim)[found.sources]
-        self._quantity = _quantity(found, model, int(sensors[0]))
+    def __init__(self, instrument: Instrument, model: mujoco.MjModel, own_sd: float = 0.0) -> None:
+        self._kind, self._types, self._reach = instrument.kind, instrument.types, instrument.reach
+        sensors = np.repeat(np.arange(model.nsensor), model.sensor_dim)[instrument.sources]
+        self._quantity = _quantity(instrument, model, int(sensors[0]))
         #: The attribute ``noise`` of the sensors in the file.
-        self._of_file, self._own_sd = np.zeros((2, found.length))
-        self._of_file[found.targets] = model.sensor_noise[sensors]
-        self._own_sd[found.targets] = own_sd
+        self._of_file, self._own_sd = np.zeros((2, instrument.length))
+        self._of_file[instrument.targets] = model.sensor_noise[sensors]
+        self._own_sd[instrument.targets] = own_sd
         self.is_noisy = own_sd > 0.0
-        super().__init__(found.name, found.length)
+        super().__init__(instrument.name, instrument.length)
 
     def adapt(self, settings: SensingSettings) -> None:
         """Take over the settings of the robot."""
@@ -196,11 +196,11 @@ def _turned(quat_xyzw: FloatArray, by: FloatArray) -> FloatArray:
     return wxyz_to_xyzw(product)
 
 
-def _quantity(found: Instrument, model: mujoco.MjModel, sensor: int) -> str:
+def _quantity(instrument: Instrument, model: mujoco.MjModel, sensor: int) -> str:
     """Return the quantity whose noise a sensor has that stands alone; empty if there is none."""
-    if found.kind == RANGE:
+    if instrument.kind == RANGE:
         return 'range'
-    name = _ALONE.get(found.types[0], '')
+    name = _ALONE.get(instrument.types[0], '')
     if name.startswith('joint') and model.jnt_type[model.sensor_objid[sensor]] == _SLIDE:
         return name.replace('joint', 'slide')
     return name
