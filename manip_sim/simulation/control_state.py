@@ -147,17 +147,17 @@ def _numbers(gripper: GripperModel) -> dict[str, Any]:
             if isinstance(value, (*_VALUES, np.ndarray))}
 
 
-def _is_own(found: object) -> bool:
-    return type(found).__module__.startswith(_ROOMS) and hasattr(found, '__dict__')
+def _is_own(item: object) -> bool:
+    return type(item).__module__.startswith(_ROOMS) and hasattr(item, '__dict__')
 
 
-def is_frozen(found: object, compares: bool = False) -> bool:
+def is_frozen(item: object, compares: bool = False) -> bool:
     """
     Return whether an object is of a frozen dataclass.
 
     :param compares: whether only one with ``eq`` counts, whose objects are values
     """
-    parameters = getattr(type(found), '__dataclass_params__', None)
+    parameters = getattr(type(item), '__dataclass_params__', None)
     return parameters is not None and parameters.frozen and (parameters.eq or not compares)
 
 
@@ -181,17 +181,17 @@ def _view(owner: NDArray[Any], offset: int, shape: tuple[int, ...], strides: tup
 class ViewPickler(pickle.Pickler):
     """A pickler that keeps views views of the same array."""
 
-    def reducer_override(self, found: object) -> Any:
+    def reducer_override(self, item: object) -> Any:
         """Return how a view is made of the array that it is a view of."""
-        if not isinstance(found, np.ndarray):
+        if not isinstance(item, np.ndarray):
             return NotImplemented
-        owner = owner_of(found)
-        if owner is found:
+        owner = owner_of(item)
+        if owner is item:
             return NotImplemented
         if is_foreign(owner):
             raise pickle.PicklingError('a view into MjData that is not there from the start')
-        offset = (found.__array_interface__['data'][0] - owner.__array_interface__['data'][0])
-        return _view, (owner, offset, found.shape, found.strides, found.dtype.str)
+        offset = (item.__array_interface__['data'][0] - owner.__array_interface__['data'][0])
+        return _view, (owner, offset, item.shape, item.strides, item.dtype.str)
 
 
 class _StatePickler(ViewPickler):
@@ -201,8 +201,8 @@ class _StatePickler(ViewPickler):
         super().__init__(file, protocol=5)
         self._index_of = index_of
 
-    def persistent_id(self, found: object) -> int | None:
-        return self._index_of.get(id(found))
+    def persistent_id(self, item: object) -> int | None:
+        return self._index_of.get(id(item))
 
 
 class _StateUnpickler(pickle.Unpickler):
@@ -223,15 +223,15 @@ class _Encoder:
         self._index_of, self._queues = index_of, queues
         self._number_of: dict[int, int] = {}
 
-    def members(self, found: object) -> Iterator[bytes]:
+    def members(self, owner: object) -> Iterator[bytes]:
         """Yield the attributes of an object, by name."""
-        yield type(found).__qualname__.encode()
-        left_out = getattr(found, 'not_in_digest', ())
-        for name, value in sorted(vars(found).items()):
+        yield type(owner).__qualname__.encode()
+        left_out = getattr(owner, 'not_in_digest', ())
+        for name, value in sorted(vars(owner).items()):
             if name not in left_out:
                 yield name.encode()
                 if isinstance(value, deque) and not value:
-                    yield b'@%d' % self._queues[id(found)]
+                    yield b'@%d' % self._queues[id(owner)]
                 else:
                     yield from self.value(value)
 

@@ -117,14 +117,14 @@ class RobotFaults:
                     self._held[place], states[:, joints], kind, value, number)
         self.seen = states.ravel()
 
-    def _remembered(self, held: list[tuple[int, FloatArray]], measured: FloatArray, what: str,
+    def _remembered(self, held: list[tuple[int, FloatArray]], measured: FloatArray, kind: str,
                     value: float, number: int) -> FloatArray:
         """Return what arrives of a part, and remember what may arrive later."""
         now, late = self._clock.control_steps, 0
-        if what == LATE:
+        if kind == LATE:
             late = math.ceil(value / (self._clock.step_ns * 1e-9) - 1e-6)
-        if not held or what == LATE or (
-                what == LOST and value < 1.0 and self._random(number).random() >= value):
+        if not held or kind == LATE or (
+                kind == LOST and value < 1.0 and self._random(number).random() >= value):
             held.append((now, measured.copy()))
         while len(held) > 1 and held[1][0] + late <= now:
             held.pop(0)

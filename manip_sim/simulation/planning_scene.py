@@ -255,13 +255,13 @@ def solids_of(model: mujoco.MjModel, geom: int, inset: float = 0.0) -> Iterator[
             triangles_of(model, int(model.geom_dataid[geom])), dtype=float))
 
 
-def _insets(model: mujoco.MjModel, own: set[int]) -> dict[int, float]:
+def _insets(model: mujoco.MjModel, robot_bodies: set[int]) -> dict[int, float]:
     """Return by how much fixed geoms that touch fixed geoms of the robot are made smaller [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     fixed = [geom for geom in range(model.ngeom) if collides(model, geom)
              and int(model.body_weldid[model.geom_bodyid[geom]]) == 0]
-    robot = [geom for geom in fixed if int(model.geom_bodyid[geom]) in own]
+    robot = [geom for geom in fixed if int(model.geom_bodyid[geom]) in robot_bodies]
     insets = {}
     for geom in fixed:
         nearest = min((mujoco.mj_geomDistance(model, data, robot_geom, geom, 1.0, None)

@@ -85,8 +85,8 @@ def _actuated_joints(model: mujoco.MjModel) -> list[int]:
     return [joint for joint in dict.fromkeys(joints) if int(model.jnt_type[joint]) in _SCALAR]
 
 
-def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray, urdf: tuple[str, ...]
-              ) -> Iterator[StartDefect]:
+def _overlaps(model: mujoco.MjModel, contacts: list[Any], of_robots: BoolArray,
+              urdf: tuple[str, ...]) -> Iterator[StartDefect]:
     deepest: dict[tuple[int, ...], Any] = {}
     for contact in sorted(contacts, key=lambda contact: float(contact.dist)):
         if contact.dist < -_TOUCHING_M:
@@ -94,18 +94,18 @@ def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray, urdf: 
     for contact in deepest.values():
         # The geom farther from the robot's root is reported as inside the one nearer to it.
         outer, inner = sorted(contact.geom, key=lambda geom: (
-            bool(own[model.geom_bodyid[geom]]), int(model.geom_bodyid[geom])))
+            bool(of_robots[model.geom_bodyid[geom]]), int(model.geom_bodyid[geom])))
         yield StartDefect(
             'overlap', f'{_geom(model, inner, urdf)} starts {-1e3 * contact.dist:.1f} mm inside '
-            f'{_geom(model, outer, urdf)}', _apart(model, inner, outer, own, urdf))
+            f'{_geom(model, outer, urdf)}', _apart(model, inner, outer, of_robots, urdf))
 
 
-def _apart(model: mujoco.MjModel, inner: int, outer: int, own: BoolArray, urdf: tuple[str, ...]
-           ) -> str:
+def _apart(model: mujoco.MjModel, inner: int, outer: int, of_robots: BoolArray,
+           urdf: tuple[str, ...]) -> str:
     """Return the remedy for a geom of a robot that overlaps another geom."""
     bodies = [int(model.geom_bodyid[geom]) for geom in (outer, inner)]
     other, body = (model.body(index).name for index in bodies)
-    if not own[bodies[0]]:
+    if not of_robots[bodies[0]]:
         return (f"place the robot elsewhere (its position, or base_xpos_offset), or move '{other}'"
                 ', or start in another pose')
     remedies = remedies_for(body, urdf)
@@ -117,7 +117,7 @@ def _apart(model: mujoco.MjModel, inner: int, outer: int, own: BoolArray, urdf: 
 
 
 def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], joints: list[int],
-             own: BoolArray, urdf: tuple[str, ...]) -> Iterator[StartDefect]:
+             of_robots: BoolArray, urdf: tuple[str, ...]) -> Iterator[StartDefect]:
     trial = copy.copy(model) if contacts else model
     for joint in joints:
         moved = _bodies_below(model, [int(model.jnt_bodyid[joint])])
@@ -131,7 +131,7 @@ def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], jo
             contact.geom, key=lambda geom: not moved[model.geom_bodyid[geom]])
         yield StartDefect(
             'blocked', f"joint '{model.joint(joint).name}' starts blocked by "
-            f'{_geom(model, neighbour, urdf)}', _apart(model, mover, neighbour, own, urdf))
+            f'{_geom(model, neighbour, urdf)}', _apart(model, mover, neighbour, of_robots, urdf))
 
 
 def _is_blocked(model: mujoco.MjModel, trial: Any, data: mujoco.MjData, joint: int) -> bool:
@@ -173,10 +173,10 @@ def _full_force(model: mujoco.MjModel, joint: int) -> float:
     return max(forces, default=float(_TRIAL_ACCELERATION * inertia))
 
 
-def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray,
+def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, of_robots: BoolArray,
                   urdf: tuple[str, ...]) -> Iterator[StartDefect]:
     for joint in range(model.njnt):
-        if (not own[model.jnt_bodyid[joint]] or int(model.jnt_type[joint]) not in _SCALAR
+        if (not of_robots[model.jnt_bodyid[joint]] or int(model.jnt_type[joint]) not in _SCALAR
                 or not model.jnt_limited[joint]):
             continue
         low, high = model.jnt_range[joint]
@@ -193,10 +193,10 @@ def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray,
                 f'{remedies_for(name, urdf).pose}, or {remedies_for(name, urdf).wider_range()}')
 
 
-def _inertias(model: mujoco.MjModel, own: BoolArray) -> Iterator[StartDefect]:
+def _inertias(model: mujoco.MjModel, of_robots: BoolArray) -> Iterator[StartDefect]:
     """Yield the moving links whose moments of inertia no body of their mass and size can have."""
     absurd: dict[int, float] = {}
-    for body in np.flatnonzero(own & (np.asarray(model.body_weldid) != 0)).tolist():
+    for body in np.flatnonzero(of_robots & (np.asarray(model.body_weldid) != 0)).tolist():
         moment = float(model.body_inertia[body].max())
         most = float(model.body_mass[body]) * _radius(model, body)**2
         if model.body_geomnum[body] and moment > max(_ABSURD_INERTIA * most, _SMALL_INERTIA):

@@ -29,17 +29,17 @@ _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 
 
-def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray,
+def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, of_robots: BoolArray,
                        urdf: tuple[str, ...] = ()) -> Iterator[StartDefect]:
     """
     Yield the defects of the actuators of robots.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
-    :param own: whether each body is of a robot, shape (nbody,)
+    :param of_robots: whether each body is of a robot, shape (nbody,)
     :param urdf: what the names of elements from URDF files begin with
     """
-    joints = [joint for joint in np.flatnonzero(own[model.jnt_bodyid]).tolist()
+    joints = [joint for joint in np.flatnonzero(of_robots[model.jnt_bodyid]).tolist()
               if int(model.jnt_type[joint]) != _FREE]
     drivers = _drivers(model, joints)
     yield from _shared(model, drivers)
