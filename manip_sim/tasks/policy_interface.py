@@ -94,10 +94,10 @@ def read_interface(file: Path) -> dict[str, Any]:
     return dict(content)
 
 
-def _check_keys(found: Any, part: str, file: Path) -> None:
-    if not isinstance(found, dict):
+def _check_keys(content: Any, part: str, file: Path) -> None:
+    if not isinstance(content, dict):
         raise ModelError(f'{file}: {part or "an interface"} must be an object')
-    for key in found:
+    for key in content:
         if key not in _KNOWN[part]:
             raise ModelError(f'{file}: unknown key {quoted(key)}: '
                              + describe_choices(key, _KNOWN[part]))
@@ -136,10 +136,10 @@ def _values(expected: Mapping[str, Any], actual: Mapping[str, Any]
                 yield f'{key} of {name}', needed, present.get(key)
 
 
-def _compare(what: str, wanted: Any, found: Any, where: str) -> None:
-    same = wanted == found or (
-        isinstance(wanted, (int, float)) and isinstance(found, (int, float))
-        and abs(wanted - found) <= 1e-6 * abs(found))
+def _compare(name: str, needed: Any, present: Any, where: str) -> None:
+    same = needed == present or (
+        isinstance(needed, (int, float)) and isinstance(present, (int, float))
+        and abs(needed - present) <= 1e-6 * abs(present))
     if not same:
-        raise ModelError(f'{where}: the policy was made for other episodes: {what}: it needs '
-                         f'{shown(wanted, 100)}, this is {shown(found, 100)}')
+        raise ModelError(f'{where}: the policy was made for other episodes: {name}: it needs '
+                         f'{shown(needed, 100)}, this is {shown(present, 100)}')
