@@ -338,24 +338,24 @@ def _module(where: str) -> Any:
         return module
 
 
-def _made(name: str, found: Any) -> Policy:
-    if inspect.isclass(found):
+def _made(name: str, item: Any) -> Policy:
+    if inspect.isclass(item):
         with failing_as(f'policy {quoted(name)} cannot be created without arguments', ModelError):
-            found = found()
+            item = item()
         with failing_as(f'policy {quoted(name)}', ModelError):
             missing = [method for method in ('reset', 'act')
-                       if not callable(getattr(found, method, None))]
+                       if not callable(getattr(item, method, None))]
         if missing:
             raise ModelError(f'policy {quoted(name)} needs reset(seed) and act(observation); it '
                              f'has no {" and no ".join(missing)}')
-        if not inspect.signature(found.reset).parameters:
-            return _Function(found.act, found.reset)
-        policy: Policy = found
+        if not inspect.signature(item.reset).parameters:
+            return _Function(item.act, item.reset)
+        policy: Policy = item
         return policy
-    if not callable(found):
+    if not callable(item):
         raise ModelError(f'policy {quoted(name)} must be a class or a function, got '
-                         f'{type(found).__name__}')
-    return _Function(found)
+                         f'{type(item).__name__}')
+    return _Function(item)
 
 
 class _Function:
