@@ -66,8 +66,10 @@ class Reflexes:
     :ivar tripped: why each part was stopped that refuses commands
     :ivar is_emergency: whether the robot is in emergency stop
     :ivar is_recovering: whether it recovers, until all stopped joints rest
-    :ivar counts: how often each part was stopped
+    :ivar counts: how often each part was stopped, resets included
     """
+
+    not_in_digest = ('counts',)
 
     def __init__(self, parts: Mapping[str, Part], joints: JointController,
                  end_effectors: Mapping[str, EndEffectorReader], efforts: ActuatorEfforts) -> None:

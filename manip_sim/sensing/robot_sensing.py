@@ -281,7 +281,11 @@ class RobotSensing:
         self._adapt()
 
     def encoded(self) -> bytes:
-        """Return the state as bytes for a digest; empty while all settings are zero."""
+        """
+        Return the state as bytes for a digest; empty while all settings are zero.
+
+        Channels without noise, such as the odometry of a node, follow from the others.
+        """
         values = self.settings.as_dict()
         if not values:
             return b''
@@ -289,11 +293,13 @@ class RobotSensing:
         for channel in self._external.values():
             parts += [b'-' if channel.filtered is None else channel.filtered.tobytes(),
                       channel.tare.tobytes()]
+        noisy = {name for name, (channel, _) in self._channels.items() if channel is not None}
         if self._history:  # What nobody wants again must not count, read or not.
             self._history.newest(self.count)
         for arrival, (count, measured) in self._history:
             parts.append(b'%d %d' % (count, arrival))
-            parts += [name.encode() + value.tobytes() for name, value in measured.items()]
+            parts += [name.encode() + value.tobytes() for name, value in sorted(measured.items())
+                      if name in noisy]
         return b'\n'.join(parts)
 
 

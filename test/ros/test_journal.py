@@ -80,7 +80,7 @@ def drive(client, states, lockstep):
 @pytest.mark.full
 @pytest.mark.parametrize('parameters', [
     ('stepping:=lockstep', 'arena:=table', 'latency.command:=0.02', 'noise.joint_position:=0.001'),
-    ('robot:=UR5e', 'latency.state:=0.02'), ('stepping:=free', 'task:=pick_cube')],
+    ('robot:=PandaOmron', 'latency.state:=0.02'), ('stepping:=free', 'task:=pick_cube')],
     ids=['lockstep', 'realtime', 'free'])
 def test_the_record_of_a_node_is_repeated(parameters, sim_process, record, process, client):
     sim_process(*parameters)

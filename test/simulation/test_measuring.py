@@ -38,17 +38,22 @@ def action(simulation, value=0.5):
     return command
 
 
-def test_a_digest_does_not_depend_on_whether_late_states_were_read(simulation):
-    simulation.robot.sensing.set('latency.state', 3 * PERIOD_S)
+def test_a_digest_does_not_depend_on_who_reads_late_states_and_on_what_came_and_went(simulation):
+    sensing = simulation.robot.sensing
+    sensing.set('latency.state', 3 * PERIOD_S)
     digests = []
     for reads in (True, False):
+        if not reads:
+            sensing.add('odom', lambda: np.ones(3))  # As the node does.
+            simulation.instruments.look_at_model()
         simulation.reset(1)
         for _ in range(10):
             simulation.advance(STEPS)
             if reads:
                 simulation.robot.state()
         digests.append(simulation.digest())
-    assert digests[0] == digests[1]
+    sensing.forget('odom')
+    assert digests[0] == digests[1] == simulation.digest()
 
 
 def test_commands_that_are_under_way_are_a_part_of_saved_states(simulation):

@@ -181,6 +181,8 @@ def test_a_seed_gives_the_same_episode_after_any_other(panda):
     first = run(panda, SCRIPT)
     anew(panda, 8)
     other = run(panda, SCRIPT[::-1])
+    panda.robot.emergency_stop()
+    assert panda.robot.reflexes.counts == {'arm': 1}
     anew(panda, 7)
     assert run(panda, SCRIPT) == first
     fresh = Simulation(compose('Panda', arena='table', initialization_noise=NOISE, seed=7))
