@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 import contextlib
 from dataclasses import dataclass
-import json
 from typing import Any
 import warnings
 
@@ -24,7 +23,7 @@ from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import counted, one_line, quoted
 from manip_sim.records.recorded import Record, RecordedEpisode
 from manip_sim.records.recorder import physics_state
-from manip_sim.records.untrusted_records import files_of
+from manip_sim.records.untrusted_records import files_of, parse_json
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.json_state import check_sum, decoded, NumberedHandles, restore_plain
@@ -197,11 +196,11 @@ class JournalReplay:
     def _messages(self) -> Iterator[tuple[int, list[Any]]]:
         for text in self._record.journal():
             try:
-                message = json.loads(text)
+                message = parse_json(text)
                 number, entries = message['number'], message['entries']
             except (ValueError, TypeError, KeyError, RecursionError) as error:
                 raise RecordError(f'{self._record.path}: a message of the journal cannot be '
-                                  'read') from error
+                                  f'read: {one_line(str(error), 200)}') from error
             if type(number) is not int or not isinstance(entries, list):
                 raise RecordError(f'{self._record.path}: a message of the journal cannot be read')
             yield number, entries

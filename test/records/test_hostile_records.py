@@ -268,6 +268,20 @@ def test_a_journal_that_asks_for_very_many_objects_takes_no_memory(
     assert most < 100e6
 
 
+def test_a_text_of_very_many_items_takes_little_more_memory_than_itself(
+        recording, tmp_path, capsys):
+    text = f'[{"[]," * 4_000_000}[]]'
+    journal(tmp_path / 'journal.mcap', {}, [text])
+    path = rewrite(recording, tmp_path / 'episode.mcap', about(arguments=text))
+    for arguments in (['replay', str(tmp_path / 'journal.mcap')],
+                      ['convert', str(path), '--to', 'hdf5', str(tmp_path / 'set')]):
+        tracemalloc.start()
+        assert main(arguments) == 1
+        assert tracemalloc.get_traced_memory()[1] < 8 * len(text)
+        tracemalloc.stop()
+        assert 'cannot be read: it has more than 5000000 items' in capsys.readouterr().err
+
+
 def test_a_damaged_record_among_others_is_told_and_the_others_are_shown(recording, tmp_path):
     damaged = tmp_path / 'damaged.mcap'
     damaged.write_bytes(recording.read_bytes()[:100])
