@@ -110,8 +110,14 @@ class Controllers:
         """
         Run the callbacks of a node in a thread of its own.
 
-        :param node: of any context
+        :param node: of any context in the domain
+        :raises ManipSimError: if it is in another domain, where nothing of the simulation is seen
         """
+        domain = node.context.get_domain_id()
+        if domain != self._domain:
+            raise ManipSimError(
+                f"node '{node.get_name()}' is in ROS domain {domain}, and the simulation in "
+                f'{self._domain}: call rclpy.init() after sim_node(...), which selects the domain')
         executor = SingleThreadedExecutor(context=node.context)
         executor.add_node(node)
         # A callback that does not return must not keep this process.

@@ -431,7 +431,9 @@ class SimulationUnderTest:
         """
         Run the callbacks of a controller's node in a thread of its own, until the test ends.
 
-        :param node: of the context that ``rclpy.init()`` initialised in the test, or of any other
+        :param node: of the context that ``rclpy.init()`` initialised after the simulation began,
+            or of any other in its domain
+        :raises ManipSimError: if it is in another domain
         """
         self._controllers.spin(node)
 

@@ -330,7 +330,7 @@ def test_processes_of_a_fixture_end_with_a_killed_pytest(tmp_path, number):
         os.kill(int(fork), signal.SIGKILL)
 
 
-def test_what_a_test_asks_wrongly_is_told(sim_node):
+def test_what_a_test_asks_wrongly_is_told(sim_node, ros):
     with pytest.raises(ManipSimError, match=r'parameter .robot.: unknown value'):
         sim_node(robot='Pandaa')
     sim = sim_node()
@@ -341,6 +341,11 @@ def test_what_a_test_asks_wrongly_is_told(sim_node):
         sim.states('leg/joint_states')
     with pytest.raises(ManipSimError, match='pause_at out of range'):
         sim.set_parameter('pause_at', -1.0)
+    ros(domain_id=sim.domain + 1)
+    with pytest.raises(ManipSimError, match=(
+            f"'follower' is in ROS domain {sim.domain + 1}, and the simulation in {sim.domain}: "
+            'call rclpy.init')):
+        sim.spin(Follower())
 
 
 def test_a_simulation_ends_after_a_signal_has_shut_its_context_down(sim_node):
