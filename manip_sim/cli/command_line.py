@@ -60,15 +60,17 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         prog='manip_sim', allow_abbrev=False,
         description='List robots, grippers, bases and arenas; describe, check, render and export '
                     'compositions of them; run policies on tasks, and compare the runs; record '
-                    'nodes, and repeat and convert records; topics, parameters and services of '
-                    'nodes. Works without ROS, but for record, topic, param and service.',
+                    'nodes, and repeat and convert records; identify arms; '
+                    'topics, parameters and services of nodes. Works without ROS, but for '
+                    'record, topic, param and service.',
         epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
                "The node is another program, 'sim_node'.")
     parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_run,
-                _add_merge, _add_compare, _add_record, _add_replay, _add_convert, _add_ros):
+                _add_merge, _add_compare, _add_record, _add_replay, _add_convert, _add_identify,
+                _add_ros):
         add(commands)
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
@@ -136,6 +138,8 @@ def _conflict(options: argparse.Namespace) -> str | None:
             return '--name is for a .urdf'
     if options.command == 'compare':
         return _conflict_of_comparison(options)
+    if options.command == 'identify' and (options.bag is None) == (options.excite is None):
+        return 'give either a BAG, or --excite FILE to record one'
     if options.command != 'render':
         return None
     if options.camera is not None and (options.azimuth, options.elevation) != (None, None):
@@ -427,6 +431,41 @@ def _add_compare(commands: Any) -> None:
     parser.add_argument('--worlds', type=count, metavar='N', help='as for run, with --until')
     parser.add_argument('--policy-limit', type=positive, metavar='SECONDS',
                         help='as for run, with --until')
+
+
+def _add_identify(commands: Any) -> None:
+    parser = _command(
+        commands, 'identify', 'identify',
+        'identify friction and rotor inertia of an arm from recorded joint states',
+        'Reads positions and efforts from a record or a bag of rosbag2, and fits armature, '
+        'damping and dry friction of each joint to them. The end of the record is held out, '
+        'and shows what the values explain. A joint that did not move enough gets no value.',
+        'examples: manip_sim identify --excite excitation.mcap --robot UR5e\n'
+        '          manip_sim identify bag --robot UR5e --out ur5e.yaml\n'
+        "The YAML file is a parameter file of the node, for --params-file here and for 'sim_node "
+        "--ros-args --params-file'.")
+    parser.add_argument('bag', nargs='?', type=Path, metavar='BAG', help='a record, an MCAP file, '
+                        'or the folder or *.db3 file of a bag')
+    parser.add_argument('--out', type=Path, metavar='YAML', help='write the values to this file')
+    parser.add_argument('--json', action='store_true', help='print JSON, in SI units')
+    parser.add_argument('--part', default='arm', metavar='PART',
+                        help='arm, torso, head, legs or base (default: arm)')
+    parser.add_argument('--topic', metavar='TOPIC', help='of the joint states (default: '
+                        'joint_states)')
+    parser.add_argument('--names', metavar='NAME,...', help='names that the joints of the part '
+                        'have in the bag, in their order')
+    parser.add_argument('--payload', action='store_true', help='identify a payload at each flange '
+                        'too, beside the gripper')
+    parser.add_argument('--cutoff', type=positive, default=4.0, metavar='HZ', help='of the filter '
+                        'of efforts and motion, without phase lag (default: 4)')
+    parser.add_argument('--excite', type=Path, metavar='FILE', help='record a motion in '
+                        'simulation from which all can be identified: a Fourier series that keeps '
+                        'the limits and meets nothing, in a new MCAP file')
+    parser.add_argument('--duration', type=positive, default=60.0, metavar='SECONDS',
+                        help='of that motion (default: 60)')
+    parser.add_argument('--seed', type=whole, default=0, metavar='N',
+                        help='that the motion is drawn from (default: 0)')
+    add_composition(parser)
 
 
 def _add_ros(commands: Any) -> None:

@@ -247,6 +247,15 @@ class Record:
         """
         return self._read(self._journal)
 
+    def messages(self, type_name: str) -> Iterator[tuple[str, int, bytes]]:
+        """
+        Yield topic, time [ns] and content of all messages of a type, in any MCAP file of ROS 2.
+
+        :param type_name: such as ``std_msgs/Bool``
+        :raises RecordError: if the file is damaged
+        """
+        return self._read(lambda file: self._messages(file, full_name(type_name)))
+
     def contents(self) -> Iterator[RecordedEpisode | RecordedWorld]:
         """
         Yield the episodes, or the worlds of a node, each once it is read.
@@ -290,6 +299,18 @@ class Record:
                     channels.add(item.id)
             elif isinstance(item, Message) and item.channel_id in channels:
                 yield decode(item.data).data
+
+    def _messages(self, file: BinaryIO, kind: str) -> Iterator[tuple[str, int, bytes]]:
+        from mcap.records import Channel, Message, Schema
+        schemas: dict[int, str] = {}
+        channels: dict[int, str] = {}
+        for item in self._items(file):
+            if isinstance(item, Schema):
+                schemas[item.id] = check_name(item.name, 'type')
+            elif isinstance(item, Channel) and schemas.get(item.schema_id) == kind:
+                channels[item.id] = check_topic(item.topic)
+            elif isinstance(item, Message) and item.channel_id in channels:
+                yield channels[item.channel_id], item.log_time, item.data
 
     def _contents(self, file: BinaryIO) -> Iterator[RecordedEpisode | RecordedWorld]:
         from mcap.records import Attachment, Channel, Message, Metadata, Schema

@@ -1,0 +1,198 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Joint states of records and bags as arrays, in stretches without gaps and jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import describe_choices, RecordError, UnknownNameError
+from manip_sim.quoting import counted, quoted, quoted_names
+from manip_sim.records.bags import bag_messages
+
+_KIND = 'sensor_msgs/JointState'
+_NAME = '/joint_states'
+#: A time between two states of more than so many usual ones is a gap.
+_GAP = 2.5
+#: No joint is faster, a robot was reset [rad/s or m/s].
+_FASTEST = 30.0
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """
+    States at equal intervals.
+
+    :ivar interval_s: between two states [s]
+    :ivar positions: by joint [rad or m], each of shape (t,)
+    :ivar efforts: by joint that is identified [N m or N], each of shape (t,)
+    """
+
+    interval_s: float
+    positions: dict[str, FloatArray]
+    efforts: dict[str, FloatArray]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.positions.values())))
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """
+    What a record has of the joints of a robot.
+
+    :ivar topic: that it was read from
+    :ivar stretches: in the order of time
+    :ivar missing: joints of the robot that it does not have
+    :ivar notes: what was left out, a sentence each
+    """
+
+    topic: str
+    stretches: list[Stretch]
+    missing: list[str]
+    notes: list[str]
+
+    @property
+    def duration_s(self) -> float:
+        """Time in all stretches [s]."""
+        return sum((len(one) - 1) * one.interval_s for one in self.stretches)
+
+
+def read_motion(path: Path, joints: Sequence[str], others: Sequence[str], topic: str | None = None,
+                names: Mapping[str, str] | None = None) -> RecordedMotion:
+    """
+    Read positions and efforts of joints.
+
+    :param path: of a record, an MCAP file, or a bag of rosbag2
+    :param joints: that are identified
+    :param others: joints whose positions matter too
+    :param topic: of the type ``sensor_msgs/JointState``; None for the one called joint_states
+    :param names: of joints in the record, by ours, where they differ
+    :raises RecordError: if it cannot be read, or has no efforts of one of the joints
+    :raises UnknownNameError: if it has no such topic
+    """
+    names = dict(names or {})
+    of_topics: dict[str, list[tuple[int, Any]]] = {}
+    for found, time_ns, message in bag_messages(path, _KIND):
+        of_topics.setdefault(found, []).append((time_ns, message))
+    topic = _choose(path, of_topics, topic)
+    messages = of_topics[topic]
+    where = f'{path}: {topic}'
+    known = list(dict.fromkeys(name for _, message in messages for name in message.name))
+    in_file = {joint: names.get(joint, joint) for joint in (*joints, *others)}
+    for joint in joints:
+        if in_file[joint] not in known:
+            raise RecordError(_no_joint(where, joint, in_file[joint], joints, known))
+    present = {joint: name for joint, name in in_file.items() if name in known}
+    times, positions, efforts = _arrays(messages, present, joints, where)
+    finite = np.isfinite([*positions.values(), *efforts.values()]).all(axis=0)
+    for joint in joints:
+        if not np.isfinite(efforts[joint]).any() or not np.any(efforts[joint]):
+            raise RecordError(f'{where} has no efforts of {quoted(present[joint])}, without which '
+                              'friction and inertia cannot be told')
+    notes = [] if finite.all() else [f'{counted(int((~finite).sum()), "state")} with numbers that '
+                                     'are not finite left out']
+    stretches = _stretches(times[finite], {name: values[finite] for name, values in (
+        positions.items())}, {name: values[finite] for name, values in efforts.items()})
+    return RecordedMotion(topic, stretches, [name for name in others if name not in present],
+                          notes)
+
+
+def _choose(path: Path, of_topics: Mapping[str, Any], topic: str | None) -> str:
+    if topic is not None:
+        topic = f'/{topic.lstrip("/")}'
+        if topic not in of_topics:
+            raise UnknownNameError(f'topic of joint states in {path}', topic, of_topics)
+        return topic
+    found = [name for name in of_topics if name.endswith(_NAME)]
+    if not of_topics:
+        raise RecordError(f'{path} has no messages of {_KIND}')
+    if _NAME not in found and len(found or of_topics) != 1:
+        raise RecordError(f'{path} has several topics of joint states: choose one of '
+                          f'{quoted_names(found or list(of_topics))} with --topic')
+    return _NAME if _NAME in found else (found or list(of_topics))[0]
+
+
+def _no_joint(where: str, joint: str, name: str, joints: Sequence[str], known: Sequence[str]
+              ) -> str:
+    """Return the error for a joint that is not there, with the prefix that would help, if any."""
+    begin = math.inf
+    for other in known:
+        end = next((n for n in range(len(joint)) if other.endswith(joint[n:])
+                    and joint[n - 1:n] in ('_', '')), len(joint))
+        begin = min(begin, end)
+    if begin < len(joint):
+        rest = joint[int(begin):]
+        prefix = next(other for other in known if other.endswith(rest)).removesuffix(rest)
+        if all(prefix + one[int(begin):] in known for one in joints):
+            return f"{where} has no joint {quoted(name)}; it fits with --prefix '{prefix}'"
+    return (f'{where} has no joint {quoted(name)}: {describe_choices(name, known)}; --names gives '
+            'names of the record in the order of the joints of the part')
+
+
+def _arrays(messages: Sequence[tuple[int, Any]], present: Mapping[str, str],
+            joints: Sequence[str], where: str
+            ) -> tuple[FloatArray, dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return times, positions and efforts of the messages that have all joints."""
+    rows: list[list[float]] = []
+    columns: dict[tuple[str, ...], tuple[list[int], list[int]] | None] = {}
+    for time_ns, message in messages:
+        names = tuple(message.name)
+        if names not in columns:
+            places = {name: index for index, name in enumerate(names)}
+            whole = all(name in places for name in present.values())
+            columns[names] = ([places[name] for name in present.values()],
+                              [places[present[joint]] for joint in joints]) if whole else None
+        found = columns[names]
+        if found is None:
+            continue
+        stamp = message.header.stamp
+        now = stamp.sec + 1e-9 * stamp.nanosec or 1e-9 * time_ns
+        position, effort = message.position, message.effort
+        if len(position) != len(names) or len(effort) not in (0, len(names)):
+            raise RecordError(f'{where}: a message has arrays of different lengths')
+        rows.append([now, *(position[i] for i in found[0]),
+                     *(effort[i] if len(effort) else math.nan for i in found[1])])
+    if not rows:
+        raise RecordError(f'{where} has no message with all joints of the robot: they are in '
+                          'several messages')
+    table = np.array(rows, dtype=np.float64).T
+    positions = dict(zip(present, table[1:len(present) + 1]))
+    return table[0], positions, dict(zip(joints, table[len(present) + 1:]))
+
+
+def _stretches(times: FloatArray, positions: Mapping[str, FloatArray],
+               efforts: Mapping[str, FloatArray]) -> list[Stretch]:
+    """Return what is between gaps, jumps and steps back in time, at equal intervals."""
+    if len(times) < 2:
+        return []
+    steps = np.diff(times)
+    # A paused simulation repeats a state.
+    keep = np.concatenate([[True], steps != 0.0])
+    times, steps = times[keep], np.diff(times[keep])
+    kept = {name: values[keep] for name, values in positions.items()}
+    forward = steps[steps > 0.0]
+    if not forward.size:
+        return []
+    interval = float(np.median(forward))
+    fast = np.any([np.abs(np.diff(values)) > _FASTEST * np.abs(steps)
+                   for values in kept.values()], axis=0)
+    cuts = np.flatnonzero((steps < 0.0) | (steps > _GAP * interval) | fast) + 1
+    found = []
+    for part in np.split(np.arange(len(times)), cuts):
+        count = int((times[part[-1]] - times[part[0]]) / interval + 1.5)
+        if len(part) < 3:
+            continue
+        even = times[part[0]] + interval * np.arange(count)
+        at = [{name: np.interp(even, times[part], values[part]) for name, values in of.items()}
+              for of in (kept, {name: values[keep] for name, values in efforts.items()})]
+        found.append(Stretch(interval, *at))
+    return found
