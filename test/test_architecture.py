@@ -49,7 +49,7 @@ MAY_IMPORT = {
     # It shares with the node how messages are filled.
     'experiments/ros_policy.py': ({'channels', 'ros', 'tasks'}, None),
     'experiments': ({'experiments', 'records', 'tasks'},
-                    PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
+                    PURE | {'evdev', 'onnxruntime', 'pyarrow', 'ray', 'torch'}),
     'cli': ({'cli', 'control', 'experiments', 'identification', 'interface', 'models', 'moveit',
              'physics', 'records', 'sensing', 'simulation', 'rendering', 'tasks'},
             PURE | {'PIL', 'rich', 'tqdm'}),

@@ -60,7 +60,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         prog='manip_sim', allow_abbrev=False,
         description='List robots, grippers, bases and arenas; describe, check, render and export '
                     'compositions of them; run policies on tasks, and compare the runs; record '
-                    'nodes, and repeat and convert records; identify arms; '
+                    'nodes, and repeat and convert records; demonstrate tasks; identify arms; '
                     'topics, parameters and services of nodes. Works without ROS, but for '
                     'record, topic, param and service.',
         epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
@@ -69,7 +69,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_run,
-                _add_merge, _add_compare, _add_record, _add_replay, _add_convert, _add_identify,
+                _add_merge, _add_compare, _add_record, _add_replay, _add_convert, _add_demonstrate,
+                _add_identify,
                 _add_ros):
         add(commands)
     if not (words and words[0] in commands.choices):
@@ -431,6 +432,33 @@ def _add_compare(commands: Any) -> None:
     parser.add_argument('--worlds', type=count, metavar='N', help='as for run, with --until')
     parser.add_argument('--policy-limit', type=positive, metavar='SECONDS',
                         help='as for run, with --until')
+
+
+def _add_demonstrate(commands: Any) -> None:
+    parser = _command(
+        commands, 'demonstrate', 'demonstrate', 'demonstrate a task with a device, and record it',
+        'Moves the end effector by the keyboard, a gamepad or a SpaceMouse, in real time, and '
+        'records each episode in DIR/SEED.mcap. Each record is repeated at once. A '
+        'demonstration ends with success, when the time is up, or by a key; a discarded one '
+        'begins again.',
+        'examples: manip_sim demonstrate pick_cube --device keyboard --out picks\n'
+        '          manip_sim demonstrate reach --device file:actions.csv --out reaches\n'
+        'The exit code is 1 if a record does not repeat to the last bit, or there is none.')
+    parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks'")
+    parser.add_argument('--device', required=True, metavar='NAME', help='keyboard, gamepad, '
+                        'spacemouse, or file:ACTIONS.csv with a column for each number of an '
+                        'action')
+    parser.add_argument('--out', required=True, type=Path, metavar='DIR',
+                        help='folder for the records; seeds that it has are left out')
+    parser.add_argument('--episodes', type=count, default=1, metavar='N',
+                        help='number of demonstrations to keep (default: 1)')
+    parser.add_argument('--seed', type=whole, default=0, metavar='N',
+                        help='of the first start; the next ones follow (default: 0)')
+    parser.add_argument('--robot', default='Panda', metavar='NAME', help='(default: Panda)')
+    parser.add_argument('--gripper', default='default', metavar='NAME',
+                        help="(default: the robot's own, unless the task needs another one)")
+    parser.add_argument('--rate', type=positive, default=20.0, metavar='HZ',
+                        help='actions per second (default: 20)')
 
 
 def _add_identify(commands: Any) -> None:

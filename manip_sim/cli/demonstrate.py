@@ -1,0 +1,69 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim demonstrate``: episodes of a task by a device, recorded and repeated at once."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.util
+import sys
+from typing import TYPE_CHECKING
+
+from manip_sim.cli.output import ProgressBar
+from manip_sim.errors import ManipSimError
+from manip_sim.experiments.devices import open_device
+from manip_sim.quoting import counted
+from manip_sim.tasks import Setting
+
+if TYPE_CHECKING:
+    from manip_sim.experiments.demonstrations import Demonstration
+
+
+def run(options: argparse.Namespace) -> tuple[str, int]:
+    """Demonstrate; return a line each, and 1 if one does not repeat, or none was kept."""
+    if importlib.util.find_spec('mcap') is None:
+        raise ManipSimError("demonstrations need mcap: pip install 'manip_sim[records]'")
+    from manip_sim.experiments.demonstrations import Demonstrator
+    setting = Setting(options.task, options.robot, options.gripper, control_hz=options.rate)
+    episode = setting.create_episode()
+    device = open_device(options.device, episode.actions.names)
+    with contextlib.closing(device), ProgressBar('s') as progress:
+        if device.help:
+            print(device.help, file=sys.stderr)
+        options.out.mkdir(parents=True, exist_ok=True)
+        demonstrator = Demonstrator(
+            episode, device, options.out, {'device': options.device},
+            lambda time_s, success, force: progress.show(
+                int(time_s), f', external force {force:.1f} N' + (', success' if success else '')))
+        kept: list[Demonstration] = []
+        seed, quits = options.seed, False
+        while len(kept) < options.episodes and not quits:
+            if (options.out / f'{seed}.mcap').exists():
+                seed += 1
+                continue
+            try:
+                one = demonstrator.run(seed)
+            except KeyboardInterrupt:
+                break
+            print(_line(one), file=sys.stderr)
+            quits = one.quits
+            if one.file is not None:
+                kept.append(one)
+                seed += 1
+    equal = sum(one.repeats for one in kept)
+    return (f'{options.out}: {counted(len(kept), "demonstration")}, '
+            f'{sum(one.success for one in kept)} with success; {equal} of {len(kept)} repeat'
+            ), int(equal < len(kept) or not kept)
+
+
+def _line(one: Demonstration) -> str:
+    """Return what became of a demonstration, and of its repetition."""
+    outcome = 'success' if one.success else 'no success'
+    about = f'seed {one.seed}: {outcome} after {counted(one.periods, "control period")}'
+    if one.repetition is None:
+        return f'{about}, discarded'
+    if one.repeats:
+        return f'{about}, repeats to {outcome}: {one.file}'
+    return f'{about}, does not repeat: {one.repetition.difference}'

@@ -1,0 +1,148 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim demonstrate``: by a file, by keys in a terminal, and events of the kernel."""
+
+import csv
+import os
+import pty
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from manip_sim.experiments.devices import DISCARD, DONE, EventDevice, Keyboard, QUIT
+from manip_sim.tasks import Setting
+
+pytest.importorskip('mcap_ros2', reason='needs the extra records')
+from manip_sim.records.recorded import Record  # noqa: E402
+
+
+@pytest.fixture(scope='module')
+def expert(tmp_path_factory):
+    """Return a file of actions that reach from the start of seed 0, then of seed 1, and more."""
+    episode = Setting('reach').create_episode()
+    expert = episode.task.expert(episode.simulation)
+    path = tmp_path_factory.mktemp('actions') / 'reach.csv'
+    with path.open('w', newline='') as file:
+        writer = csv.writer(file)
+        writer.writerow([*episode.actions.names, 'event'])
+        for seed in (0, 1):
+            episode.reset(seed)
+            expert.reset(seed)
+            while not episode.over:
+                action = expert.act()
+                episode.step(action)
+                writer.writerow([*map(repr, action.tolist()), ''])
+            # The task is done before these.
+            writer.writerow([*[0.0] * len(action), ''])
+            writer.writerow([*[0.0] * len(action), DONE])
+        for event in ('', DISCARD, '', '', DONE):
+            writer.writerow([*[0.0] * len(action), event])
+    return path
+
+
+def test_a_file_demonstrates_to_success_and_each_record_repeats(here, expert, tmp_path):
+    code, output, errors = here('demonstrate', 'reach', '--device', f'file:{expert}', '--out',
+                                tmp_path / 'out', '--episodes', 3)
+    assert code == 0
+    assert output == f'{tmp_path / "out"}: 3 demonstrations, 2 with success; 3 of 3 repeat\n'
+    lines = errors.splitlines()
+    assert [line.partition(' after')[0] for line in lines] == [
+        'seed 0: success', 'seed 1: success', 'seed 2: no success', 'seed 2: no success']
+    assert 'repeats to success' in lines[0] and lines[2].endswith(', discarded')
+    files = sorted((tmp_path / 'out').iterdir())
+    assert [file.name for file in files] == ['0.mcap', '1.mcap', '2.mcap']
+    (recorded,) = Record(files[1]).episodes()
+    assert recorded.seed == 1 and recorded.success
+    assert recorded.json('settings') == {'device': f'file:{expert}'}
+    assert here('replay', '--verify', tmp_path / 'out')[0] == 0
+    # The folder has these seeds, and the actions belong to other starts.
+    before = files[0].read_bytes()
+    code, _, errors = here('demonstrate', 'reach', '--device', f'file:{expert}', '--out',
+                           tmp_path / 'out')
+    assert code == 0 and errors.startswith('seed 3: ') and files[0].read_bytes() == before
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('', 'has no column'), ('x,y\n1,2\n', 'unknown column of'),
+    ('{names}\n1,2\n', 'row 2 has 2 cells, and the header has 7'),
+    ('{names}\n1,2,3,4,5,6,nan\n', 'row 2 has a number that is not finite'),
+    ('{names}\n1,2,3,4,5,6,b\n', 'row 2: could not convert'),
+    ('{names},event\n1,2,3,4,5,6,7,stop\n', 'unknown event in'),
+    ('{names}\n', 'no demonstration')], ids=range(7))
+def test_files_of_actions_that_cannot_be_used_are_told(here, tmp_path, text, message):
+    names = ','.join(Setting('reach').create_episode().actions.names)
+    (tmp_path / 'actions.csv').write_text(text.format(names=names))
+    code, output, errors = here('demonstrate', 'reach', '--device',
+                                f'file:{tmp_path / "actions.csv"}', '--out', tmp_path / 'out')
+    assert code == 1 and message in errors + output.replace('0 demonstr', 'no demonstr')
+    assert not list(tmp_path.glob('out/*'))
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (('reach', '--device', 'file:no.csv'), 'no.csv: No such file'),
+    (('reach', '--device', 'keybord'), "unknown device 'keybord': did you mean 'keyboard'"),
+    (('reach', '--device', 'keyboard'), 'the keyboard needs a terminal'),
+    (('reech', '--device', 'keyboard'), "did you mean 'reach'"),
+    (('reach', '--device', 'gamepad'), 'gamepad')])
+def test_wrong_arguments_end_before_anything_is_written(here, tmp_path, arguments, message):
+    code, _, errors = here('demonstrate', *arguments, '--out', tmp_path / 'out')
+    assert code == 1 and message in errors and not (tmp_path / 'out').exists()
+
+
+@pytest.fixture
+def typed(monkeypatch):
+    """Return a function that types on the terminal that is the input of this process."""
+    outer, inner = pty.openpty()
+    with os.fdopen(inner) as terminal:
+        monkeypatch.setattr('sys.stdin', terminal)
+        yield lambda text: os.write(outer, text.encode())
+    os.close(outer)
+
+
+def test_keys_move_grip_and_end_a_demonstration(typed, here, tmp_path):
+    keyboard = Keyboard()
+    typed('wj ')
+    found = keyboard.read()
+    assert found.motion.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 1.0] and found.toggles
+    typed('s')
+    assert keyboard.read().motion[0] == -1.0
+    for key, event in (('\r', DONE), ('\x7f', DISCARD), ('q', QUIT)):
+        typed(key)
+        assert keyboard.read().event == event
+    keyboard.close()
+    typed('wwq')
+    code, output, errors = here('demonstrate', 'reach', '--device', 'keyboard', '--out',
+                                tmp_path)
+    assert code == 1 and output.endswith('0 demonstrations, 0 with success; 0 of 0 repeat\n')
+    assert 'discarded' in errors and not list(tmp_path.iterdir())
+
+
+class Events:
+    """A device of the kernel that reports events."""
+
+    def __init__(self, *events):
+        self.events = [SimpleNamespace(type=t, code=c, value=v) for t, c, v in events]
+
+    def absinfo(self, code):
+        return SimpleNamespace(min=0, max=255)
+
+    def read(self):
+        if not self.events:
+            raise BlockingIOError
+        events, self.events = self.events, []
+        return events
+
+    def close(self):
+        self.events = None
+
+
+def test_events_of_the_kernel_move_along_and_about_axes():
+    pad = EventDevice('gamepad', Events((3, 1, 0), (3, 0, 128), (1, 304, 1), (0, 0, 0)))
+    found = pad.read()
+    assert found.motion.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0] and found.toggles
+    assert pad.read().motion[0] == 1.0  # A stick that is held reports nothing.
+    device = Events((2, 1, -350), (2, 5, 175), (0, 0, 0), (2, 5, 175), (0, 0, 0), (1, 257, 1))
+    found = EventDevice('spacemouse', device).read()
+    assert np.allclose(found.motion, [0.0, 0.0, 0.0, 0.0, 0.0, -0.5]) and found.event == DONE
