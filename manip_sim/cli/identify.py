@@ -61,12 +61,12 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     if options.out is not None:
         write_whole(options.out, lambda file: _write(
             file, options, found, composed.parameters.given))
-    told = any(value.value is not None for joint in found.joints
+    observable = any(value.value is not None for joint in found.joints
                for value in joint.values.values())
     if options.json:
         return json.dumps({**asdict(found), 'topic': motion.topic, 'notes': _notes(
-            options, motion, found)}, indent=2).replace('NaN', 'null'), int(not told)
-    return _report(options, motion, found), int(not told)
+            options, motion, found)}, indent=2).replace('NaN', 'null'), int(not observable)
+    return _report(options, motion, found), int(not observable)
 
 
 def _names(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[str, str]:
