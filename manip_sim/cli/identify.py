@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         write_whole(options.out, lambda file: _write(
             file, options, found, composed.parameters.given))
     observable = any(value.value is not None for joint in found.joints
-               for value in joint.values.values())
+                     for value in joint.values.values())
     if options.json:
         return json.dumps({**asdict(found), 'topic': motion.topic, 'notes': _notes(
             options, motion, found)}, indent=2).replace('NaN', 'null'), int(not observable)

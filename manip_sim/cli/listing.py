@@ -168,6 +168,8 @@ def _tasks() -> dict[str, list[Row]]:
         arms = max(task.arms_needed, task.arms_in_all)
         return {'name': name, 'instruction': task.instruction, 'arms': arms,
                 'horizon s': task.horizon_s, 'not for': [*task.unable],
+                'expert fails': [f'{robot}: {often}' for robot, often in (
+                    task.expert_fails.items())],
                 'from': _package(task, 'tasks')}
     return {'tasks': [row(name) for name in task_names()]}
 

@@ -52,6 +52,7 @@ class HandOver(Task):
     arms_in_all = 2
     unable = MappingProxyType({
         **TOO_SHORT, 'Jaco': 'its fingers need 3 s to close, so that the time is up before'})
+    expert_fails = MappingProxyType({'Tiago': '0 of 4'})
 
     def objects(self) -> Iterable[Description]:
         """Return the bar; its x is along it."""

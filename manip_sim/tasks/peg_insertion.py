@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 import math
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -36,6 +37,7 @@ class InsertPeg(Task):
     instruction = 'Put the orange peg into the hole.'
     horizon_s = 10.0
     unable = TOO_SHORT
+    expert_fails = MappingProxyType({'Tiago': '0 of 4'})
 
     def arena(self) -> Arena:
         """Return the table with the block that has the hole."""

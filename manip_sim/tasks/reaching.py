@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import MappingProxyType
 
 import numpy as np
 
@@ -30,6 +31,7 @@ class Reach(Task):
     instruction = 'Move the end effector to the green point.'
     horizon_s = 3.0
     unable = TOO_SHORT
+    expert_fails = MappingProxyType({'Tiago': '2 of 4'})
     needs_fingers = False
 
     def arena(self) -> Arena:

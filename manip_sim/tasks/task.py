@@ -54,6 +54,8 @@ class Task(ABC):
     :cvar needs_fingers: whether the grippers must be able to grasp
     :cvar own_gripper: the gripper that replaces ``default``
     :cvar unable: why robots of the catalogue cannot do it where they stand, by class
+    :cvar expert_fails: how often the expert succeeds with robots with which it often fails, by
+        class
     :param robot: as for ``compose``
     :param gripper: as for ``compose``
     :param composition: what else ``compose`` takes, such as ``cameras`` or ``timestep_s``;
@@ -74,6 +76,7 @@ class Task(ABC):
     needs_fingers: ClassVar[bool] = True
     own_gripper: ClassVar[str] = DEFAULT
     unable: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    expert_fails: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

@@ -4,6 +4,8 @@
 """``manip_sim list``."""
 
 import json
+from pathlib import Path
+import re
 import sys
 
 import pytest
@@ -16,6 +18,7 @@ from manip_sim.models.robots import robot_names
 from manip_sim.resources import share_directory
 from manip_sim.tasks import task_names
 
+SOURCE = Path(__file__).resolve().parents[2]
 NAMES = {'robots': robot_names, 'grippers': gripper_names, 'bases': base_names,
          'arenas': arena_names}
 
@@ -101,7 +104,8 @@ def test_tasks_tell_what_is_to_be_done(here):
     assert arms['hand_over'] == 2 and arms['pick_cube'] == arms['reach'] == 1
     assert [row['name'] for row in rows] == task_names()
     assert {'name': 'pick_cube', 'instruction': 'Pick up the red cube.', 'arms': 1,
-            'horizon_s': 6.0, 'not_for': ['GR1', 'SO101'], 'from': 'manip_sim'} in rows
+            'horizon_s': 6.0, 'not_for': ['GR1', 'SO101'], 'expert_fails': [],
+            'from': 'manip_sim'} in rows
 
 
 def test_a_robot_of_the_users_own_file_tells_its_folder(here, one_joint_arm, tmp_path):
@@ -166,3 +170,13 @@ def test_a_part_that_cannot_be_created_does_not_hide_the_others(here, one_joint_
     line = next(line for line in text.splitlines() if 'Broken' in line)
     assert f'cannot be created: ModelError: no such MJCF file: {tmp_path}/lost.xml' in line
     assert 'Panda ' in text
+
+
+def test_tasks_say_with_which_robots_their_experts_fail_as_the_page_of_experts(here):
+    page = (SOURCE / 'docs' / 'reference' / 'experts.md').read_text()
+    rows = re.findall(r'^\| `(\w+)` \| (\w+) \| (\d+) of (\d+) ', page, re.MULTILINE)
+    failing = {(task, f'{robot}: {successes} of {count}') for task, robot, successes, count in rows
+               if int(successes) < 0.9 * int(count)}
+    tasks = json.loads(here('list', 'tasks', '--json')[1])['tasks']
+    listed = {(task['name'], text) for task in tasks for text in task.get('expert_fails', ())}
+    assert listed == failing != set()
