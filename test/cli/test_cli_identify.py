@@ -4,6 +4,7 @@
 """``manip_sim identify``: hidden parameters of our own arms, with noise, and what it rejects."""
 
 import contextlib
+from dataclasses import replace
 import json
 import sqlite3
 
@@ -19,7 +20,7 @@ pytest.importorskip('mcap_ros2', reason='needs the extra records')
 from manip_sim.identification.excitation import (  # noqa: E402
     find_excitation, record_excitation)
 from manip_sim.identification.least_squares import identify, KINDS, RigidModel  # noqa: E402
-from manip_sim.identification.recorded_motion import read_motion  # noqa: E402
+from manip_sim.identification.recorded_motion import read_motion, Stretch  # noqa: E402
 from manip_sim.records.bags import bag_messages  # noqa: E402
 from manip_sim.records.record_file import (  # noqa: E402
     definition, encoded, full_name, RecordFile)
@@ -88,17 +89,27 @@ def test_hidden_parameters_are_found_through_noise(tmp_path, robot):
     motion = read_motion(tmp_path / 'clean.mcap', joints, known.robot.joint_names)
     random = np.random.default_rng(1)
     (stretch,) = motion.stretches
+    noisy = replace(motion, stretches=[Stretch(
+        5.0 * stretch.interval_s,
+        {name: column[::5] + 2e-3 * random.normal(size=len(column[::5]))
+         for name, column in stretch.positions.items()},
+        {name: column[::5] for name, column in stretch.efforts.items()})])
     for of, size in ((stretch.positions, NOISE[0]), (stretch.efforts, NOISE[1])):
         for column in of.values():
             column += size * random.normal(size=len(column))
-    found = identify(motion, RigidModel(
-        known.model, known.data.qpos, joints, known.robot.robot_model.eef_name))
+    model = RigidModel(known.model, known.data.qpos, joints, known.robot.robot_model.eef_name)
+    found = identify(motion, model)
     told = np.array([[joint.values[kind].value for joint in found.joints] for kind in KINDS[:3]])
     assert np.abs(told[[0, 2]] / values[[0, 2]] - 1.0).max() < 0.05
     assert np.abs(told[1] / values[1] - 1.0).max() < 0.1
     for joint in found.joints:
         assert joint.explained > 0.98 and joint.held_out < 0.5 * joint.held_out_before
     assert found.hints == []
+    # Noise of positions would make all that moves seem lighter, by tens of percents of a rotor.
+    coarse = identify(noisy, model)
+    errors = [joint.values['armature'].value / value - 1.0
+              for joint, value in zip(coarse.joints, values[0])]
+    assert np.abs(np.mean(errors)) < 0.1
 
 
 def test_the_written_file_composes_the_robot_that_was_recorded(here, excited, tmp_path):
