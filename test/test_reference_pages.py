@@ -8,9 +8,9 @@ import re
 
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters,
-    composition_parameters, keyframe_parameter, mode_parameters, MODEL_PATH, node_parameters,
-    place_parameters, reflex_parameters, sensing_parameters, speed_parameter, stream_parameters,
-    timeout_parameters, wrench_parameters)
+    composition_parameters, integral_parameters, keyframe_parameter, mode_parameters, MODEL_PATH,
+    node_parameters, payload_parameters, place_parameters, reflex_parameters, sensing_parameters,
+    speed_parameter, stream_parameters, timeout_parameters, wrench_parameters)
 from manip_sim.interface.topics import Scope
 from manip_sim.models.cameras import ImageSettings
 
@@ -48,13 +48,14 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
              *camera_parameters('<camera>', ImageSettings()),
              *cartesian_parameters(scope, ['right']),
              *reflex_parameters(scope, ['right', 'base'], ['right']),
-             *wrench_parameters(scope, ['right']), *sensing_parameters(scope),
+             *wrench_parameters(scope, ['right']), *payload_parameters(scope, ['right']),
+             *integral_parameters(scope, ['arm', 'base']), *sensing_parameters(scope),
              speed_parameter(scope)]
     rows = {row[0].strip('`'): row for row in table_rows('parameters.md')}
     expected = set()
     for spec in specs:
         name = re.sub(r'\.(arm|base)$', '.<part>', spec.name)
-        name = name.replace('cartesian.right.', 'cartesian.<arm>.')
+        name = re.sub(r'^(cartesian|payload)\.right\.', r'\1.<arm>.', name)
         name = re.sub(r'^reflex\.\w+\.(velocity|effort|discontinuity)', r'reflex.<part>.\1', name)
         name = name.replace('reflex.right.', 'reflex.<arm>.')
         name = re.sub(r'^(wrench_cutoff|cartesian_\w+|null_\w+)\.right', r'\1.<arm>', name)

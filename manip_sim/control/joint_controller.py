@@ -31,12 +31,14 @@ from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
+from manip_sim.control.payloads import Payloads
 from manip_sim.control.seats import Seats, SeatState
 from manip_sim.control.trajectory_following import TrajectoryFollowing
 from manip_sim.control.user_laws import Law, LAWS, PREFIX
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.parts import Part
+from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics
 
 C = TypeVar('C', bound=Command)
@@ -65,11 +67,14 @@ class JointController(ControlledJoints):
     :ivar seats: the laws of users, by part
     """
 
+    not_in_digest = ('_physics',)
+
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str], chains: Mapping[str, KinematicChain] | None = None,
                  gains_are_highest: bool = False,
                  end_effectors: Mapping[str, EndEffectorReader] | None = None) -> None:
         super().__init__(physics, parts, atomic, gains_are_highest)
+        self._physics = physics
         self.seats = Seats(physics, self._servos, self._indices_of, {
             part: reader for arm, reader in (end_effectors or {}).items() if arm in parts
             for part in parts[arm].atomic if len(parts[arm].atomic) == 1})
@@ -95,6 +100,20 @@ class JointController(ControlledJoints):
         self.cartesian.look_at_joints()
 
     @property
+    def payloads(self) -> Payloads:
+        """The payloads of the arms."""
+        found: Payloads | None = self._derived.of.get('payloads')
+        if found is None:
+            found = self._derived.of['payloads'] = Payloads(
+                self._physics, self._servos, self.cartesian.readers)
+        return found
+
+    @property
+    def _acts(self) -> bool:
+        """True if controls change whether setpoints move or not."""
+        return self.payloads.any or self._servos.any_integrates
+
+    @property
     def moving(self) -> bool:
         """True if setpoints change, or may change, in the next interval, or a law acts."""
         self._servos.interrupt()
@@ -102,7 +121,8 @@ class JointController(ControlledJoints):
 
     @property
     def _moves(self) -> bool:
-        if self._setpoints.moving or self._efforts_due or self.commands.waiting:
+        if (self._setpoints.moving or self._efforts_due or self.commands.waiting
+                or self._acts):
             return True
         for command in self.commands.running:
             if isinstance(command, (JointTrajectory, BaseTwist)) or (
@@ -120,7 +140,8 @@ class JointController(ControlledJoints):
         index = int(self.indices_of(part)[0])
         longest_s, hold_s = self._setpoints.stream_settings(index)
         return {'control_mode': self.modes[index], 'command_timeout': self._timeouts[part],
-                'stream_interval': longest_s, 'stream_hold': hold_s}
+                'stream_interval': longest_s, 'stream_hold': hold_s,
+                'integral_gain': self._servos.integral_gain(index)}
 
     def ends_targets(self, part: str) -> bool:
         """Return whether the timeout of an atomic part ends Cartesian targets too."""
@@ -131,7 +152,8 @@ class JointController(ControlledJoints):
         """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
         self._servos.interrupt()
         return not (self._setpoints.moving or self._written or self.commands.running
-                    or self.commands.waiting or self._timeouts.pending or self.seats.of)
+                    or self.commands.waiting or self._timeouts.pending or self.seats.of
+                    or self._acts)
 
     @property
     def busy_parts(self) -> frozenset[str]:
@@ -171,6 +193,31 @@ class JointController(ControlledJoints):
             if np.isin(self.indices_of(arm), indices).all():
                 self.cartesian.set_stream(arm, longest_s, hold_s)
 
+    def set_integral_gain(self, part: str, gain: float) -> None:
+        """
+        Change the rate at which servos of a part take away errors that remain.
+
+        :param gain: [1/s]; 0 for not at all
+        :raises UnknownNameError: if there is no such part
+        """
+        if self._servos.set_integral_gain(self.indices_of(part), gain):
+            self._write_again()
+
+    def set_payload(self, arm: str, payload: Payload) -> None:
+        """
+        Change what an arm holds, which servos and laws carry from the next interval on.
+
+        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        """
+        if payload != self.payloads[arm]:
+            self.payloads[arm] = payload
+            self._write_again()
+
+    def _write_again(self) -> None:
+        """Let the controls of joints at rest be written once more."""
+        self._setpoints.wake()
+        self._efforts_due = True
+
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
         """
         Change the control mode of a part; joints whose mode changes come to rest.
@@ -190,16 +237,17 @@ class JointController(ControlledJoints):
 
     def _enter(self, part: str, wanted: ControlMode, data: mujoco.MjData) -> IntArray:
         """Let joints of a part that are in another mode come to rest in one; return which do."""
-        mode = wanted.name
+        mode, servos = wanted.name, self._servos
         changed = np.array([i for i in self.indices_of(part) if self.modes[i] != mode],
                            dtype=np.int64)
         if changed.size:
             gains = wanted.gains([self.names[i] for i in changed])
-            restart = self._servos.set_gains(changed, gains)
+            restart = servos.set_gains(changed, gains)
             self.commands.release(changed, Status.ABORTED, f'the control mode is {mode} now')
             self.modes = tuple(mode if i in changed else m for i, m in enumerate(self.modes))
             self._timeouts.forget(self.parts_of(changed))
             self.seats.rise(self.parts_of(changed))
+            servos.integrate(changed, wanted.integrates)
             self._hold(changed, data, restart)
         return changed
 
@@ -275,7 +323,7 @@ class JointController(ControlledJoints):
             setpoints.brake(braking)
         if self._servos.forget_commands(indices) or free.size or braking.size or restart:
             # Those that brake push the others, which have to withstand at once.
-            servos.start(data, setpoints.joints)
+            servos.start(data, setpoints.joints, self.payloads.loads)
 
     def reset(self, data: mujoco.MjData) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""
@@ -365,7 +413,8 @@ class JointController(ControlledJoints):
     def _impede(self, command: JointImpedance, data: mujoco.MjData) -> JointSetpoint | None:
         """Let servos pull as a command says, and return its goals, or None if it has none."""
         if self._servos.impede(command.indices, *command.pulls):
-            self._servos.start(data, self._setpoints.joints, command.indices)
+            self._servos.start(
+                data, self._setpoints.joints, self.payloads.loads, command.indices)
         goals = command.setpoint()
         if goals is None:
             command.handle.end(Status.DONE)
@@ -421,8 +470,7 @@ class JointController(ControlledJoints):
         """Exert an effort, and no longer follow setpoints [N m or N]."""
         self._effort[indices] = effort
         self._servos.give_effort(indices, True)
-        self._setpoints.wake()
-        self._efforts_due = True
+        self._write_again()
 
     @property
     def speed_scaling(self) -> float:
@@ -523,7 +571,7 @@ class JointController(ControlledJoints):
         setpoints = self._setpoints
         if self.seats.of:
             self.seats.begin(now_s, round(duration_s / self._servos.step_s), setpoints.joints,
-                             self._effort)
+                             self._effort, self.payloads)
         if not self._moves:
             if self._written:
                 self._servos.rest(data)
@@ -547,7 +595,8 @@ class JointController(ControlledJoints):
                 if position is not None:
                     self._end_trajectory(command, data, position)
         self._written, self._efforts_due = True, False
-        self._servos.drive(setpoints.joints, self._effort, duration_s)
+        self._servos.drive(
+            setpoints.joints, self.payloads.loads, self._effort, duration_s)
 
     def begin_run(self, intervals: IntArray, clock: Clock
                   ) -> tuple[RobotJoints, Targets, int] | None:
@@ -587,10 +636,11 @@ class JointController(ControlledJoints):
             indices, path = led
             count = len(path)
         servos, setpoints, flags = self._servos, self._setpoints, self._flags
-        flags[:] = setpoints.moving, self._efforts_due, self._written
+        flags[:] = setpoints.moving, self._efforts_due, self._written, self._acts
         return self._derived.made_of(
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
-            setpoints.counts, self.cartesian.posture, flags, indices, path, *base), targets, count
+            setpoints.counts, self.cartesian.posture, flags, indices, path, *base,
+            self.payloads.loads, servos.integrals), targets, count
 
     def stand(self, joints: RobotJoints, targets: Targets, owners: IntArray, acts: IntArray
               ) -> float | None:
@@ -616,7 +666,8 @@ class JointController(ControlledJoints):
                 owners[command.indices] = number
         if not self.cartesian.stand(self._cartesian_commands(), targets):
             return None
-        acts[0] = bool(commands.running or self._timeouts.pending or self.seats.of)
+        acts[0] = bool(commands.running or self._timeouts.pending or self.seats.of
+                       or self._acts)
         return self._timeouts.first_s
 
     def catch_up(self, targets: Targets, moved_s: float, goals: FloatArray,
@@ -631,7 +682,7 @@ class JointController(ControlledJoints):
         :param now_s: simulation time since the last reset [s]
         """
         setpoints = self._setpoints
-        setpoints.moving, self._efforts_due, self._written = self._flags.tolist()
+        setpoints.moving, self._efforts_due, self._written, _ = self._flags.tolist()
         if moved_s >= 0.0:
             setpoints.now_s = moved_s
         arms = self._cartesian_commands()
@@ -666,7 +717,7 @@ class JointController(ControlledJoints):
 
     def seat_rows(self) -> IntArray:
         """Return the addresses of the rows of the laws of users, for compiled code."""
-        return self.seats.rows(self._setpoints.joints, self._effort)
+        return self.seats.rows(self._setpoints.joints, self._effort, self.payloads)
 
     def _durations(self, intervals: IntArray) -> FloatArray:
         return np.asarray(intervals * self._servos.step_s, dtype=float)
@@ -676,7 +727,7 @@ class JointController(ControlledJoints):
         """Room for the flags of the compiled law."""
         flags: NDArray[np.bool_] | None = self._derived.of.get('flags')
         if flags is None:
-            flags = self._derived.of['flags'] = np.zeros(3, np.bool_)
+            flags = self._derived.of['flags'] = np.zeros(4, np.bool_)
         return flags
 
     def end_run(self, joints: RobotJoints, targets: Targets, moved_s: float) -> None:
@@ -686,7 +737,7 @@ class JointController(ControlledJoints):
         :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
         """
         setpoints = self._setpoints
-        setpoints.moving, self._efforts_due, self._written = joints.flags.tolist()
+        setpoints.moving, self._efforts_due, self._written, _ = joints.flags.tolist()
         if moved_s >= 0.0:
             setpoints.now_s = moved_s
         if targets is not no_targets():

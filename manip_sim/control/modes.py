@@ -72,6 +72,7 @@ class ControlMode(ABC):
     :cvar takes_twists: whether the twist of a mobile base may move them
     :cvar exerts_at_end_effector: whether Cartesian commands are followed by efforts on the
         measured joints (operational space control), and not by setpoints
+    :cvar integrates: whether servos take away errors that remain, with an integral gain
     :cvar law: name of the law in :data:`~manip_sim.laws.LAWS` that exerts the efforts in each
         physics step, and gets the setpoints; None for the servos of the model
     """
@@ -80,7 +81,7 @@ class ControlMode(ABC):
     field: str
     units: tuple[str, str]
     timeout_s = 0.2
-    ends = follows_trajectories = takes_twists = exerts_at_end_effector = False
+    ends = follows_trajectories = takes_twists = exerts_at_end_effector = integrates = False
     law: str | None = None
 
     def ranges(self, servos: Servos) -> FloatArray:
@@ -116,7 +117,7 @@ class Position(ControlMode):
     """Joints go to positions."""
 
     name, field, units, timeout_s = 'position', 'position', ('rad', 'm'), 0.0
-    ends = follows_trajectories = True
+    ends = follows_trajectories = integrates = True
 
     def clamps(self, servos: Servos) -> FloatArray:
         """Return the ranges of the joints, infinite where they have none, shape (n, 2)."""
@@ -132,7 +133,7 @@ class Velocity(ControlMode):
     """Joints keep velocities, and brake before the ends of their ranges."""
 
     name, field, units = 'velocity', 'velocity', ('rad/s', 'm/s')
-    takes_twists = True
+    takes_twists = integrates = True
 
     def command(self, joints: Joints, indices: IntArray, values: FloatArray, arrival: Arrival
                 ) -> None:
@@ -159,7 +160,7 @@ class Impedance(Position):
     The gains are taken from the model until a command changes them.
     """
 
-    name = 'impedance'
+    name, integrates = 'impedance', False
 
 
 class LawMode(Position):
@@ -168,6 +169,8 @@ class LawMode(Position):
 
     :param law: its name
     """
+
+    integrates = False
 
     def __init__(self, law: str) -> None:
         self.law = law

@@ -14,6 +14,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.arms import Arms
 from manip_sim.control.law.joint_records import PLAIN
+from manip_sim.control.payloads import Payloads
 from manip_sim.control.servos import Servos
 from manip_sim.control.user_laws import Law
 from manip_sim.control.watchdog import watch
@@ -175,25 +176,28 @@ class Seats:
 
     # ------------------------------------------------------------------ in compiled code
 
-    def rows(self, setpoints: Any, efforts: FloatArray) -> IntArray:
+    def rows(self, setpoints: Any, efforts: FloatArray, payloads: Payloads) -> IntArray:
         """
         Return the addresses of the rows of the laws that act.
 
         :param setpoints: records of the joints of the robot
         :param efforts: of these joints [N m or N]
+        :param payloads: of the arms
         """
         if not self.of:
             return _NOBODY
         acting = [state for state in self.of.values() if state.acts]
-        return self._derived.made_of(self._write_rows, setpoints, efforts, self._physics.arrays,
-                                     self._servos.records, *acting)
+        return self._derived.made_of(
+            self._write_rows, setpoints, efforts, payloads, payloads.loads, self._physics.arrays,
+            self._servos.records, *acting)
 
-    def _write_rows(self, setpoints: Any, efforts: FloatArray, *_: Any) -> IntArray:
+    def _write_rows(self, setpoints: Any, efforts: FloatArray, payloads: Payloads, *_: Any
+                    ) -> IntArray:
         """Write the rows of the laws that act, and return their addresses."""
         from manip_sim.control.law.rows import Row  # It imports numba.
         from manip_sim.control.law.seat import SEAT
         rows = []
-        for part, seat in self._seats(setpoints, efforts).items():
+        for part, seat in self._seats(setpoints, efforts, payloads).items():
             made = self._room(part).of
             row = made['row'] = made.get('row') or Row(SEAT)
             row.write(seat)
@@ -205,12 +209,13 @@ class Seats:
         room: Derived = self._derived.of.setdefault(part, Derived())
         return room
 
-    def _seats(self, setpoints: Any, efforts: FloatArray) -> dict[str, Any]:
+    def _seats(self, setpoints: Any, efforts: FloatArray, payloads: Payloads) -> dict[str, Any]:
         """Return all that the laws that act work with, by part."""
-        return {part: self._seat(part, state, setpoints, efforts)
+        return {part: self._seat(part, state, setpoints, efforts, payloads)
                 for part, state in self.of.items() if state.acts}
 
-    def _seat(self, part: str, state: SeatState, setpoints: Any, efforts: FloatArray) -> Any:
+    def _seat(self, part: str, state: SeatState, setpoints: Any, efforts: FloatArray,
+              payloads: Payloads) -> Any:
         from manip_sim.control.law.seat import Arguments, Seat  # It imports numba.
         room, indices = self._room(part), self._indices[part]
         if room.of.get('state') is not state:  # That of a restored state is another one.
@@ -224,10 +229,11 @@ class Seats:
             watch(state, f"the law '{state.name}' of {part}")
         made = room.of
         return Seat(made['code'], self._physics.arrays, made['forces'], made['others'], setpoints,
-                    efforts, room.made_of(self._joints, part, self._servos.records),
+                    efforts, room.made_of(self._joints, part, self._servos.records,
+                                          payloads.loads_of(indices)),
                     made['starts'], made['arguments'], state.status)
 
-    def _joints(self, part: str, servos: Any) -> Any:
+    def _joints(self, part: str, servos: Any, loads: Any) -> Any:
         from manip_sim.control.law.seat import SeatJoints  # It imports numba.
         model, tip, place = self._physics.model, None, np.full(5, -1, np.int64)
         reader, indices = self._tips.get(part), self._indices[part]
@@ -236,11 +242,12 @@ class Seats:
             tip = Frame(site.name, int(site.bodyid[0]), int(site.id))
             place[:] = (site.id, tool.site, tool.bodies.start, tool.bodies.stop,
                         model.body_rootid[tool.bodies.start])
-        return SeatJoints(self._arms.arm(tip, indices), servos[indices], place)
+        return SeatJoints(self._arms.arm(tip, indices), servos[indices], place, loads)
 
     # ------------------------------------------------------------------ one step after another
 
-    def begin(self, now_s: float, steps: int, setpoints: Any, efforts: FloatArray) -> None:
+    def begin(self, now_s: float, steps: int, setpoints: Any, efforts: FloatArray,
+              payloads: Payloads) -> None:
         """
         Begin an interval, before setpoints go on.
 
@@ -248,9 +255,10 @@ class Seats:
         :param steps: of the physics in it
         :param setpoints: records of the joints of the robot
         :param efforts: of these joints [N m or N]
+        :param payloads: of the arms
         """
         from manip_sim.control.law.seat import begin  # It imports numba.
-        seats = self._seats(setpoints, efforts)
+        seats = self._seats(setpoints, efforts, payloads)
         self._derived.of['interval'] = [now_s, steps, 0, seats]
         for seat in seats.values():
             begin(seat)

@@ -61,11 +61,10 @@ class Servos:
         up against the joint's damping [rad/s or m/s], shape (n,)
     :ivar acceleration_limit: after a jump of the goal [rad/s^2 or m/s^2], shape (n,)
     :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
+    :ivar integrals: leads of integral terms over setpoints [rad or m], shape (n,)
+    :ivar any_integrates: whether an integral term may go on
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
-
-    #: Where results are written, and what follows from the rest.
-    not_in_digest = ('_highest', 'lowered', '_sources', 'turn')
 
     def __init__(self, physics: Physics, actuators: Sequence[str], joints: Sequence[str],
                  gains_are_highest: bool = False) -> None:
@@ -108,12 +107,23 @@ class Servos:
         #: Of impedance commands: effort beside that of the servo, zero for none, and velocity
         #: with respect to which it damps, NaN for that of its setpoint.
         self._feedforward, self._damped = np.zeros(len(ids)), np.full(len(ids), np.nan)
+        #: Of integral terms: rates [1/s], and whether the mode of each joint has one.
+        self._integral_gains, self._integrates = np.zeros(len(ids)), np.ones(len(ids), dtype=bool)
+        self.integrals: FloatArray = np.zeros(len(ids))
+        self.any_integrates = False
         physics.on_change(self._find_places)
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
         model.actuator_ctrllimited[ids] = 0
         self._compensated = model.body_gravcomp[model.jnt_bodyid[joint_ids]] > 0.0
         self._set_gains(np.arange(len(ids)))
+
+    @property
+    def not_in_digest(self) -> tuple[str, ...]:
+        """Places of results, what follows from the rest, and integral terms that are off."""
+        return ('_highest', 'lowered', '_sources', 'turn', 'any_integrates',
+                *(() if self._integral_gains.any() else (
+                    '_integral_gains', '_integrates', 'integrals')))
 
     def _find_places(self) -> None:
         model = self._physics.model
@@ -257,6 +267,36 @@ class Servos:
         self._derived.of.pop('records', None)
         return True
 
+    def set_integral_gain(self, indices: IntArray, gain: float) -> bool:
+        """
+        Change the rate at which servos take away errors that remain [1/s]; 0 for not at all.
+
+        :param indices: of the joints
+        :returns: whether it is another one
+        """
+        if (self._integral_gains[indices] == gain).all():
+            return False
+        self._integral_gains[indices] = gain
+        if not gain:
+            self.integrals[indices] = 0.0
+        self._look_at_integrals()
+        return True
+
+    def _look_at_integrals(self) -> None:
+        self.any_integrates = bool((self._integral_gains * self._integrates).any())
+        self._derived.of.pop('records', None)
+
+    def integral_gain(self, index: int) -> float:
+        """Return the rate of the integral term of a joint [1/s]."""
+        return float(self._integral_gains[index])
+
+    def integrate(self, indices: IntArray, integrates: bool) -> None:
+        """Begin anew with the integral terms of joints, if their mode has such."""
+        self.integrals[indices] = 0.0
+        if (self._integrates[indices] != integrates).any():
+            self._integrates[indices] = integrates
+            self._look_at_integrals()
+
     def _set_gains(self, indices: IntArray) -> None:
         model, ids, effort = self._physics.model, self._ids[indices], self._gives_effort[indices]
         stiffness = self._stiffness[indices] / self._gear[indices]**2
@@ -267,18 +307,24 @@ class Servos:
         model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
         self._derived.of.clear()
 
-    def start(self, data: mujoco.MjData, joints: Any, indices: IntArray | None = None) -> None:
+    def start(self, data: mujoco.MjData, joints: Any, loads: Any, indices: IntArray | None = None
+              ) -> None:
         """
         Let servos take over a motion at once, with the force that it needs.
 
         :param joints: records of the motion, shape (n,)
+        :param loads: payloads, see :class:`~manip_sim.control.law.loads.Loads`
         :param indices: which of them do; None: all
         """
-        from manip_sim.control.law.servo_rates import find_rates  # It imports numba.
+        from manip_sim.control.law.servo_rates import (  # It imports numba.
+            find_efforts_beside, find_rates)
         servos, goals = np.flatnonzero(~self._gives_effort), np.zeros(len(self._ids))
         if indices is not None:
             servos = np.intersect1d(servos, indices)
-        find_rates(self._physics.arrays, self.records, self.places, joints, 1.0, goals,
+        beside = np.empty(len(goals))
+        find_efforts_beside(
+            self._physics.arrays, self.records, joints, loads, self.integrals, beside)
+        find_rates(self._physics.arrays, self.records, self.places, joints, beside, 1.0, goals,
                    np.empty(len(goals)))
         data.act[self._activation[servos]] = goals[servos]
         data.ctrl[self._ids[servos]] = 0.0
@@ -297,6 +343,7 @@ class Servos:
 
     def hold(self, data: mujoco.MjData, position: FloatArray) -> None:
         """Set the setpoints of all servos at rest [rad or m], shape (n,)."""
+        self.integrals[:] = 0.0
         data.act[self._activation] = position * self._gear
         data.ctrl[self._ids] = 0.0
 
@@ -336,7 +383,9 @@ class Servos:
                 ('high', self.ranges['effort'][:, 1]),
                 ('friction', self._physics.model.dof_frictionloss[self.dofs]),
                 ('damping', self._damping), ('velocity', self._damped),
-                ('effort', self._feedforward), ('compensated', self._compensated),
+                ('effort', self._feedforward),
+                ('integral', self._integral_gains * self._integrates),
+                ('compensated', self._compensated),
                 ('gives', self._gives_effort), ('leads', self._feedforward != 0.0),
                 ('damps', np.isfinite(self._damped))):
             records[field] = values
@@ -351,16 +400,18 @@ class Servos:
                 self._physics.model, self.dofs)
         return places
 
-    def drive(self, joints: Any, efforts: FloatArray, duration_s: float) -> None:
+    def drive(self, joints: Any, loads: Any, efforts: FloatArray, duration_s: float) -> None:
         """
         Let servos follow setpoints in an interval, and sources exert their efforts at once.
 
         :param joints: records at the end of the interval, shape (n,), may be held back
+        :param loads: payloads, see :class:`~manip_sim.control.law.loads.Loads`
         :param efforts: of the sources [N m or N], shape (n,)
         :param duration_s: length of the interval [s]
         """
         from manip_sim.control.law.servo_rates import drive  # It imports numba.
-        drive(self._physics.arrays, self.records, self.places, joints, efforts, duration_s)
+        drive(self._physics.arrays, self.records, self.places, joints, loads, self.integrals,
+              efforts, duration_s)
 
 
 def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:

@@ -126,12 +126,12 @@ def law(parameters: Mapping[str, float] | Callable[..., object] | None = None, m
     * ``t``: simulation time since the last reset [s]
     * ``q``, ``v``: positions [rad or m] and velocities of the joints, shape (n,)
     * ``bias``: Coriolis and centrifugal forces, and the weight unless gravity compensation carries
-      it [N m or N], shape (n,)
+      it [N m or N], shape (n,); a declared payload is carried beside, and not a part of it
     * ``mass``: joint-space inertia [kg m^2 or kg], shape (n, n)
     * ``jacobian``: of ``grip_site`` in ``world``, linear rows first, shape (6, n); zero for a part
       without an end effector
     * ``wrench``: exerted by the world on the tool in the step before, force [N] and torque [N m]
-      in ``ft_frame``, neither filtered nor tared, shape (6,)
+      in ``ft_frame``, neither filtered nor tared, without a declared payload, shape (6,)
     * ``setpoint``: position, velocity and acceleration to follow, shape (n, 3)
     * ``parameters``: in the order of ``parameters``, shape (p,)
     * ``memory``: kept from step to step, saved, restored and part of digests, shape (m,)

@@ -17,9 +17,10 @@ from manip_sim.errors import ModelError, ParameterError
 from manip_sim.interface.parameter_spec import ParameterSource
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
-    composition_parameters, keyframe_parameter, law_parameters, mode_parameters, MODEL_PATH,
-    node_parameters, periods_per_image, place_parameters, reflex_parameters, sensing_parameters,
-    speed_parameter, steps_per_period, stream_parameters, timeout_parameters, wrench_parameters)
+    composition_parameters, integral_parameters, keyframe_parameter, law_parameters,
+    mode_parameters, MODEL_PATH, node_parameters, payload_parameters, periods_per_image,
+    place_parameters, reflex_parameters, sensing_parameters, speed_parameter, steps_per_period,
+    stream_parameters, timeout_parameters, wrench_parameters)
 from manip_sim.interface.topics import Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
@@ -193,8 +194,9 @@ def declare_parts(parameters: ParameterSource,
         arms = [arm for arm in commanded if f'{arm}/gripper' in parts]
         parameters.declare(cartesian_parameters(scope, arms))
         # A gripper alone has a wrench, and no arm that is commanded.
-        parameters.declare(wrench_parameters(
-            scope, [name.removesuffix('/gripper') for name in parts if name.endswith('/gripper')]))
+        mounts = [name.removesuffix('/gripper') for name in parts if name.endswith('/gripper')]
+        parameters.declare([*wrench_parameters(scope, mounts), *payload_parameters(scope, mounts),
+                            *integral_parameters(scope, commanded)])
         parameters.declare(reflex_parameters(scope, commanded, arms))
         parameters.declare([*sensing_parameters(scope), speed_parameter(scope)])
 

@@ -23,6 +23,7 @@ from manip_sim.models.placements import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.physics.parts import Part
+from manip_sim.physics.payload import Payload
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.validation import fitting_timestep, nearest_rates, steps_of
 
@@ -363,6 +364,38 @@ def wrench_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:
         f'wrench_cutoff.{arm}', 0.0, 'Cutoff frequency (in simulation time) of a first-order '
         'low-pass filter for the external wrench, the mean over a control period; 0: no filter.',
         'Hz', live=True, minimum=0.0, maximum=10000.0).within(scope) for arm in arms]
+
+
+def payload_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters of what arms hold.
+
+    :param arms: those with a gripper
+    """
+    none = Payload()
+    return [spec.within(scope) for arm in arms for spec in (
+        ParameterSpec(f'payload.{arm}.mass', none.mass, 'Mass of what the arm holds, which its '
+                      'actuators carry and its external wrench leaves out; 0: nothing.', 'kg',
+                      live=True, minimum=0.0, maximum=1000.0),
+        ParameterSpec(f'payload.{arm}.center_of_mass', list(none.center_of_mass),
+                      'Its centre of mass in ft_frame, the flange between wrist and gripper.',
+                      'm', live=True, minimum=-10.0, maximum=10.0, length=3),
+        ParameterSpec(f'payload.{arm}.inertia', list(none.inertia),
+                      'Its inertia about the centre of mass, in the axes of ft_frame: ixx, ixy, '
+                      'ixz, iyy, iyz, izz.', 'kg m^2', live=True, minimum=-1000.0,
+                      maximum=1000.0, length=6))]
+
+
+def integral_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters of the integral terms of servos.
+
+    :param parts: the parts with driven joints, see :func:`commanded_parts`
+    """
+    return [ParameterSpec(
+        f'integral_gain.{part}', 0.0, f'Rate at which the servos of the {part} take away errors '
+        'that remain, such as of dry friction, in position and velocity mode; 0 switches it off.',
+        '1/s', live=True, minimum=0.0, maximum=50.0).within(scope) for part in parts]
 
 
 def reflex_parameters(scope: Scope, parts: Sequence[str], arms: Sequence[str]

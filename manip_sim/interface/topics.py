@@ -339,6 +339,11 @@ SERVICES = (
     Service('~/inject_fault', 'diagnostic_msgs/AddDiagnostics',
             'let something of a part fail, as YAML in load_namespace, and tell all faults of the '
             'episode; an empty text only tells them'),
+    Service('~/set_payload', 'diagnostic_msgs/AddDiagnostics',
+            'declare what an arm holds, as YAML in load_namespace, and tell all payloads; an '
+            'empty text only tells them'),
+    Service('~/estimate_payload', 'diagnostic_msgs/AddDiagnostics',
+            'let an arm turn its wrist, and tell what it holds; YAML in load_namespace names it'),
     Service('~/tare_wrench', 'std_srvs/Trigger', 'let the external wrenches read zero now'),
     Service('~/save_state', 'std_srvs/Trigger', 'save the state; the message is its digest'),
     Service('~/restore_state', 'std_srvs/Trigger',

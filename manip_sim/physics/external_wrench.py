@@ -18,10 +18,12 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
+from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.uncollected_forces import has_fluid, UncollectedForces
 from manip_sim.validation import positive_number
 
+_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
 #: How many steps are kept before they are summed up.
 _ROWS = 64
 #: Smaller wrenches are rounding, as of internal forces that cancel, and become zero [N or N m].
@@ -38,7 +40,8 @@ class ExternalWrench:
     In each step MuJoCo keeps the external forces on each body in ``cfrc_ext``, in world axes,
     about the centre of mass of the tree; :class:`UncollectedForces` has the others. Their sum over
     the bodies of the tool is the negated reading of the sensor minus gravity and inertia of the
-    tool.
+    tool. Weight and inertia of a declared payload, by its motion as a part of the tool, are taken
+    away too.
 
     :param physics: of the world
     :param sensor: name of a sensor of its frame
@@ -47,11 +50,8 @@ class ExternalWrench:
     :ivar no_forces: the same where there is nothing to record, as bytes
     :ivar uncollected: the forces that are not in :attr:`forces`
     :ivar is_only_touched: whether contacts, or a fluid, alone exert forces on the tool
+    :ivar payload: of the arm
     """
-
-    #: A name, and the period that has passed; nothing in the next one depends on that.
-    not_in_digest = ('_sensor', '_rows', '_centres', 'no_forces', '_no_rows', '_sum', '_mean',
-                     '_steps')
 
     def __init__(self, physics: Physics, sensor: str) -> None:
         self._physics = physics
@@ -67,7 +67,17 @@ class ExternalWrench:
         self._tare = _ZERO
         self._cutoff_hz = 0.0
         self._filtered: FloatArray | None = None
+        self.payload = Payload()
+        #: Momentum and angular momentum of the payload when the last period ended, in the world.
+        self._momentum = _ZERO
         physics.on_change(self._find_tool)
+
+    @property
+    def not_in_digest(self) -> tuple[str, ...]:
+        """A name, the period that has passed, and a payload that is none."""
+        # Nothing in the next period depends on the last one.
+        return ('_sensor', '_rows', '_centres', 'no_forces', '_no_rows', '_sum', '_mean',
+                '_steps', *(() if self.payload.mass else ('payload', '_momentum')))
 
     def _find_tool(self) -> None:
         model, data = self._physics.model, self._physics.data
@@ -137,7 +147,9 @@ class ExternalWrench:
         :param steps: physics steps of the period
         :param period_s: its length [s]
         """
-        self._mean, self._steps = None, steps
+        self.interrupt(steps)
+        if self.payload.mass:
+            self._momentum = self._present_momentum(data)
         if self._filtered is not None:
             lag = self._in_frame(data) - self._filtered
             weight = self.weight(period_s)
@@ -151,6 +163,38 @@ class ExternalWrench:
         :param steps: physics steps since the period began
         """
         self._mean, self._steps = None, steps
+        if self.payload.mass:
+            self._take_payload_away(steps)
+
+    def _place_of_payload(self, data: mujoco.MjData) -> FloatArray:
+        """Return the place of the centre of mass from the sensor, in the axes of the world [m]."""
+        lever = np.empty(3)
+        mujoco.mju_mulMatVec(lever, data.site_xmat[self.site].reshape(3, 3),
+                             np.array(self.payload.center_of_mass))
+        return lever
+
+    def _present_momentum(self, data: mujoco.MjData) -> FloatArray:
+        """Return momentum and angular momentum about the centre of mass of the payload, (6,)."""
+        twist, speed, turn, momentum = np.empty(6), np.empty(3), np.empty(3), np.empty(6)
+        mujoco.mj_objectVelocity(self._physics.model, data, _SITE, self.site, twist, 0)
+        mujoco.mju_cross(speed, twist[:3], self._place_of_payload(data))
+        momentum[:3] = self.payload.mass * (twist[3:] + speed)
+        axes = data.site_xmat[self.site].reshape(3, 3)
+        mujoco.mju_mulMatTVec(turn, axes, twist[:3])
+        mujoco.mju_mulMatVec(speed, self.payload.inertia_matrix, turn)
+        mujoco.mju_mulMatVec(momentum[3:], axes, speed)
+        return momentum
+
+    def _take_payload_away(self, steps: int) -> None:
+        """Take the forces of the payload from what was recorded, by its change of momentum."""
+        model, data, moment = self._physics.model, self._physics.data, np.empty(3)
+        change = (self._present_momentum(data) - self._momentum) / (
+            steps * float(model.opt.timestep))
+        change[:3] -= self.payload.mass * model.opt.gravity
+        mujoco.mju_cross(moment, data.site_xpos[self.site] + self._place_of_payload(data),
+                         change[:3])
+        change[3:] += moment
+        self._sum = self._sum + steps * change
 
     def set_aside(self) -> tuple[Any, ...]:
         """Return what :meth:`interrupt` and :meth:`read` change."""
@@ -182,6 +226,7 @@ class ExternalWrench:
         self.begin_period()
         self.record()
         self._filtered = None
+        self._momentum = self._present_momentum(data) if self.payload.mass else _ZERO
         self.end_period(data, 1, 0.0)
         self.set_cutoff(self._cutoff_hz, data)
 
@@ -190,10 +235,18 @@ class ExternalWrench:
         self._tare = _ZERO
         self.restart(data)
 
+    def set_payload(self, payload: Payload) -> None:
+        """Take away the forces of another payload, from the next control period on."""
+        if payload != self.payload:
+            self._physics.interrupt()
+            self.payload = payload
+            self._momentum = (
+                self._present_momentum(self._physics.data) if payload.mass else _ZERO)
+
     @property
-    def is_filtered(self) -> bool:
-        """True if a low-pass goes on in each period."""
-        return self._filtered is not None
+    def goes_on(self) -> bool:
+        """True if each period changes it, whether anything touches the tool or not."""
+        return self._filtered is not None or self.payload.mass > 0.0
 
     @property
     def is_quiet(self) -> bool:
@@ -204,7 +257,8 @@ class ExternalWrench:
     def settled(self) -> bool:
         """Whether a period in which nothing touches the tool would change nothing."""
         mean = self._compute_mean() if self._mean is None else self._mean
-        return not mean.any() and (self._filtered is None or not self._filtered.any())
+        return not (mean.any() or self.payload.mass or (
+            self._filtered is not None and self._filtered.any()))
 
     def read(self, data: mujoco.MjData) -> FloatArray:
         """

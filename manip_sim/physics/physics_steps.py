@@ -335,7 +335,7 @@ class PhysicsSteps:
         """True if laws may run the next period too while nothing is changed or pushes a tool."""
         return (self.lets_laws_step and self._efforts.room is not None and self._touch.may_go_on
                 and not any([edit.acts for edit in self._edits])
-                and all([not tool.is_filtered for tool in self.tools]))
+                and all([not tool.goes_on for tool in self.tools]))
 
     @property
     def lets_laws_step(self) -> bool:

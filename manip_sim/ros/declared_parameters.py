@@ -26,6 +26,7 @@ from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 
 #: Parameters of parts that set the same parameters of the parts that a part consists of.
 _COUPLED = ('control_mode.{}', 'command_timeout.{}', 'stream_interval.{}', 'stream_hold.{}',
+            'integral_gain.{}',
             *(f'reflex.{{}}.{field.name}' for field in fields(ReflexLimits)))
 
 

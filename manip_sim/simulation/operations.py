@@ -50,7 +50,8 @@ class Operations:
             'stream_interval': self._stream_interval, 'stream_hold': self._stream_hold,
             'wrench_cutoff': self._wrench_cutoff, 'sensing': self._sensing,
             'reflex': self._reflex, 'cartesian': self._cartesian, 'law': self._law,
-            'place': self._place, 'fault': self._fault,
+            'payload': self._payload, 'set_payload': self._set_payload,
+            'integral_gain': self._integral_gain, 'place': self._place, 'fault': self._fault,
             'direct_command': self._direct_command, 'target': self._target,
             'pull': self._pull, 'end_pull': self._end_pull, 'answer': lambda: None,
             'spawn': self._spawn, 'delete': self._delete}
@@ -124,6 +125,17 @@ class Operations:
 
     def _wrench_cutoff(self, robot: str, arm: str, cutoff_hz: float) -> None:
         self._robot(robot).set_wrench_cutoff(arm, cutoff_hz)
+
+    def _payload(self, robot: str, arm: str, number: str, value: Any) -> None:
+        joints = self._robot(robot).joints
+        joints.set_payload(arm, joints.payloads[arm].changed(number, value))
+
+    def _set_payload(self, robot: str, arm: str, mass: float, center_of_mass: ArrayLike,
+                     inertia: ArrayLike) -> None:
+        self._robot(robot).set_payload(arm, mass, center_of_mass, inertia)
+
+    def _integral_gain(self, robot: str, part: str, gain: float) -> None:
+        self._robot(robot).set_integral_gain(part, gain)
 
     def _sensing(self, robot: str, quantity: str, value: float) -> None:
         self._robot(robot).sensing.set(quantity, value)

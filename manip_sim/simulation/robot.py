@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 import logging
 from typing import Any
 
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
@@ -33,6 +34,7 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.parts import atomic_parts, find_parts, Part
+from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics
 from manip_sim.simulation.dynamics_description import joint_dynamics, JointDynamics
 from manip_sim.simulation.faults import RobotFaults
@@ -359,6 +361,20 @@ class SimulatedRobot:
             hold_s = positive_number(hold_s, 'hold_s', CommandError, or_zero=True)
         self.joints.set_stream(part, longest_s, hold_s)
 
+    def set_integral_gain(self, part: str, gain: float) -> None:
+        """
+        Let servos of a part take away errors that remain in position and velocity mode.
+
+        :param part: such as ``arm``
+        :param gain: rate at which an error is taken away [1/s]; 0 for not at all
+        :raises CommandError: if the part is a gripper, or the gain negative or not finite
+        :raises UnknownNameError: if there is no such part
+        """
+        self._check_no_gripper(part)
+        self._physics.interrupt()
+        self.joints.set_integral_gain(
+            part, positive_number(gain, 'integral_gain', CommandError, or_zero=True))
+
     def _check_no_gripper(self, part: str) -> None:
         if part in self.grippers:
             raise CommandError(f'{part} is a gripper: it has no control mode, no timeout and '
@@ -383,6 +399,32 @@ class SimulatedRobot:
             raise UnknownNameError('arm with a gripper', arm, self.end_effectors)
         self.end_effectors[arm].external.set_cutoff(cutoff_hz, self._physics.data)
 
+    def set_payload(self, arm: str, mass: float, center_of_mass: ArrayLike = (0.0,) * 3,
+                    inertia: ArrayLike = (0.0,) * 6) -> None:
+        """
+        Declare what an arm holds: its actuators carry it, and its external wrench is without it.
+
+        :param arm: such as ``right``
+        :param mass: [kg]; 0 for nothing
+        :param center_of_mass: in ``ft_frame``, the flange between wrist and gripper [m], shape
+            (3,)
+        :param inertia: about the centre of mass, in the axes of ``ft_frame``: ixx, ixy, ixz, iyy,
+            iyz, izz [kg m^2], shape (6,)
+        :raises CommandError: if a number is not finite, the mass is negative, or no body has such
+            an inertia; then nothing changes
+        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        """
+        self.joints.set_payload(arm, Payload.checked(mass, center_of_mass, inertia))
+
+    def payload(self, arm: str) -> Payload:
+        """
+        Return the payload of an arm, as :meth:`set_payload` has declared it.
+
+        :param arm: such as ``right``
+        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        """
+        return self.joints.payloads[arm]
+
     @property
     def settings(self) -> dict[str, Any]:
         """Acting settings, by the name of the parameter of the node."""
@@ -401,6 +443,9 @@ class SimulatedRobot:
                 for name, value in asdict(settings).items()})
         for arm, reader in self.end_effectors.items():
             acting[f'wrench_cutoff.{arm}'] = reader.external.cutoff_hz
+            acting.update({
+                f'payload.{arm}.{name}': list(value) if isinstance(value, tuple) else value
+                for name, value in asdict(reader.external.payload).items()})
         return {**acting, 'speed_scaling': self.joints.speed_scaling, **self.sensing.settings.all}
 
     def state(self) -> State:

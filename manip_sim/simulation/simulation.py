@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 
 from manip_sim.control.surroundings import Surroundings
-from manip_sim.errors import CommandError, ModelError
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.placements import checked_seed
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
@@ -31,6 +31,7 @@ from manip_sim.simulation.drawn_randomization import Drawn, Randomized
 from manip_sim.simulation.episode_start import EpisodeStart
 from manip_sim.simulation.faults import Faults
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
+from manip_sim.simulation.payload_estimation import PayloadEstimate, PayloadEstimation
 from manip_sim.simulation.present_robots import PresentRobots
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_spawning import (
@@ -299,6 +300,29 @@ class Simulation:
         :raises DivergenceError: if the physics diverges
         """
         self.periods.run_idle(steps, periods)
+
+    def estimate_payload(self, arm: str, robot: str | None = None, steps: int = 5
+                         ) -> PayloadEstimate:
+        """
+        Let an arm turn its last three joints to some places and back, and estimate what it holds.
+
+        :param arm: such as ``right``; it needs some 0.2 m of room around what it holds
+        :param robot: its name; None for the only robot
+        :param steps: physics steps of each control period meanwhile
+        :raises CommandError: if the arm follows another command, is not in position mode, cannot
+            turn its gripper enough, or cannot make the motion
+        :raises DivergenceError: as of :meth:`advance`
+        :raises UnknownNameError: if there is no such robot or arm, or it has no gripper
+        """
+        if robot is not None and robot not in self.robots:
+            raise UnknownNameError('robot', robot, self.robots)
+        moved = self.robot if robot is None else self.robots[robot]
+        estimation = PayloadEstimation(self.physics, moved, arm)
+        moved.apply(estimation.command)
+        while estimation.command.handle.is_active:
+            self.advance(steps)
+            estimation.record()
+        return estimation.result()
 
     def reset(self, seed: int | None = None, drawn: Drawn | None = None) -> None:
         """

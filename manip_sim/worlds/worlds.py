@@ -159,7 +159,7 @@ class Worlds:
         running = self._everything if where is None else np.flatnonzero(
             chosen(where, len(self)))
         count = min(self._threads.count, len(running))
-        self._threads.run([partial(self._advance, running[begin::count], steps)
+        self._threads.run([partial(self._advance, running[begin::count].copy(), steps)
                            for begin in range(count)])
 
     def _advance(self, numbers: IntArray, steps: int) -> None:

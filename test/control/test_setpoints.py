@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from manip_sim.control.law.joint_records import readable, SERVO
+from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law import setpoint_motion
 from manip_sim.control.setpoints import SetpointGenerator
@@ -507,7 +508,8 @@ def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0):
         servos[field] = places
     servos['gear'] = servos['stiffness'] = 1.0
     servos['low'], servos['high'], servos['compensated'] = -effort, effort, True
-    drive(world, readable(servos), np.full((count, count), -1), setpoints.joints, none, 0.002)
+    drive(world, readable(servos), np.full((count, count), -1), setpoints.joints,
+          no_loads(), none, none, 0.002)
 
 
 @pytest.mark.parametrize('sign', [1.0, -1.0])

@@ -147,6 +147,8 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
             ('mode', name, 'arm', 'velocity'), ('timeout', name, 'arm', 0.1, True),
             ('sensing', name, 'latency.command', 0.02), ('sensing', name, 'latency.state', 0.01),
             ('sensing', name, 'noise.joint_position', 0.001), ('wrench_cutoff', name, 'right', 9.),
+            ('payload', name, 'right', 'mass', 0.3), ('integral_gain', name, 'arm', 2.0),
+            ('set_payload', name, 'right', 0.2, [0.0, 0.0, 0.1], [0.0] * 6),
             ('reflex', name, 'arm', 'velocity', 0.9), ('stream_hold', name, 'arm', 0.1),
             ('place', 'cube', [[0.5, 0.1, 1.0], [0.0, 0.0, 0.0, 1.0]], None),
             ('fault', {'what': 'limp', 'part': 'arm', 'until': 0.03}),
@@ -168,7 +170,7 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
     node.close()
     code, lines = verify()
     assert (code, lines[-1]) == (0, '1 of 1 equal')
-    assert lines[0].startswith('168 control periods repeated, with ')
+    assert lines[0].startswith('183 control periods repeated, with ')
 
 
 @pytest.mark.full

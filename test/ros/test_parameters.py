@@ -118,6 +118,8 @@ def test_every_parameter_is_described(serve, client):
             'control_mode.arm',
             'speed_scaling', 'command_timeout.arm',
             'control_mode.right', 'command_timeout.right', 'wrench_cutoff.right',
+            *(f'payload.right.{name}' for name in ('mass', 'center_of_mass', 'inertia')),
+            'integral_gain.arm', 'integral_gain.right',
             'stream_interval.arm', 'stream_interval.right', 'stream_hold.arm', 'stream_hold.right',
             *(f'reflex.{part}.{quantity}' for part in ('arm', 'right')
               for quantity in ('velocity', 'effort', 'force', 'torque', 'discontinuity')),

@@ -12,6 +12,8 @@ SETTINGS = {
     'longest_s': lambda robot, value: robot.set_stream('arm', longest_s=value),
     'hold_s': lambda robot, value: robot.set_stream('arm', hold_s=value),
     'a limit': lambda robot, value: robot.set_reflex('arm', 'velocity', value),
+    'integral_gain': lambda robot, value: robot.set_integral_gain('arm', value),
+    'the mass of a payload': lambda robot, value: robot.set_payload('right', value),
     'the cutoff of a wrench': lambda robot, value: robot.set_wrench_cutoff('right', value),
     'stiffness': lambda robot, value: robot.joints.cartesian.set('right', 'stiffness', value)}
 

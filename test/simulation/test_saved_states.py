@@ -377,6 +377,8 @@ SETTINGS = [
         'velocity', 'effort', 'force', 'torque', 'discontinuity')),
     ('timeout', 'robot0', 'arm', 0.7, True), ('timeout', 'robot0', 'arm', 0.7, False),
     ('stream_interval', 'robot0', 'arm', 0.3), ('stream_hold', 'robot0', 'arm', 0.3),
+    ('payload', 'robot0', 'right', 'mass', 0.7), ('integral_gain', 'robot0', 'arm', 3.0),
+    ('set_payload', 'robot0', 'right', 0.7, [0.0, 0.0, 0.1], [0.1, 0.0, 0.0, 0.1, 0.0, 0.1]),
     ('wrench_cutoff', 'robot0', 'right', 5.0), ('mode', 'robot0', 'arm', 'velocity'),
     ('sensing', 'robot0', 'noise.wrench_bias', 0.01),
     ('sensing', 'robot0', 'latency.command', 0.02)]

@@ -197,6 +197,8 @@ _BETWEEN = [
     [lambda robot: robot.apply(robot.parse.action('right/gripper', [1.0]))],
     [lambda robot: robot.set_wrench_cutoff('right', 20.0), _hit],
     [_hit, lambda robot: robot.tare_wrench()],
+    [lambda robot: robot.set_payload('right', 0.3, [0.0, 0.0, 0.1]), _hit],
+    [lambda robot: robot.set_integral_gain('arm', 3.0)],
     [lambda robot: robot.set_command_timeout('arm', 0.03)],
     [lambda robot: robot.set_control_mode('arm', 'velocity')],
     [lambda robot: robot.set_control_mode('arm', 'effort')],

@@ -93,6 +93,11 @@ class CartesianController:
         self._arms = Arms(physics, servos)
         physics.on_change(self._look_at_model)
 
+    @property
+    def readers(self) -> Mapping[str, EndEffectorReader]:
+        """The readers of the grippers, by arm."""
+        return self._readers
+
     def look_at_joints(self) -> None:
         """Take over the damping of the joints, which was changed in the model."""
         self._arms.look_at_joints()

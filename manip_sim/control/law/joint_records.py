@@ -63,16 +63,17 @@ SMOOTHING_S = 0.02
 
 
 #: Flags of the joints of a robot: any setpoint moves, efforts have yet to be written, controls are
-#: those of setpoints that move.
-MOVES, DUE, WRITTEN = range(3)
+#: those of setpoints that move, controls have to be written in each interval.
+MOVES, DUE, WRITTEN, ACTS = range(4)
 #: A servo: addresses of the joint in ``qpos`` and ``qvel`` and of the actuator in ``act`` and
 #: ``ctrl``; joint to actuator, stiffness [N m/rad or N/m], damping of servo and joint [N m s/rad
 #: or N s/m], dry friction [N m or N], lowest and highest effort, with what compensates the weight
-#: [N m or N]; whether the weight is compensated, and whether it is a source of effort.
+#: [N m or N], rate of the integral term [1/s]; whether the weight is compensated, and whether it
+#: is a source of effort.
 SERVO = np.dtype([
     *((name, np.int64) for name in ('qpos', 'dof', 'activation', 'control')),
     *((name, np.float64) for name in ('gear', 'stiffness', 'drag', 'friction', 'low', 'high',
-                                      'damping', 'velocity', 'effort')),
+                                      'damping', 'velocity', 'effort', 'integral')),
     *((name, np.bool_) for name in ('compensated', 'gives', 'leads', 'damps'))], align=True)
 
 
@@ -117,13 +118,15 @@ class RobotJoints(NamedTuple):
     :ivar efforts: of those that are sources of effort [N m or N], shape (n,)
     :ivar counts: of goals beyond the velocity limit and of lost messages, shape (2, n)
     :ivar postures: that redundant arms tend to [rad], shape (n,)
-    :ivar flags: by :data:`MOVES`, :data:`DUE`, :data:`WRITTEN`, shape (3,)
+    :ivar flags: by :data:`MOVES`, :data:`DUE`, :data:`WRITTEN`, :data:`ACTS`, shape (4,)
     :ivar led: those that trajectories lead, shape (m,)
     :ivar path: their position, velocity and acceleration at the ends of intervals, shape
         (k, m, 3), with k = 0 where no trajectory runs or waits
     :ivar base: the joints x, y and yaw of a base that follows a twist, or no joints, shape (3,)
     :ivar owned: which of these the twist owns, shape (j,)
     :ivar twists: what it wants at the ends of intervals, in the frame of the base, shape (k, 3)
+    :ivar loads: payloads, see :class:`~manip_sim.control.law.loads.Loads`
+    :ivar integrals: leads of integral terms over setpoints [rad or m], shape (n,)
     """
 
     setpoints: NDArray[np.void]
@@ -138,3 +141,5 @@ class RobotJoints(NamedTuple):
     base: IntArray
     owned: IntArray
     twists: FloatArray
+    loads: Any
+    integrals: FloatArray

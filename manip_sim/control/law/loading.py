@@ -18,10 +18,11 @@ from manip_sim.control.law.joint_records import (
     blank_state, PLAIN, readable, records, SERVO)
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.leading import act, lead, press_on, put_ahead
+from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.operational_space import exert
 from manip_sim.control.law.period import go_on, renew, renew_actions, run_rows, SCRATCH
 from manip_sim.control.law.rows import Row
-from manip_sim.control.law.servo_rates import drive, find_rates
+from manip_sim.control.law.servo_rates import drive, find_efforts_beside, find_rates
 from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stepping import may_step
@@ -53,8 +54,9 @@ def load_laws() -> None:
     if not PLAIN:
         wait_in_worlds(places[:0].copy(), places, np.zeros((0, _COUNT)), none, 1.0, 0.0, False)
     advance(joints, counts, 0.0, 1.0)
-    drive(world, nobody, nowhere, joints[:0], none, 1.0)
-    find_rates(world, nobody, nowhere, joints[:0], 1.0, none, none)
+    drive(world, nobody, nowhere, joints[:0], no_loads(), none, none, 1.0)
+    find_efforts_beside(world, nobody, joints[:0], no_loads(), none, none)
+    find_rates(world, nobody, nowhere, joints[:0], none, 1.0, none, none)
     take_alone(joints, 0.0)
     set_velocity(joints, places, none)
     ramp_to(joints, places, none, 0.1, one)

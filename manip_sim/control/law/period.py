@@ -20,8 +20,9 @@ from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import (
-    DUE, JOINT, MOVES, readable, RobotJoints, SERVO, WRITTEN)
+    ACTS, DUE, JOINT, MOVES, readable, RobotJoints, SERVO, WRITTEN)
 from manip_sim.control.law.leading import act, lead, press_on, put_ahead
+from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.rows import Layout
 from manip_sim.control.law.seat import begin_all
 from manip_sim.control.law.servo_rates import drive
@@ -177,7 +178,7 @@ def _move_joints(world: WorldArrays, joints: RobotJoints, k: int, acts: bool, no
                  duration: float) -> bool:
     """Write the controls of joints in an interval; return whether they do not just rest."""
     flags, held = joints.flags, False
-    if not (acts or len(joints.path) or flags[MOVES] or flags[DUE]):
+    if not (acts or len(joints.path) or flags[MOVES] or flags[DUE] or flags[ACTS]):
         if flags[WRITTEN]:
             for i in range(len(joints.servos)):
                 world.controls[joints.servos[i].control] = 0.0
@@ -190,7 +191,8 @@ def _move_joints(world: WorldArrays, joints: RobotJoints, k: int, acts: bool, no
     if len(joints.led):
         follow(joints.setpoints, joints.led, joints.path[k])
         flags[MOVES] = True
-    drive(world, joints.servos, joints.places, joints.setpoints, joints.efforts, duration)
+    drive(world, joints.servos, joints.places, joints.setpoints, joints.loads,
+          joints.integrals, joints.efforts, duration)
     flags[DUE], flags[WRITTEN] = False, True
     return True
 
@@ -217,7 +219,8 @@ def _example_of_robot() -> Robot:
     nowhere = np.zeros((0, 0), np.int64)
     joints = RobotJoints(
         readable(np.zeros(0, JOINT)), readable(np.zeros(0, SERVO)), nowhere, none, nowhere, none,
-        np.zeros(3, np.bool_), nobody, np.zeros((0, 0, 3)), nobody, nobody, np.zeros((0, 3)))
+        np.zeros(4, np.bool_), nobody, np.zeros((0, 0, 3)), nobody, nobody, np.zeros((0, 3)),
+        no_loads(), none)
     return Robot(joints, targets_of(0), (no_gripper(), no_gripper()), np.zeros(1), nobody, nobody,
                  none, none)
 

@@ -25,6 +25,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.arm_records import Arm, CHAIN
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import blank_state, PLAIN, readable, records, SERVO
+from manip_sim.control.law.loads import carry, find_reaction, Loads, no_loads
 from manip_sim.control.law.operational_space import find_jacobian
 from manip_sim.control.law.rows import Layout
 from manip_sim.physics.physics import WorldArrays
@@ -75,11 +76,13 @@ class SeatJoints(NamedTuple):
     :ivar arm: them as a chain
     :ivar servos: records of ``SERVO``, shape (n,)
     :ivar tip: by :data:`TIP`, :data:`SENSOR`, :data:`FIRST`, :data:`END`, :data:`ROOT`, shape (5,)
+    :ivar loads: payloads, and which of these joints move them
     """
 
     arm: Arm
     servos: NDArray[np.void]
     tip: IntArray
+    loads: Loads
 
 
 class Seat(NamedTuple):
@@ -149,15 +152,17 @@ def sense(seat: Seat, now: float, share: float) -> None:
 
 @compiled
 def settle(seat: Seat) -> None:
-    """Let the efforts of a law act, if all are finite."""
+    """Let the efforts of a law act, if all are finite, beside those that carry payloads."""
     x, chain, servos = seat.arguments, seat.joints.arm.joints, seat.joints.servos
     for i in range(len(chain)):
         if not np.isfinite(x.effort[i]):
             seat.status[FAILED] = NOT_FINITE
             return
+    carried, loads = np.zeros(len(chain)), seat.joints.loads
+    carry(seat.world, loads, servos, loads.accelerations, False, carried)
     for i in range(len(chain)):
         seat.efforts[chain[i].joint] = x.effort[i]
-        seat.world.activations[servos[i].activation] = x.effort[i] / servos[i].gear
+        seat.world.activations[servos[i].activation] = (x.effort[i] + carried[i]) / servos[i].gear
 
 
 @compiled
@@ -168,21 +173,37 @@ def feel(seat: Seat) -> None:
         return
     center, place = kinematics.centers[tip[ROOT]], kinematics.sites[tip[SENSOR]]
     axes, total, moment = kinematics.site_axes[tip[SENSOR]], np.zeros(6), np.empty(3)
+    others = seat.others.copy()
+    _add_reactions(seat, others)
     for body in range(tip[FIRST], tip[END]):
         for k in range(6):
             total[k] += seat.forces[body, k]
     for k in range(3):
         one, two = (k + 1) % 3, (k + 2) % 3
         # Torque about the sensor; MuJoCo has it about the centre, and the others about the origin.
-        moment[k] = total[k] + seat.others[3 + k] + (
+        moment[k] = total[k] + others[3 + k] + (
             (center[one] - place[one]) * total[3 + two]
             - (center[two] - place[two]) * total[3 + one]) - (
-            place[one] * seat.others[two] - place[two] * seat.others[one])
+            place[one] * others[two] - place[two] * others[one])
     for k in range(3):
         wrench[k] = wrench[3 + k] = 0.0
         for i in range(3):
-            wrench[k] += axes[i, k] * (total[3 + i] + seat.others[i])
+            wrench[k] += axes[i, k] * (total[3 + i] + others[i])
             wrench[3 + k] += axes[i, k] * moment[i]
+
+
+@inner
+def _add_reactions(seat: Seat, others: FloatArray) -> None:
+    """Add to a wrench about the origin what the tool exerts on payloads, which are no tool."""
+    loads, place, reaction = seat.joints.loads, np.empty(3), np.empty(6)
+    for k in range(len(loads.loads)):
+        if loads.loads[k].body == seat.joints.tip[FIRST]:
+            find_reaction(seat.world, loads, k, loads.accelerations, True, place, reaction)
+            for i in range(3):
+                one, two = (i + 1) % 3, (i + 2) % 3
+                others[i] += reaction[i]
+                others[3 + i] += reaction[3 + i] + (
+                    place[one] * reaction[two] - place[two] * reaction[one])
 
 
 def _example() -> Seat:
@@ -190,7 +211,7 @@ def _example() -> Seat:
     world = WorldArrays.of(mujoco.MjData(mujoco.MjModel.from_xml_string('<mujoco/>')))
     none = np.zeros(0)
     arm = Arm(readable(np.zeros(0, CHAIN)), np.zeros((0, 0), np.int64), 0)
-    joints = SeatJoints(arm, readable(np.zeros(0, SERVO)), np.zeros(5, np.int64))
+    joints = SeatJoints(arm, readable(np.zeros(0, SERVO)), np.zeros(5, np.int64), no_loads())
     return Seat(0, world, np.zeros((0, 6)), np.zeros(6), records(blank_state(none)), none, joints,
                 np.zeros((0, 2)), Arguments.of(0, none, none, np.zeros(6)), np.zeros(3, np.int64))
 

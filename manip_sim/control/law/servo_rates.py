@@ -18,25 +18,32 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.loads import carry, Loads
 from manip_sim.control.law.small_matrices import clip
 from manip_sim.physics.physics import WorldArrays
 
 #: Dry friction sets in up to this velocity, so that joints at rest are not pushed to and fro;
 #: MuJoCo's noslip solver, which all worlds have, lets it act in full at any [rad/s or m/s].
 _SLIDING = 0.05
+#: Share of the highest effort that integral terms exert at most; errors for which a servo exerts
+#: more are no longer integrated, so that nothing winds up where something blocks a joint.
+_INTEGRAL_SHARE = 0.2
+#: Errors that are not integrated, so that joints with dry friction do not hunt [rad or m].
+_INTEGRAL_DEADBAND = 5e-6
 #: Share of the highest effort that a servo may exert where the weight takes more.
 _LEAST_SHARE = 0.05
 
 
 @compiled
-def find_rates(world: WorldArrays, servos: Any, places: IntArray, joints: Any, duration: float,
-               goals: FloatArray, rates: FloatArray) -> None:
+def find_rates(world: WorldArrays, servos: Any, places: IntArray, joints: Any,
+               beside: FloatArray, duration: float, goals: FloatArray, rates: FloatArray) -> None:
     """
     Write the rates of activations in an interval.
 
     :param servos: records, shape (n,)
     :param places: of their inertia in ``M``, -1 where it is zero, shape (n, n)
     :param joints: records at the end of the interval, shape (n,)
+    :param beside: efforts that carry payloads, and integral terms [N m or N], shape (n,)
     :param duration: of the interval [s]
     :param goals: the activations at its beginning, shape (n,), changed to those at its end
     :param rates: shape (n,), written
@@ -47,6 +54,7 @@ def find_rates(world: WorldArrays, servos: Any, places: IntArray, joints: Any, d
             rates[i] = 0.0
             continue
         force = servo.drag * x.velocity + servo.friction * clip(x.velocity / _SLIDING, -1.0, 1.0)
+        force += beside[i]
         if servo.compensated:
             # The bias force minus the weight, which the actuators carry already.
             force += world.bias[servo.dof] - world.carried[servo.dof]
@@ -62,8 +70,29 @@ def find_rates(world: WorldArrays, servos: Any, places: IntArray, joints: Any, d
 
 
 @compiled
-def drive(world: WorldArrays, servos: Any, places: IntArray, joints: Any, efforts: FloatArray,
-          duration: float) -> None:
+def find_efforts_beside(world: WorldArrays, servos: Any, joints: Any, loads: Loads,
+                        integrals: FloatArray, beside: FloatArray) -> None:
+    """
+    Write the efforts that carry and move payloads, and those of integral terms.
+
+    :param servos: records, shape (n,)
+    :param joints: records of the motion, shape (n,)
+    :param integrals: leads over setpoints [rad or m], shape (n,)
+    :param beside: efforts [N m or N], shape (n,), written
+    """
+    for i in range(len(servos)):
+        beside[i] = servos[i].stiffness * integrals[i]
+    if len(loads.loads):
+        accelerations = np.zeros(len(world.velocities))
+        for i in range(len(joints)):
+            if not servos[i].gives:
+                accelerations[servos[i].dof] = joints[i].acceleration
+        carry(world, loads, servos, accelerations, True, beside)
+
+
+@compiled
+def drive(world: WorldArrays, servos: Any, places: IntArray, joints: Any, loads: Loads,
+          integrals: FloatArray, efforts: FloatArray, duration: float) -> None:
     """
     Write the controls with which servos follow setpoints in an interval, and the other efforts.
 
@@ -72,41 +101,65 @@ def drive(world: WorldArrays, servos: Any, places: IntArray, joints: Any, effort
     :param servos: records, shape (n,)
     :param places: of their inertia in ``M``, -1 where it is zero, shape (n, n)
     :param joints: records at the end of the interval, shape (n,), which may be changed
+    :param loads: payloads
+    :param integrals: leads of integral terms over setpoints [rad or m], shape (n,), changed
     :param efforts: of the joints that are sources of effort [N m or N], shape (n,)
     :param duration: of the interval [s]
     """
     count = len(joints)
-    goals, rates = np.empty(count), np.empty(count)
-    _hold_back(world, servos, joints, duration)
+    goals, rates, beside = np.empty(count), np.empty(count), np.empty(count)
+    find_efforts_beside(world, servos, joints, loads, integrals, beside)
+    _hold_back(world, servos, joints, beside, duration)
+    _integrate(world, servos, joints, integrals, beside, duration)
     for i in range(count):
         goals[i] = world.activations[servos[i].activation]
-    find_rates(world, servos, places, joints, duration, goals, rates)
+    find_rates(world, servos, places, joints, beside, duration, goals, rates)
     for i in range(count):
         servo = servos[i]
         world.controls[servo.control] = rates[i]
         if servo.gives:
-            world.activations[servo.activation] = efforts[i] / servo.gear
+            world.activations[servo.activation] = (efforts[i] + beside[i]) / servo.gear
 
 
 @inner
-def _room(world: WorldArrays, servo: Any) -> tuple[float, float]:
+def _integrate(world: WorldArrays, servos: Any, joints: Any, integrals: FloatArray,
+               beside: FloatArray, duration: float) -> None:
+    """Let integral terms of servos go on, where neither the effort nor the error is too great."""
+    for i in range(len(joints)):
+        x, servo = joints[i], servos[i]
+        if servo.integral == 0.0 or servo.gives or x.held != 0.0:
+            continue
+        most = _INTEGRAL_SHARE * max(servo.high, -servo.low) / servo.stiffness
+        begin = x.position - duration * (x.velocity - duration / 2.0 * x.acceleration)
+        error = begin - world.kinematics.positions[servo.qpos]
+        if _INTEGRAL_DEADBAND < abs(error) <= most:
+            before = integrals[i]
+            integrals[i] = clip(before + servo.integral * duration * error, -most, most)
+            beside[i] += servo.stiffness * (integrals[i] - before)
+
+
+@inner
+def _room(world: WorldArrays, servo: Any, beside: float) -> tuple[float, float]:
     """
     Return how far a setpoint may be behind its joint, as a negative number, and ahead of it.
+
+    :param beside: effort that carries payloads, and that of an integral term [N m or N]
 
     There the servo exerts all of the effort that the weight leaves. Farther away, it would not
     damp the joint either, whose velocity changes nothing as long as the effort is at its limit.
     """
-    carried = world.carried[servo.dof] if servo.compensated else 0.0
+    carried = beside + (world.carried[servo.dof] if servo.compensated else 0.0)
     return (min(servo.low - carried, _LEAST_SHARE * servo.low) / servo.stiffness,
             max(servo.high - carried, _LEAST_SHARE * servo.high) / servo.stiffness)
 
 
 @inner
-def _hold_back(world: WorldArrays, servos: Any, joints: Any, duration: float) -> None:
+def _hold_back(world: WorldArrays, servos: Any, joints: Any, beside: FloatArray,
+               duration: float) -> None:
     """Keep setpoints from running ahead of joints that cannot keep up."""
     for i in range(len(joints)):
         x, servo = joints[i], servos[i]
-        low, high = _room(world, servo)
+        low, high = _room(world, servo, beside[i])
         # It goes on with its joint, but never against its own motion.
         velocity = clip(world.velocities[servo.dof], min(x.velocity, 0.0), max(x.velocity, 0.0))
         place = world.kinematics.positions[servo.qpos] + duration * velocity
