@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim check``: what is wrong with a start, and what to write instead."""
+"""``manip_sim check``: the defects of a start, and their remedies."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _prefixes(world: World) -> dict[str, bool]:
 
 
 def _defects_of_file(file: Path) -> tuple[list[StartDefect], list[str]]:
-    """Return the defects of a whole model, and what is left out of it."""
+    """Return the defects of a whole model, and notes on parts that are left out."""
     notes: list[str] = []
     spec = load_spec(file, notes)
     model = compile_spec(spec, str(file))

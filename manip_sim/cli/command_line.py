@@ -52,7 +52,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
     Ends the process with exit code 2 if it is wrong, and 0 after ``--help`` and ``--version``.
 
-    :param arguments: the words, by default those of the process
+    :param arguments: the words, by default the arguments of the process
     :raises ModelError: if it is for a verb of another package that cannot be used
     """
     words = sys.argv[1:] if arguments is None else list(arguments)

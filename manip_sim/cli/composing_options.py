@@ -19,7 +19,7 @@ from manip_sim.models.arenas import Arena
 from manip_sim.physics.parts import find_parts
 from manip_sim.quoting import quoted
 
-#: The options whose values are those of the parameters of the same name.
+#: The options with the values of the parameters of the same name.
 _PARAMETERS = ('robot', 'gripper', 'base', 'arena', 'idn', 'prefix', 'position', 'orientation',
                'timestep', 'tactile', 'cameras')
 _BOOL = {'true': True, 'false': False}
@@ -28,7 +28,7 @@ _BOOL = {'true': True, 'false': False}
 @dataclass(frozen=True)
 class Composed:
     """
-    What was composed from the options.
+    The composition that the options describe.
 
     :ivar composition: the world, and the scope in which the node serves each robot
     :ivar parameters: those that the node needs for it
@@ -97,7 +97,7 @@ def arena_parameters(name: str) -> dict[str, Any]:
     """
     Return the parameters of an arena with their defaults.
 
-    :raises UnknownNameError: if there is no such arena
+    :raises UnknownNameError: if the arena is unknown
     """
     return {parameter.name: parameter.default for parameter in arenas.arena_parameters(name)}
 

@@ -87,7 +87,7 @@ def _servo_type(model: mujoco.MjModel, index: int) -> str:
 
 def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
     rows = []
-    # Those of a hand in the robot's own file are the robot's too.
+    # Joints of a hand in the robot's own file are the robot's too.
     for name in dict.fromkeys(name for part in _parts(robot) for name in part.sensors):
         index = int(model.sensor(name).id)
         kind = int(model.sensor_objtype[index])
@@ -209,7 +209,7 @@ def _models(robot: RobotModel, model: mujoco.MjModel) -> Iterator[Row]:
     parts: list[MujocoXMLModel] = [robot, *robot.models]
     mass = {id(part): sum(float(model.body(body).mass[0]) for body in part.bodies)
             for part in robot.models}
-    # All that belongs to no other part: on a mobile base the robot's root is in two bodies.
+    # The rest: on a mobile base the robot's root is in two bodies.
     mass[id(robot)] = float(model.body(robot.root_body).subtreemass[0]) - sum(mass.values())
     for part in parts:
         kind = ('robots' if part is robot else
@@ -354,7 +354,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 
 def _as_yaml(world: World) -> str:
-    """Return what was inferred of the robot's file, as the YAML file that describes it."""
+    """Return the parts inferred from the robot's file, as the YAML file that describes it."""
     from manip_sim.models.files import FileRobot  # That needs pydantic.
     if len(world.robots) != 1 or not isinstance(world.robots[0], FileRobot):
         raise ModelError('describe --yaml is for one robot from a file, such as --robot arm.xml; '

@@ -26,7 +26,7 @@ from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.quoting import counted, quoted_names
 from manip_sim.simulation import Simulation
 
-#: What is written, by the parameter and its key.
+#: The values that are written, by the parameter and its key.
 _WRITTEN = {'coulomb': 'frictionloss', 'viscous': 'damping'}
 #: Less of the efforts explained at the end of a record is worth a line.
 _WELL = 0.9
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 
 def _names(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[str, str]:
-    """Return the names in the bag by those of the robot, where --names gives them."""
+    """Return the names in the bag by the names of the robot, where --names gives them."""
     if options.names is None:
         return {}
     names = options.names.split(',')
@@ -95,7 +95,7 @@ def _kept(value: Value) -> float:
 
 def _write(file: Path, options: argparse.Namespace, found: Identification,
            composition: Mapping[str, Any]) -> None:
-    """Write the composition with what was identified, as a parameter file."""
+    """Write the composition with the identified values, as a parameter file."""
     import yaml
     values = {key: [_kept(joint.values[kind]) for joint in found.joints]
               for key, kind in (*_WRITTEN.items(), ('armature', 'armature'))}

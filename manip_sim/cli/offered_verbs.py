@@ -35,7 +35,7 @@ class Verb(ABC):
         """
         Do it.
 
-        :returns: what is printed, and the exit code: 0, or 1 if something is wrong
+        :returns: the text to print, and the exit code: 0, or 1 if something is wrong
         :raises ManipSimError: if it cannot be done; printed as one line, exit code 1
         """
 
@@ -79,7 +79,7 @@ class OfferedVerb(Verb):
         """
         Run the verb.
 
-        :raises ModelError: if it raises what is no error of manip_sim or of files
+        :raises ModelError: if it raises any error but a ManipSimError or OSError
         """
         try:
             result = self._verb.run(options)

@@ -20,7 +20,7 @@ from manip_sim.errors import ManipSimError
 _GAP, _INDENT = '  ', '  '
 #: No column gets narrower than this by wrapping.
 _NARROWEST = 10
-#: Where the output is no terminal, lines are not wrapped, for grep and the like.
+#: Lines are wrapped only on a terminal, for grep and the like.
 _ENDLESS = 1_000_000
 _NUMERIC = re.compile(r'-?\d[\d.e+-]*|-')
 _NUMERIC_OR_SPAN = re.compile(rf'({_NUMERIC.pattern})( to {_NUMERIC.pattern})?')
@@ -33,7 +33,7 @@ def terminal_width() -> int:
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> str:
     """
-    Return a table, or nothing where there are no rows.
+    Return a table, or nothing without rows.
 
     Cells are wrapped to keep to the width, but numbers never.
 

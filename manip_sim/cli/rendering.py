@@ -59,7 +59,7 @@ def cameras(views: Sequence[View], model: mujoco.MjModel, points: Any, aspect: f
 
     :param points: in the world, (n, 3) [m]
     :param aspect: aspect ratio of each picture, width / height
-    :raises UnknownNameError: if there is no such camera
+    :raises UnknownNameError: if the camera is unknown
     """
     import mujoco
     names = [model.camera(index).name for index in range(model.ncam)]
@@ -106,7 +106,7 @@ def _aim(seen: Any, distance: float) -> Any:
 
 
 _BACKDROP = (0.71, 0.76, 0.81)
-#: Narrow, so that what is near does not look larger [degrees].
+#: Narrow, so that near things do not look larger [degrees].
 _FIELD_OF_VIEW = 20.0
 _AMBIENT = 0.42
 #: Each light: its direction along the camera's right, up and forward; its brightness [1]. The
@@ -177,7 +177,7 @@ def picture_of_world(world: World, size: tuple[int, int], views: Sequence[View] 
     :param views: directions of view, from left to right
     :param in_studio: before a backdrop of one colour instead of the arena's floor and sky
     :param grippers_open: as they are after a command to open, wherever they start
-    :raises UnknownNameError: if there is no such camera
+    :raises UnknownNameError: if the camera is unknown
     :raises ManipSimError: if nothing can be rendered
     """
     model, data = _start_of(world, grippers_open)
@@ -190,7 +190,7 @@ def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
     """
     Render a gripper or a base alone over a floor, a gripper as on a flange that faces down.
 
-    The parameters and errors are those of :func:`picture_of_world`.
+    Parameters and errors as of :func:`picture_of_world`.
     """
     import mujoco
 
@@ -227,7 +227,7 @@ def picture_of_state(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int
     :param data: after ``mj_forward``
     :param else_shown: points that fill the picture if nothing but the world has visible shapes [m]
 
-    The other parameters and errors are those of :func:`picture_of_world`.
+    Other parameters and errors as of :func:`picture_of_world`.
     """
     import mujoco
     from PIL import Image

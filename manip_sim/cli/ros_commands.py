@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Topics, parameters and services on the command line, where there is no command ``ros2``.
+Topics, parameters and services on the command line, without the command ``ros2``.
 
-Words and output are those of ``ros2 topic``, ``ros2 param`` and ``ros2 service``.
+Words and output as of ``ros2 topic``, ``ros2 param`` and ``ros2 service``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from manip_sim.startup import EndSignals
 _UNKNOWN_S, _SETTLED_S, _ANSWER_S = 5.0, 1.0, 10.0
 #: Longest wait for messages at once; signals are handled in between [s].
 _LOOK_S = 0.05
-#: Quality of service that matches what is there.
+#: Quality of service that matches any publisher or subscription.
 _BEST = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE,
                    durability=DurabilityPolicy.BEST_AVAILABLE)
 #: Longest printed part of an array or a text.
@@ -178,7 +178,7 @@ class _Graph:
 
     def wait_for(self, messages: Collection[Any], topic: str, limit_s: float = math.inf) -> None:
         """
-        Wait for messages, and say on standard error if those of nodes that are found do not come.
+        Wait for messages, and say on standard error if the messages of known nodes do not come.
 
         :raises ManipSimError: if there are none within a limit [s]
         """

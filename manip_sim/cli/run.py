@@ -185,7 +185,7 @@ def run_seeds(experiment: Experiment, out: Path, seeds: Sequence[int],
     """
     Run the seeds that a folder does not have yet.
 
-    :param experiment: what is run
+    :param experiment: to run
     :param out: folder of the run
     :param seeds: of the whole run
     :param options: ``worlds``, ``engine``, ``address``, ``again`` and ``retry_errors``

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim check --against``: joint states of another source beside those of a world."""
+"""``manip_sim check --against``: joint states of another source and the joints of a world."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def differences(world: World, topic: str, names: Sequence[str], positions: Seque
     :param topic: on which they came, for the messages
     :param names: of the joints
     :param positions: [rad or m]
-    :returns: what is wrong with them, and remarks
+    :returns: their defects, and remarks
     """
     ranges = _ranges(world)
     return list(_defects(topic, names, positions, ranges)), list(_remarks(topic, names, ranges))

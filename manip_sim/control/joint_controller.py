@@ -58,7 +58,7 @@ class JointController(ControlledJoints):
     its position until it gets its first effort.
 
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
-    :param parts: by name; those of one arm and of both arms may overlap
+    :param parts: by name; the parts of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :param chains: of the arms that take Cartesian commands, by arm
     :param gains_are_highest: whether gains of the model are upper bounds, see :class:`Servos`
@@ -169,7 +169,7 @@ class JointController(ControlledJoints):
 
         :param timeout_s: simulation time [s]; 0 for no timeout
         :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         for name in self.parts_of(self.indices_of(part)):
             self._timeouts.set(name, timeout_s)
@@ -185,7 +185,7 @@ class JointController(ControlledJoints):
         :param longest_s: longest interval between messages of a stream [s]; None: no change
         :param hold_s: how long a part goes on at the velocity of a stream of goals after one was
             due [s]; 0 for two message intervals; None: no change
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         indices = self.indices_of(part)
         self._setpoints.set_stream(indices, longest_s, hold_s)
@@ -198,7 +198,7 @@ class JointController(ControlledJoints):
         Change the rate at which servos of a part take away errors that remain.
 
         :param gain: [1/s]; 0 for not at all
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         if self._servos.set_integral_gain(self.indices_of(part), gain):
             self._write_again()
@@ -207,7 +207,7 @@ class JointController(ControlledJoints):
         """
         Change what an arm holds, which servos and laws carry from the next interval on.
 
-        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         if payload != self.payloads[arm]:
             self.payloads[arm] = payload
@@ -225,7 +225,7 @@ class JointController(ControlledJoints):
         :param mode: the name of one of :data:`MODES`
         :raises ModelError: if the gains or the law of the mode cannot be used; nothing has changed
             then
-        :raises UnknownNameError: if there is no such part or mode
+        :raises UnknownNameError: if the part or mode is unknown
         """
         wanted = MODES[mode]
         law = None if wanted.law is None else LAWS[wanted.law]
@@ -259,7 +259,7 @@ class JointController(ControlledJoints):
         :param parameters: of the law, shape (p,)
         :param compiled: whether it is compiled
         :raises ModelError: if it cannot be compiled, or act in this world
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         self.indices_of(part)
         self.seats.check(law, compiled)
@@ -705,7 +705,7 @@ class JointController(ControlledJoints):
         Return the seats of the law that moves a part, one for each part that it consists of.
 
         :raises ModelError: if no law moves all of it
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         indices = self.indices_of(part)
         modes = dict.fromkeys(self.modes_of(indices))
@@ -763,5 +763,5 @@ class JointController(ControlledJoints):
 
 def _of_other_modes(indices: IntArray, modes: tuple[str, ...], present: tuple[str, ...]
                     ) -> list[int]:
-    """Return the joints whose mode is no longer the one that a command was made for."""
+    """Return the joints whose mode has changed since a command was made."""
     return [i for i, mode in zip(indices.tolist(), modes) if present[i] != mode]

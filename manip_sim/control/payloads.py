@@ -38,7 +38,7 @@ class Payloads:
         """
         Return the payload of an arm.
 
-        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         return self._reader(arm).external.payload
 
@@ -46,7 +46,7 @@ class Payloads:
         """
         Change the payload of an arm from now on.
 
-        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         self._reader(arm).external.set_payload(payload)
 

@@ -31,7 +31,7 @@ _EMERGENCY = 'emergency stop'
 @dataclass(frozen=True)
 class ReflexLimits:
     """
-    What a part may do before it is stopped; 0 is no limit.
+    Limits beyond which a part is stopped; 0 for none.
 
     :ivar velocity: of any joint, as a multiple of its velocity limit
     :ivar effort: of any joint, as a multiple of its effort limit
@@ -90,7 +90,7 @@ class Reflexes:
         Change a limit of a part, of each of those that it consists of.
 
         :param quantity: a field of :class:`ReflexLimits`
-        :raises UnknownNameError: if there is no such quantity
+        :raises UnknownNameError: if the quantity is unknown
         """
         known = [field.name for field in fields(ReflexLimits)]
         if quantity not in known:
@@ -214,7 +214,7 @@ class Reflexes:
                 self._trip(part, _EMERGENCY, data)
 
     def recover(self) -> None:
-        """Let all parts take commands again as soon as all that were stopped rest."""
+        """Let all parts take commands again as soon as all stopped parts rest."""
         self.is_emergency, self.is_recovering = False, bool(self.tripped)
         self._go_on_recovering()
 

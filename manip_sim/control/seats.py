@@ -68,7 +68,7 @@ class LawParameters(MutableMapping[str, float]):
     """
     The parameters of a law that moves a part, by name; a new value acts from the next step on.
 
-    :param find: returns the seats of the same law; what is read is that of the first
+    :param find: returns the seats of the same law; reading returns the value of the first
     """
 
     def __init__(self, find: Callable[[], Sequence[SeatState]]) -> None:
@@ -82,8 +82,8 @@ class LawParameters(MutableMapping[str, float]):
         """
         Return a value for a parameter.
 
-        :raises ModelError: if it is no finite number
-        :raises UnknownNameError: if there is no such parameter
+        :raises ModelError: if it is not a finite number
+        :raises UnknownNameError: if the parameter is unknown
         """
         return self._law.checked(name, value)
 
@@ -117,7 +117,7 @@ class Seats:
     :param servos: of all driven joints
     :param indices: of the joints, by part
     :param tips: readers of end effectors, by the part that ends in each
-    :ivar of: what is in the seats, by part
+    :ivar of: the laws in the seats, by part
     """
 
     def __init__(self, physics: Physics, servos: Servos, indices: Mapping[str, IntArray],
@@ -146,7 +146,7 @@ class Seats:
             _ = law.code
 
     def sit(self, part: str, law: Law, parameters: FloatArray, compiled: bool) -> None:
-        """Put a law in the seat of a part, in place of what was there."""
+        """Put a law in the seat of a part, in place of the one before."""
         self.of[part] = SeatState(law, parameters, compiled and not PLAIN)
         self._derived.of.pop(part, None)
 
@@ -205,12 +205,12 @@ class Seats:
         return np.array(rows, np.int64)
 
     def _room(self, part: str) -> Derived:
-        """Return what has been made for a part."""
+        """Return the arrays made for a part."""
         room: Derived = self._derived.of.setdefault(part, Derived())
         return room
 
     def _seats(self, setpoints: Any, efforts: FloatArray, payloads: Payloads) -> dict[str, Any]:
-        """Return all that the laws that act work with, by part."""
+        """Return the arguments of the laws that act, by part."""
         return {part: self._seat(part, state, setpoints, efforts, payloads)
                 for part, state in self.of.items() if state.acts}
 

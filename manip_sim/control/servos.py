@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-MuJoCo's own actuators as servos of joints: gains, limits and what is written into ``data``.
+MuJoCo's own actuators as servos of joints: gains, limits, and what they write into ``data``.
 
 The activation of an actuator holds its setpoint; ``ctrl`` is the rate at which the setpoint
 changes. So setpoints are linear between two calls of :meth:`Servos.write`, and the physics loop

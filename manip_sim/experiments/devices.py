@@ -277,7 +277,7 @@ def open_device(name: str, actions: Sequence[str]) -> Device:
     :param name: ``keyboard``, ``gamepad``, ``spacemouse`` or ``file:ACTIONS.csv``
     :param actions: names of the numbers of an action
     :raises ModelError: if it is not there, or cannot be used
-    :raises UnknownNameError: if there is no such device
+    :raises UnknownNameError: if the device is unknown
     """
     if name.startswith(_FILE):
         return ActionFile(Path(name.removeprefix(_FILE)), actions)

@@ -95,7 +95,7 @@ def find_excitation(simulation: Simulation, part: str, duration_s: float, seed: 
     :param duration_s: [s]
     :param seed: of the series
     :raises ModelError: if there is none, or it is too short or too long
-    :raises UnknownNameError: if there is no such part
+    :raises UnknownNameError: if the part is unknown
     """
     if not _SHORTEST_S <= duration_s <= _LONGEST_S:
         raise ModelError(f'an excitation takes {_SHORTEST_S:g} to {_LONGEST_S:g} s, got '

@@ -5,7 +5,7 @@
 Least squares for friction, rotor inertia and payload, on the inverse dynamics of MuJoCo.
 
 Effort and model pass through the same Gaussian, which shifts no phase, so what is linear in
-position, velocity and acceleration is not changed by it. Derivatives are those of a Gaussian.
+position, velocity and acceleration is not changed by it. Derivatives come from a Gaussian too.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.identification.recorded_motion import RecordedMotion, Stretch
 
-#: What is told of a joint, in the order of the columns; the last one is the effort at rest.
+#: The values of a joint, in the order of the columns; the last one is the effort at rest.
 KINDS = ('armature', 'damping', 'frictionloss', 'offset')
 #: Of the low-pass filter [Hz].
 CUTOFF_HZ = 4.0
@@ -74,7 +74,7 @@ class Value:
 @dataclass(frozen=True)
 class JointFit:
     """
-    What was identified of a joint, and how well that explains its effort.
+    The identified values of a joint, and the share of its effort that they explain.
 
     :ivar values: by the names in :data:`KINDS`
     :ivar rms: of the effort that is left, where it was fitted [N m or N]
@@ -119,8 +119,8 @@ class Identification:
     :ivar payloads: by arm, those that were fitted
     :ivar hints: payloads that would explain more, if none was fitted
     :ivar lag_s: time by which efforts lag behind the states [s]
-    :ivar fitted_s: length of what was fitted [s]
-    :ivar held_out_s: length of what was held out [s]
+    :ivar fitted_s: length of the fitted part [s]
+    :ivar held_out_s: length of the held-out part [s]
     """
 
     joints: list[JointFit]
@@ -137,7 +137,7 @@ class _Gaussian:
 
     :param width: [s]
     :param interval: [s]
-    :param lag: of what is filtered [s]
+    :param lag: of the filtered signal [s]
     :param most_lag: that another one has, which must be of the same reach [s]
     """
 
@@ -272,7 +272,7 @@ def _effort_limits(model: mujoco.MjModel, dofs: IntArray) -> FloatArray:
 
 class _Rows:
     """
-    Filtered rows of all stretches, those of all joints at one instant in a row.
+    Filtered rows of all stretches, the rows of all joints at one instant together.
 
     :param motion: that was recorded
     :param model: of it
@@ -330,7 +330,7 @@ class _Rows:
         efforts = narrow(np.array([stretch.efforts[joint] for joint in model.joints]).T)
         self._efforts.append((efforts, stretch.interval_s))
         kept = [wide(values)[::stride] for values in (rigid, columns, loads, speed)]
-        # What is left of a motion in fourth differences is far below noise.
+        # The share of a motion in fourth differences is far below noise.
         noise = np.diff(positions[:, own], 4, axis=0).var(axis=0) / _FOURTH
         gains = np.array([[narrow.combined(order, wide)] for order in (2, 1)])
         return *kept, inertia, gains * noise, position.min(axis=0), position.max(axis=0)
@@ -372,7 +372,7 @@ class _Sums:
         self._take_off_noise(rows)
 
     def _take_off_noise(self, rows: _Rows) -> None:
-        """Take off what noise of the positions adds: it would make all that moves seem lighter."""
+        """Take off the addition of noise of the positions, which would make links seem lighter."""
         for column in range(2):
             self._sums[..., column, column] -= self._counts * rows.noise[column]
         common = self._counts * rows.inertia * rows.noise[0]

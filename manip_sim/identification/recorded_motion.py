@@ -52,7 +52,7 @@ class RecordedMotion:
     :ivar topic: that it was read from
     :ivar stretches: in the order of time
     :ivar missing: joints of the robot that it does not have
-    :ivar notes: what was left out, a sentence each
+    :ivar notes: a sentence for each part that was left out
     """
 
     topic: str
@@ -171,7 +171,7 @@ def _arrays(messages: Sequence[tuple[int, Any]], present: Mapping[str, str],
 
 def _stretches(times: FloatArray, positions: Mapping[str, FloatArray],
                efforts: Mapping[str, FloatArray]) -> list[Stretch]:
-    """Return what is between gaps, jumps and steps back in time, at equal intervals."""
+    """Return the stretches between gaps, jumps and steps back in time, at equal intervals."""
     if len(times) < 2:
         return []
     steps = np.diff(times)

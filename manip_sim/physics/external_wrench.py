@@ -186,7 +186,7 @@ class ExternalWrench:
         return momentum
 
     def _take_payload_away(self, steps: int) -> None:
-        """Take the forces of the payload from what was recorded, by its change of momentum."""
+        """Take the forces of the payload from the recorded ones, by its change of momentum."""
         model, data, moment = self._physics.model, self._physics.data, np.empty(3)
         change = (self._present_momentum(data) - self._momentum) / (
             steps * float(model.opt.timestep))

@@ -44,7 +44,7 @@ class Payload:
         :param value: a number for ``mass``, three for ``center_of_mass``, six for ``inertia``
         :raises CommandError: if they are not finite, the mass is negative, or no body has such an
             inertia
-        :raises UnknownNameError: if there is no such number
+        :raises UnknownNameError: if the number is unknown
         """
         names = [field.name for field in fields(self)]
         if name not in names:

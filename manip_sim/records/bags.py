@@ -30,7 +30,7 @@ def bag_messages(path: Path, type_name: str) -> Iterator[tuple[str, int, Any]]:
 
     :param path: of an MCAP file, a file of SQLite of rosbag2, or a folder with such files
     :param type_name: such as ``std_msgs/Bool``
-    :raises RecordError: if there is no bag, or it is damaged or too large
+    :raises RecordError: if the bag is missing, damaged or too large
     """
     decode, size = decoder(type_name), 0
     for file in _files(path):

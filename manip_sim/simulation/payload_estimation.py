@@ -26,7 +26,7 @@ _TURN, _MARGIN = 0.4, 0.02
 _JOINTS, _PLACES = 3, 6
 #: Share of the velocity limits of the joints; shortest motion, and rest at each place [s].
 _SPEED, _SHORTEST_S, _REST_S = 0.5, 0.6, 0.4
-#: Joints that are slower than this rest [rad/s], for so long before what is measured counts [s].
+#: Joints that are slower than this rest [rad/s], for so long before measurements count [s].
 _RESTING, _SETTLING_S = 1e-3, 0.15
 #: Least change of gravity in the axes of the sensor that tells a payload from an offset [m/s^2].
 _LEAST_CHANGE = 0.3
@@ -43,7 +43,7 @@ class PayloadEstimate:
 
     :ivar payload: mass and centre of mass are estimated
     :ivar mass_error: [kg]
-    :ivar center_of_mass_error: [m], three numbers; zeros where there is no payload
+    :ivar center_of_mass_error: [m], three numbers; zeros without a payload
     """
 
     payload: Payload
@@ -64,7 +64,7 @@ class PayloadEstimation:
     :ivar command: moves the arm; it has yet to be applied
     :raises CommandError: if the arm follows another command, is not in position mode, or cannot
         turn its gripper enough
-    :raises UnknownNameError: if there is no such arm, or it has no gripper
+    :raises UnknownNameError: if the arm is unknown or has no gripper
     """
 
     def __init__(self, physics: Physics, robot: SimulatedRobot, arm: str) -> None:
@@ -155,7 +155,7 @@ class PayloadEstimation:
     # ------------------------------------------------------------------ the estimate
 
     def record(self) -> None:
-        """Take what is measured at the end of a control period, if the arm rests."""
+        """Take the measurements of the end of a control period, if the arm rests."""
         state, data = self._robot.state(), self._physics.data
         before, self._last_ns = self._last_ns, state.time_ns
         if before is None or np.abs(data.qvel[self._dofs]).max() > _RESTING:

@@ -368,7 +368,7 @@ class SimulatedRobot:
         :param part: such as ``arm``
         :param gain: rate at which an error is taken away [1/s]; 0 for not at all
         :raises CommandError: if the part is a gripper, or the gain negative or not finite
-        :raises UnknownNameError: if there is no such part
+        :raises UnknownNameError: if the part is unknown
         """
         self._check_no_gripper(part)
         self._physics.interrupt()
@@ -412,7 +412,7 @@ class SimulatedRobot:
             iyz, izz [kg m^2], shape (6,)
         :raises CommandError: if a number is not finite, the mass is negative, or no body has such
             an inertia; then nothing changes
-        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         self.joints.set_payload(arm, Payload.checked(mass, center_of_mass, inertia))
 
@@ -421,7 +421,7 @@ class SimulatedRobot:
         Return the payload of an arm, as :meth:`set_payload` has declared it.
 
         :param arm: such as ``right``
-        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         return self.joints.payloads[arm]
 

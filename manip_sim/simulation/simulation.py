@@ -312,7 +312,7 @@ class Simulation:
         :raises CommandError: if the arm follows another command, is not in position mode, cannot
             turn its gripper enough, or cannot make the motion
         :raises DivergenceError: as of :meth:`advance`
-        :raises UnknownNameError: if there is no such robot or arm, or it has no gripper
+        :raises UnknownNameError: if the robot or arm is unknown, or has no gripper
         """
         if robot is not None and robot not in self.robots:
             raise UnknownNameError('robot', robot, self.robots)

@@ -30,7 +30,7 @@ _LOGGER = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def kept_in(folder: Path) -> Iterator[None]:
-    """Let numba keep what is declared meanwhile in a folder."""
+    """Let numba keep functions that are declared meanwhile in a folder."""
     settings: Any = config
     before, settings.CACHE_DIR = settings.CACHE_DIR, str(folder)
     try:
@@ -41,7 +41,7 @@ def kept_in(folder: Path) -> Iterator[None]:
 
 _FOLDER = None if PLAIN else laws_folder()
 if not PLAIN and (_FOLDER is None or next(_FOLDER.rglob('*.nbi'), None) is None):
-    _LOGGER.warning('Compiling control laws, which takes up to a minute, %s',
+    _LOGGER.warning('Compiling control laws, which takes a minute or two, %s',
                     f'once: they are kept in {_FOLDER}' if _FOLDER else
                     'in every process: no folder for them can be written')
 

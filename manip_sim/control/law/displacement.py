@@ -31,7 +31,7 @@ _REGULAR = 1e-9
 #: Weight of the posture beside that of the task, and in addition for each metre or radian of the
 #: task that is not possible, so that an arm does not rest where it can hardly come back.
 POSTURE, _POSTURE_RATE = 1e-6, 0.005
-#: Damping of what is not possible, at most and for each metre or radian of it [m^2].
+#: Damping of the impossible part of a task, at most and for each metre or radian of it [m^2].
 _DAMPING, _DAMPING_RATE = 1.6e-3, 0.02
 #: A part of the task smaller than this, as a share, counts as possible.
 _NEGLIGIBLE = 1e-6
@@ -43,7 +43,7 @@ _WORTH, _WORTH_AGAIN = 2e-3, 2.0
 _FARTHEST, _CLEAR = -0.05, 0.1
 #: With less progress than this, as a share, the posture matters less.
 _PROGRESS = 0.1
-#: Iterations for the sign of a matrix, and what is added so that it is positive in any case.
+#: Iterations for the sign of a matrix, and an addition that makes it positive in any case.
 _SIGN_ITERATIONS, _SIGN_ERROR = 10, 0.005
 
 
@@ -116,7 +116,7 @@ def _find_unbounded(jacobian: FloatArray, task: FloatArray, low: FloatArray, hig
     """
     Write the displacements as if all of the task were possible and no bound were met.
 
-    Where that is so, they are those of :func:`_find_bounded`, found in a tenth of the time.
+    Where that is so, :func:`_find_bounded` would find the same in ten times the time.
 
     :param square: of the Jacobian, ``pull`` the task in joints
     :param wanted: solution of the regularized problem, written

@@ -144,7 +144,7 @@ def _stride(finger: Any, grip: Grip, i: int, distance: float, centres: bool, dur
             ) -> float:
     """Return how far a setpoint moves in an interval."""
     if centres and (distance > 0.0) == grip.to_end[i, 0]:
-        return distance  # What is beyond the full force comes back at once.
+        return distance  # A setpoint beyond the full force comes back at once.
     pace = min(finger.speed, grip.pace[i])
     if grip.pressing[i]:
         pace = max(finger.below, finger.above, 0.0) / _PRESS_S

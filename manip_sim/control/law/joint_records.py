@@ -58,7 +58,7 @@ PLACES = {name: place for place, name in enumerate(FIELDS)}
 JOINT = np.dtype([(name, np.float64) for name in FIELDS])
 #: True if laws are plain Python, which reads attributes of records of another type alone.
 PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'
-#: Time constant of what is tracked beside the reference, at least [s].
+#: Shortest time constant of the tracked difference to the reference [s].
 SMOOTHING_S = 0.02
 
 

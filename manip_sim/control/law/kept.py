@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where compiled laws of control are kept, for each version of all that they depend on."""
+"""The folders of compiled laws of control, one for each version of their dependencies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ALL = 'all'
 
 
 def _version() -> str:
-    """Return a name for all that the compiled code depends on."""
+    """Return a name for the versions of everything that the compiled code depends on."""
     content = hashlib.sha256()
     # numba finds what it has kept by the path of the source.
     for word in (package_version(), _version_of_numba(), version('mujoco'),

@@ -207,7 +207,7 @@ def _find_motion(scratch: Kinematics, setpoints: Any, postures: FloatArray, targ
 @inner
 def _note(targets: Targets, number: int, goal: Goal, now: float, progress: float, reached: bool,
           singular: bool, slowed: bool, held: BoolArray) -> None:
-    """Note what has become of a solution, whose error is noted already."""
+    """Note the outcome of a solution, whose error is noted already."""
     task, arm, k = targets.tasks[number], targets.arms[number], targets.tasks[number].solutions
     facts, error = targets.facts[number, k], targets.errors[number, k]
     facts.now_s, facts.progress, facts.aside = now, progress, 0.0

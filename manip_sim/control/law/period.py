@@ -144,7 +144,7 @@ class ScratchArrays(NamedTuple):
 
 @inner
 def _waits(targets: Targets, now: float) -> bool:
-    """Return whether there is no room to note what is solved now."""
+    """Return whether room for the notes of a solution is missing."""
     for number in range(2):
         task = targets.tasks[number]
         if task.acts == LEADS and task.settled == 0 and now >= task.solve_s - 1e-9 and (

@@ -158,11 +158,15 @@ def settle(seat: Seat) -> None:
         if not np.isfinite(x.effort[i]):
             seat.status[FAILED] = NOT_FINITE
             return
-    carried, loads = np.zeros(len(chain)), seat.joints.loads
-    carry(seat.world, loads, servos, loads.accelerations, False, carried)
     for i in range(len(chain)):
         seat.efforts[chain[i].joint] = x.effort[i]
-        seat.world.activations[servos[i].activation] = (x.effort[i] + carried[i]) / servos[i].gear
+        seat.world.activations[servos[i].activation] = x.effort[i] / servos[i].gear
+    loads = seat.joints.loads
+    if len(loads.loads):
+        carried = x.effort.copy()
+        carry(seat.world, loads, servos, loads.accelerations, False, carried)
+        for i in range(len(chain)):
+            seat.world.activations[servos[i].activation] = carried[i] / servos[i].gear
 
 
 @compiled
@@ -173,8 +177,10 @@ def feel(seat: Seat) -> None:
         return
     center, place = kinematics.centers[tip[ROOT]], kinematics.sites[tip[SENSOR]]
     axes, total, moment = kinematics.site_axes[tip[SENSOR]], np.zeros(6), np.empty(3)
-    others = seat.others.copy()
-    _add_reactions(seat, others)
+    others = seat.others
+    if len(seat.joints.loads.loads):
+        others = seat.others.copy()
+        _add_reactions(seat, others)
     for body in range(tip[FIRST], tip[END]):
         for k in range(6):
             total[k] += seat.forces[body, k]
@@ -194,7 +200,7 @@ def feel(seat: Seat) -> None:
 
 @inner
 def _add_reactions(seat: Seat, others: FloatArray) -> None:
-    """Add to a wrench about the origin what the tool exerts on payloads, which are no tool."""
+    """Add to a wrench about the origin the reaction of payloads, which the tool leaves out."""
     loads, place, reaction = seat.joints.loads, np.empty(3), np.empty(6)
     for k in range(len(loads.loads)):
         if loads.loads[k].body == seat.joints.tip[FIRST]:
@@ -240,7 +246,7 @@ def begin_all(rows: IntArray) -> None:
 
 @inner
 def exert_all(rows: IntArray, now: float, share: float) -> None:
-    """Let laws exert their efforts, after ``mj_step1``; what has failed keeps the last ones."""
+    """Let laws exert their efforts, after ``mj_step1``; a failed law keeps its last ones."""
     for row in rows:
         seat = _read_seat(row)
         if seat.status[FAILED] == 0:

@@ -26,7 +26,7 @@ from manip_sim.physics.physics import WorldArrays
 #: MuJoCo's noslip solver, which all worlds have, lets it act in full at any [rad/s or m/s].
 _SLIDING = 0.05
 #: Share of the highest effort that integral terms exert at most; errors for which a servo exerts
-#: more are no longer integrated, so that nothing winds up where something blocks a joint.
+#: more are not integrated, so that nothing winds up where something blocks a joint.
 _INTEGRAL_SHARE = 0.2
 #: Errors that are not integrated, so that joints with dry friction do not hunt [rad or m].
 _INTEGRAL_DEADBAND = 5e-6
@@ -73,7 +73,7 @@ def find_rates(world: WorldArrays, servos: Any, places: IntArray, joints: Any,
 def find_efforts_beside(world: WorldArrays, servos: Any, joints: Any, loads: Loads,
                         integrals: FloatArray, beside: FloatArray) -> None:
     """
-    Write the efforts that carry and move payloads, and those of integral terms.
+    Write the efforts that carry and move payloads, and the efforts of integral terms.
 
     :param servos: records, shape (n,)
     :param joints: records of the motion, shape (n,)

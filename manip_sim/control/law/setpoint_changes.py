@@ -56,7 +56,7 @@ def ramp_to(joints: Any, indices: IntArray, velocity: FloatArray, duration: floa
     :param indices: of those that do, shape (k,)
     :param velocity: [rad/s or m/s], shape (k,)
     :param duration: the time [s]
-    :param limit: above those of the joints, which count if it is empty [rad/s^2 or m/s^2]
+    :param limit: above the limits of the joints, which count if it is empty [rad/s^2 or m/s^2]
     """
     for k in range(len(indices)):
         x = joints[indices[k]]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Motion of a setpoint in an interval: a reference, what is tracked beside it, and the limits.
+Motion of a setpoint in an interval: a reference, a tracked difference to it, and the limits.
 
 The velocity of the *reference* ramps to that of the goals, which takes the setpoint along a stream
 one and a half intervals late. What is then still missing of the way is *tracked*: by a
@@ -56,7 +56,7 @@ def missing_way(x: Any, now: float) -> float:
 
 @inner
 def track(x: Any, missing: float, duration: float) -> None:
-    """Let what is tracked beside the reference come nearer."""
+    """Let the tracked difference to the reference shrink."""
     change = x.limit * duration
     raw = clip(braking_velocity(missing, x.limit, duration), x.raw - change, x.raw + change)
     raw = clip(raw, -x.top - x.rate_goal, x.top - x.rate_goal)
@@ -94,7 +94,7 @@ def move(x: Any, now: float, duration: float) -> None:
         end_stream(x)
     begin, tracked, missing = x.velocity, x.second, missing_way(x, now)
     most = x.slope * duration
-    # Near its goal this is the difference itself: what is left of a quotient is never zero.
+    # Near its goal this is the difference itself: the rest of a quotient is never zero.
     change = clip(x.rate_goal - x.rate, -most, most)
     rate = x.rate + change
     travel = rate * duration - change / 2.0 * (abs(change) / x.slope)

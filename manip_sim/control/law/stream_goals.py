@@ -21,7 +21,7 @@ from manip_sim.control.law.stream_timing import (
 MARGIN = 1.5
 #: Noise of the acceleration that is left, as a share of its limit; longest memory for that [s].
 NOISE, LONGEST_S = 0.04, 0.1
-#: Time constant of what is tracked beside the reference, in measures of jitter, at least.
+#: Time constant of the tracked difference to the reference, in measures of jitter, at least.
 SMOOTHING_JITTERS = 20.0
 
 
