@@ -255,6 +255,8 @@ def test_a_number_of_a_joint_that_mujoco_does_not_read_is_checked(
     (URDF.replace('</robot>', '<joint name="again" type="fixed"><parent link="base_link"/>'
                   '<child link="upper"/></joint></robot>'),
      "joint 'again' leads to link 'upper', as joint 'shoulder' does: delete one of them, or "),
+    (URDF.replace('"upper"', '"world"'),
+     "arm.urdf: joint 'shoulder' leads to link 'world', the fixed root of all: give it another"),
     (URDF.replace('</robot>', '<link name="upper"/></robot>'),
      "arm.urdf: 2 elements <link> have the name 'upper': give each another one"),
     ('<!DOCTYPE robot [<!ENTITY a "b">]><robot/>', "arm.urdf, line 1: the entity 'a' is declared"),

@@ -150,7 +150,8 @@ def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
     """
     Leave out joints that repeat the name and the links of another one.
 
-    :raises ModelError: if other joints lead to the same link, or if others or links have one name
+    :raises ModelError: if other joints lead to the same link or one to ``world``, or if others or
+        links have one name
     """
     leading: dict[str, tuple[str, str]] = {}
     repeated = []
@@ -167,6 +168,9 @@ def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
             raise ModelError(f'{file}: joint {quoted(name)} leads to link {quoted(child)}, as '
                              f'joint {quoted(leading[child][0])} does: delete one of them, or '
                              'correct its <child>')
+    if _WORLD in leading:
+        raise ModelError(f'{file}: joint {quoted(leading[_WORLD][0])} leads to link '
+                         f'{quoted(_WORLD)}, the fixed root of all: give it another name')
     for kind in ('link', 'joint'):
         names = Counter(element.get('name', '') for element in robot.findall(kind))
         name, count = next(iter(names.most_common(1)), ('', 0))
