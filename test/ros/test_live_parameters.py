@@ -34,6 +34,8 @@ def another(spec, number):
         return [choice for choice in spec.choices if choice != spec.default][number % 2]
     low, high = spec.minimum or 0.0, min(spec.maximum, 3.0)
     value = low + (high - low) * (0.3 + 0.1 * number)
+    if spec.name.endswith('.inertia'):  # Of a ball.
+        return [1.0 + number, 0.0, 0.0, 1.0 + number, 0.0, 1.0 + number]
     return [value] * spec.length if spec.length else value
 
 
