@@ -26,9 +26,9 @@ from manip_sim.models.composing import compose_robot
 from manip_sim.models.world import World
 from manip_sim.physics.object_spawning import plan_without
 from manip_sim.simulation import Simulation
-from manip_sim.worlds import robot_in_worlds, Worlds
+from manip_sim.worlds import commands, Worlds
 from manip_sim.worlds.physics_threads import PhysicsThreads
-from manip_sim.worlds.robot_in_worlds import wait_in_worlds
+from manip_sim.worlds.commands import wait_in_worlds
 
 NOISE = {'type': 'uniform', 'magnitude': 0.05}
 COUNT = 3
@@ -402,7 +402,7 @@ def test_streams_go_on_in_worlds_in_which_nothing_has_changed(pair, mode, change
     start(pair, mode)
     names, renewed = pair.simulations[0].robot.joint_names[:7], []
     start_at = pair.worlds.robot.state().position[:, :7] if mode == 'position' else 0.0
-    monkeypatch.setattr(robot_in_worlds, 'wait_in_worlds', lambda setpoints, *rest: (
+    monkeypatch.setattr(commands, 'wait_in_worlds', lambda setpoints, *rest: (
         renewed.append(len(setpoints)), wait_in_worlds(setpoints, *rest)))
     for period in range(12):
         if period == 5 and (mode == 'position' or change is not _wait_for_a_trajectory):

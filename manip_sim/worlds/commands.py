@@ -1,0 +1,463 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Commands for a robot in many worlds, as arrays with a leading axis of worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.clamping import clamp
+from manip_sim.control.cartesian.cartesian_commands import PoseAction
+from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
+from manip_sim.control.modes import POSITION, VELOCITY
+from manip_sim.control.setpoints import wait_in_worlds
+from manip_sim.errors import CommandError
+from manip_sim.physics.physics import EPOCH, STEPS
+from manip_sim.simulation import SimulatedRobot
+from manip_sim.simulation.compiled_period import renew, renew_actions
+from manip_sim.validation import positive_number
+from manip_sim.worlds.rows import chosen, rows
+
+#: So many streams of a robot are known at most.
+_MOST_STREAMS = 8
+
+
+class GoingOn:
+    """
+    The worlds that go on with a command, to which compiled code gives other numbers.
+
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
+    :ivar robots: address of the row of the robot in each world, or 0, shape (count,)
+    """
+
+    def __init__(self, table: IntArray, timestep_s: float) -> None:
+        self._table, self._timestep_s = table, timestep_s
+        self.robots, self._epochs = np.zeros((2, len(table)), np.int64)
+
+    def find(self, mask: BoolArray, period_s: float | None, address: Callable[[int], int]
+             ) -> IntArray:
+        """
+        Return the numbers of the worlds that go on with the command.
+
+        :param mask: which may, shape (count,)
+        :param period_s: length of a control period that they have to have [s]; None for any
+        :param address: returns that of the row of the robot in a world if the command runs, or 0
+        """
+        steps, epochs = self._table[:, STEPS], self._table[:, EPOCH]
+        stands = mask & (steps > 0)
+        if period_s is not None:
+            stands &= steps * self._timestep_s == period_s
+        for world in np.flatnonzero(stands & (self._epochs != epochs)).tolist():
+            self._epochs[world] = epochs[world]
+            self.robots[world] = address(world)
+        return np.flatnonzero(stands & (self.robots > 0))
+
+
+class RowByRow:
+    """
+    Validates the commands of all worlds first, and then applies them.
+
+    :param robots: the robot in each world
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
+    """
+
+    def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
+                 ) -> None:
+        self._robots, self._table, self._timestep_s = robots, table, timestep_s
+
+    def _apply(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]],
+               where: ArrayLike | None, period_s: float | None) -> None:
+        for robot, commands in self._parsed(parse, chosen(where, len(self._robots))):
+            robot.apply(*commands, period_s=period_s)
+
+    def _parsed(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]], mask: BoolArray
+                ) -> list[tuple[SimulatedRobot, tuple[Command, ...]]]:
+        made = []
+        for world in np.flatnonzero(mask).tolist():
+            robot = self._robots[world]
+            try:
+                made.append((robot, tuple(parse(robot, world))))
+            except CommandError as error:
+                raise CommandError(f'world {world}: {error}') from error
+        return made
+
+    def _rows(self, values: ArrayLike, what: str) -> FloatArray:
+        return rows(values, len(self._robots), what)
+
+
+class _Stream(NamedTuple):
+    """
+    A command that goes on with other numbers.
+
+    :ivar one: the command of a world
+    :ivar modes: of all joints of the robot
+    :ivar clamps: lowest and highest numbers, shape (n, 2)
+    :ivar velocities: whether they are velocities, not positions
+    :ivar going_on: the worlds that go on with it
+    """
+
+    one: JointSetpoint
+    modes: tuple[str, ...]
+    clamps: FloatArray
+    velocities: bool
+    going_on: GoingOn
+
+
+class Commands(RowByRow):
+    """
+    Commands for joints, grippers and bases, with the method names of ``robot.parse``.
+
+    :param robots: the robot in each world
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
+    """
+
+    def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
+                 ) -> None:
+        super().__init__(robots, table, timestep_s)
+        #: By world: the last command that can go on with other numbers; nobody else has it.
+        self._streams: dict[int, JointSetpoint] = {}
+        #: Streams to which compiled code gives other numbers, by names, field and part.
+        self._going_on: dict[tuple[str | None, ...], _Stream] = {}
+
+    def action(self, part: str, action: ArrayLike, *, where: ArrayLike | None = None,
+               period_s: float | None = None) -> None:
+        """
+        Command an abstract action in each world.
+
+        :param part: such as ``arm`` or ``right/gripper``
+        :param action: in [-1, 1] for each actuator of the part, or each dof of the gripper, shape
+            (count, n)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a shape is wrong or a number is not finite
+        :raises UnknownNameError: if the part is unknown
+        """
+        numbers = self._rows(action, f'{part}: actions')
+        self._apply(lambda robot, world: [robot.parse.action(part, numbers[world])], where,
+                    period_s)
+
+    def joint_command(self, names: Sequence[str], position: ArrayLike | None = None,
+                      velocity: ArrayLike | None = None, effort: ArrayLike | None = None, *,
+                      part: str | None = None, where: ArrayLike | None = None,
+                      period_s: float | None = None) -> None:
+        """
+        Command goals of some joints in each world; NaN means no command for a joint.
+
+        :param names: of the joints
+        :param position: goals of the joints in position mode [rad or m], shape (count, n)
+        :param velocity: goals of the joints in velocity mode [rad/s or m/s], shape (count, n)
+        :param effort: goals of the joints in effort mode [N m or N], shape (count, n)
+        :param part: whose joints may be named; None for all
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
+        """
+        columns = {field: self._rows(values, f'{part or "joint_command"}: {field}')
+                   for field, values in (('position', position), ('velocity', velocity),
+                                         ('effort', effort)) if values is not None}
+        mask = chosen(where, len(self._robots))
+        alike, goal = np.zeros(len(self._robots), dtype=bool), None
+        if len(columns) == 1:
+            (field, values), = columns.items()
+            mask = mask & ~self._go_on(names, field, values, part, mask, period_s)
+            if not mask.any():
+                return
+            goal, alike = self._alike(names, field, values, part, mask)
+        made = self._parsed(lambda robot, world: robot.parse.joint_command(
+            names, part=part, **{field: values[world] for field, values in columns.items()}),
+            mask & ~alike)
+        if goal is not None:
+            if period_s is not None:
+                positive_number(period_s, 'period_s', CommandError)
+            made += self._begin(goal, values, alike & ~self._renew(goal, values, alike, period_s))
+        for robot, commands in made:
+            robot.apply(*commands, period_s=period_s)
+
+    def _go_on(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
+               mask: BoolArray, period_s: float | None) -> BoolArray:
+        """Let commands that run in worlds that go on have other numbers; return where they do."""
+        try:
+            stream = self._going_on.get((*names, field, part))
+        except TypeError:  # The error is raised world by world, with a clear message.
+            stream = None
+        goes_on = np.zeros(len(mask), dtype=bool)
+        if stream is None or values.ndim != 2 or values.shape[1] != len(stream.clamps) or (
+                np.isinf(values).any()):
+            return goes_on
+        low, high = stream.clamps.T
+        worlds = stream.going_on.find(
+            mask & ((values >= low) & (values <= high)).all(axis=1), period_s,
+            lambda world: self._address(world, stream))
+        steps = self._table[worlds, STEPS]
+        for period in dict.fromkeys(steps.tolist()):
+            renew(self._table, stream.going_on.robots, worlds[steps == period],
+                  stream.one.indices, values, period * self._timestep_s, stream.velocities)
+        goes_on[worlds] = True
+        return goes_on
+
+    def _address(self, world: int, stream: _Stream) -> int:
+        """Return the address of the row of a robot whose stream may have other numbers, or 0."""
+        robot, last, goal = self._robots[world], self._streams.get(world), stream.one
+        if last is None or last.indices is not goal.indices or last.modes is not goal.modes or (
+                robot.joints.modes != stream.modes):
+            return 0
+        return robot.streams(last)
+
+    def _alike(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
+               mask: BoolArray) -> tuple[JointSetpoint | None, BoolArray]:
+        """Return the command of a world, and which differ from it in nothing but numbers."""
+        none = None, np.zeros(len(self._robots), dtype=bool)
+        fine = mask & np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if not fine.any():
+            return none
+        robots, first = self._robots, int(np.flatnonzero(fine)[0])
+        joints = robots[first].joints
+        try:
+            parsed = robots[first].parse.joint_command(names, part=part, **{field: values[first]})
+        except CommandError:  # One by one, the message names the world.
+            return none
+        if len(parsed) != 1 or not isinstance(parsed[0], JointSetpoint) or (
+                len(parsed[0].indices) != values.shape[1]):
+            return none
+        goal, modes = parsed[0], joints.modes
+        clamps = joints.clamps(goal.indices)
+        inside = fine & (clamp(values, clamps)[0] == values).all(axis=1)
+        velocities = {*goal.modes} == {VELOCITY.name}
+        if velocities or {*goal.modes} == {POSITION.name}:
+            if len(self._going_on) == _MOST_STREAMS:
+                self._going_on.clear()
+            self._going_on[(*names, field, part)] = _Stream(
+                goal, modes, clamps, velocities, GoingOn(self._table, self._timestep_s))
+        for world in np.flatnonzero(inside).tolist():
+            inside[world] = robots[world].joints.modes == modes
+        return goal, inside
+
+    def _renew(self, goal: JointSetpoint, values: FloatArray, worlds: BoolArray,
+               period_s: float | None) -> BoolArray:
+        """Let worlds in which such a command runs go on with it; return which do."""
+        renewed, setpoints, periods = np.zeros(len(worlds), dtype=bool), [], []
+        modes = [mode for mode in (POSITION, VELOCITY) if {*goal.modes} == {mode.name}]
+        if not modes:
+            return renewed
+        for world in np.flatnonzero(worlds).tolist():
+            robot, last = self._robots[world], self._streams.get(world)
+            if last is not None and last.indices is goal.indices and last.modes is goal.modes and (
+                    robot.renew(last, values[world], period_s)):
+                renewed[world] = True
+                setpoints.append(robot.joints.setpoints)
+                periods.append(robot.period_s)
+        if setpoints:
+            wait_in_worlds(setpoints, goal.indices, values[renewed], np.array(periods),
+                           modes[0] is VELOCITY)
+        return renewed
+
+    def _begin(self, goal: JointSetpoint, values: FloatArray, worlds: BoolArray
+               ) -> list[tuple[SimulatedRobot, tuple[Command, ...]]]:
+        """Return such a command for some worlds, which these can go on with."""
+        made: list[tuple[SimulatedRobot, tuple[Command, ...]]] = []
+        for world in np.flatnonzero(worlds).tolist():
+            begun = self._streams[world] = JointSetpoint(
+                robot=goal.robot, parts=goal.parts, indices=goal.indices, modes=goal.modes,
+                values=values[world].copy())
+            made.append((self._robots[world], (begun,)))
+        return made
+
+    def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
+                   positions: ArrayLike, velocities: ArrayLike | None = None, *,
+                   where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a trajectory of some joints of a part in each world, which begins now.
+
+        :param times_s: of the points, from the start, the same in all worlds [s]
+        :param positions: [rad or m], shape (count, n_points, n)
+        :param velocities: [rad/s or m/s], of that shape, or None
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: as ``robot.parse.trajectory``
+        """
+        goals = self._rows(positions, f'{part}: positions')
+        speeds = None if velocities is None else self._rows(velocities, f'{part}: velocities')
+        self._apply(lambda robot, world: [robot.parse.trajectory(
+            part, names, times_s, goals[world], None if speeds is None else speeds[world])],
+            where, period_s)
+
+    def twist(self, twist: ArrayLike, *, where: ArrayLike | None = None,
+              period_s: float | None = None) -> None:
+        """
+        Command a velocity of the mobile base, in its own frame, in each world.
+
+        :param twist: along x and y [m/s] and about z [rad/s], shape (count, 3)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a shape is wrong, a number is not finite, or no base has a mode
+            that takes it
+        """
+        numbers = self._rows(twist, 'base: twists')
+        if numbers.shape[1:] != (3,):
+            raise CommandError(f'base: twists must have the shape ({len(numbers)}, 3), got '
+                               f'{numbers.shape}')
+        self._apply(lambda robot, world: [robot.parse.twist(*numbers[world])], where, period_s)
+
+
+class CartesianCommands(RowByRow):
+    """
+    Commands for the end effectors of arms, with the method names of ``robot.parse_cartesian``.
+
+    :param robots: the robot in each world
+    :param table: ``Physics.standing`` of each world, shape (count, 5)
+    :param timestep_s: length of a physics step [s]
+    """
+
+    def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
+                 ) -> None:
+        super().__init__(robots, table, timestep_s)
+        #: By arm: the last action of each world, which nobody else has, and the worlds that go on.
+        self._actions: dict[str, tuple[dict[int, PoseAction], GoingOn]] = {}
+
+    def pose(self, arm: str, position: ArrayLike, quat_xyzw: ArrayLike, frame: str = '', *,
+             where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a pose of ``grip_site`` of an arm in each world.
+
+        :param position: in the frame [m], shape (count, 3)
+        :param quat_xyzw: in the frame, of length 1, shape (count, 4)
+        :param frame: a link of the robot or a frame on one; empty for ``world``
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if the frame is unknown, or the numbers are not poses
+        :raises UnknownNameError: if the arm is unknown or has no gripper
+        """
+        places = self._rows(position, f'{arm}: positions')
+        turns = self._rows(quat_xyzw, f'{arm}: quaternions')
+        self._apply(lambda robot, world: [robot.parse_cartesian.pose(
+            arm, places[world], turns[world], frame)], where, period_s)
+
+    def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = '', *,
+              where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a velocity of ``grip_site`` of an arm in each world.
+
+        :param linear: [m/s], shape (count, 3)
+        :param angular: [rad/s], shape (count, 3)
+        :param frame: whose axes the velocity is in; empty for ``world``
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if the frame is unknown, or a number is not finite or too great
+        :raises UnknownNameError: if the arm is unknown or has no gripper
+        """
+        speeds = self._rows(linear, f'{arm}: linear velocities')
+        turns = self._rows(angular, f'{arm}: angular velocities')
+        self._apply(lambda robot, world: [robot.parse_cartesian.twist(
+            arm, speeds[world], turns[world], frame)], where, period_s)
+
+    def until_contact(self, arm: str, linear: ArrayLike, angular: ArrayLike, *, force: float,
+                      distance: float, duration_s: float, frame: str = '',
+                      where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a velocity of ``grip_site`` of an arm until contact in each world.
+
+        :param linear: [m/s], shape (count, 3)
+        :param angular: [rad/s], shape (count, 3)
+        :param force: size of the external force on the tool that ends it [N]
+        :param distance: from where ``grip_site`` is now, which ends it [m]
+        :param duration_s: simulation time that ends it [s]
+        :param frame: whose axes the velocity is in; empty for ``world``
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: as ``robot.parse_cartesian.until_contact``
+        :raises UnknownNameError: if the arm is unknown or has no gripper
+        """
+        speeds = self._rows(linear, f'{arm}: linear velocities')
+        turns = self._rows(angular, f'{arm}: angular velocities')
+        self._apply(lambda robot, world: [robot.parse_cartesian.until_contact(
+            arm, speeds[world], turns[world], force=force, distance=distance,
+            duration_s=duration_s, frame=frame)], where, period_s)
+
+    def wrench(self, arm: str, force: ArrayLike, torque: ArrayLike, frame: str = '', *,
+               where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a wrench that the impedance of an arm exerts in each world.
+
+        :param force: that ``grip_site`` pushes with [N], shape (count, 3)
+        :param torque: about ``grip_site`` [N m], shape (count, 3)
+        :param frame: whose axes the wrench is in; empty for ``world``
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if the frame is unknown, a number is not finite, or the arm is not
+            an impedance
+        :raises UnknownNameError: if the arm is unknown or has no gripper
+        """
+        forces = self._rows(force, f'{arm}: forces')
+        torques = self._rows(torque, f'{arm}: torques')
+        self._apply(lambda robot, world: [robot.parse_cartesian.wrench(
+            arm, forces[world], torques[world], frame)], where, period_s)
+
+    def force_mode(self, arm: str, selection: ArrayLike, wrench: ArrayLike, limits: ArrayLike, *,
+                   where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command that the impedance of an arm exerts a wrench along chosen axes in each world.
+
+        :param selection: 1 for the axes that are chosen, else 0, shape (count, 6)
+        :param wrench: force and torque there [N, N m], shape (count, 6)
+        :param limits: velocities there [m/s, rad/s], shape (count, 6)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: as ``robot.parse_cartesian.force_mode``
+        :raises UnknownNameError: if the arm is unknown or has no gripper
+        """
+        axes, wrenches, speeds = (self._rows(value, f'{arm}: {name}') for value, name in (
+            (selection, 'selections'), (wrench, 'wrenches'), (limits, 'limits')))
+        self._apply(lambda robot, world: [robot.parse_cartesian.force_mode(
+            arm, axes[world], wrenches[world], speeds[world])], where, period_s)
+
+    def action(self, arm: str, action: ArrayLike, *, where: ArrayLike | None = None,
+               period_s: float | None = None) -> None:
+        """
+        Command an action of robosuite's OSC_POSE in each world.
+
+        :param action: six numbers in [-1, 1]: along x, y, z and about x, y, z, shape (count, 6)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a shape is wrong or a number is not finite
+        :raises UnknownNameError: if the arm is unknown or has no gripper
+        """
+        numbers = self._rows(action, f'{arm}: pose actions')
+        mask = chosen(where, len(self._robots))
+        inside = mask & (np.abs(numbers.reshape(len(numbers), -1)) <= 1.0).all(axis=1)
+        if not isinstance(arm, str) or numbers.shape[1:] != (6,) or not inside.any():
+            self._apply(lambda robot, world: [robot.parse_cartesian.action(arm, numbers[world])],
+                        mask, period_s)
+            return
+        if np.isfinite(numbers).all():
+            others = np.ones(len(mask), dtype=bool)
+            others[self._go_on(arm, numbers, inside, period_s)] = False
+            mask, inside = mask & others, inside & others
+            if not mask.any():
+                return
+        # Where nothing has to be clamped or rejected, actions differ in nothing but numbers.
+        command = None
+        if inside.any():
+            first = int(np.flatnonzero(inside)[0])
+            command = self._robots[first].parse_cartesian.action(arm, numbers[first])
+            running, _ = self._actions.setdefault(
+                arm, ({}, GoingOn(self._table, self._timestep_s)))
+
+        def parsed(robot: SimulatedRobot, world: int) -> list[PoseAction]:
+            if command is None or not inside[world]:
+                return [robot.parse_cartesian.action(arm, numbers[world])]
+            running[world] = replace(command, action=numbers[world], handle=CommandHandle())
+            return [running[world]]
+        self._apply(parsed, mask, period_s)
+
+    def _go_on(self, arm: str, actions: FloatArray, mask: BoolArray, period_s: float | None
+               ) -> IntArray:
+        """Let actions that run in worlds that go on have other numbers; return where they do."""
+        if arm not in self._actions:
+            return np.zeros(0, np.int64)
+        running, going_on = self._actions[arm]
+        worlds = going_on.find(mask, period_s, lambda world: (
+            self._robots[world].streams(running[world]) if world in running else 0))
+        if len(worlds):
+            renew_actions(self._table, going_on.robots, worlds, running[worlds.item(0)].indices,
+                          actions)
+        return worlds
