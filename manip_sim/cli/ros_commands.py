@@ -197,6 +197,21 @@ class _Graph:
                 ManipSimError(f'no answer of {quoted(name)} within {_ANSWER_S:g} s'))
         return future.result()
 
+    def late_answer(self, client: Any, future: Any, name: str) -> Any:
+        """
+        Return the answer of a service, which may come at the end of a motion.
+
+        :raises ManipSimError: if the service goes before it
+        """
+        if not self.spin_until(future.done, _ANSWER_S):
+            unheard = describe_unheard(self.node)
+            if unheard:
+                print(f'manip_sim: {unheard}', file=sys.stderr)
+        self.spin_until(lambda: future.done() or not client.service_is_ready())
+        if not future.done():
+            raise ManipSimError(f'{quoted(name)} has gone without an answer')
+        return future.result()
+
     def _explained(self, error: ManipSimError) -> ManipSimError:
         """Return an error with the reason, if messages of nodes that are found do not arrive."""
         unheard = describe_unheard(self.node)
@@ -352,7 +367,7 @@ def _call(graph: _Graph, options: argparse.Namespace) -> int:
     if not graph.spin_until(client.service_is_ready, _ANSWER_S):
         raise ManipSimError(f'{name} is there, but does not connect')
     _say(f'requester: making request: {request!r}\n')
-    response = graph.answer(client.call_async(request), name)
+    response = graph.late_answer(client, client.call_async(request), name)
     _say(f'response:\n{response!r}\n')
     return int(getattr(response, 'success', True) is False)
 

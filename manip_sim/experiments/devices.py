@@ -22,7 +22,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
 
-#: What can be said beside a motion: the task is done, drop this demonstration, no more of them.
+#: Words beside a motion: the task is done, drop this demonstration, no more of them.
 EVENTS = DONE, DISCARD, QUIT = ('done', 'discard', 'quit')
 _FILE = 'file:'
 #: An axis that is not deflected further than this rests.
@@ -139,7 +139,7 @@ class Keyboard(Device):
     _AXES = {key: (axis, sign) for axis, keys in enumerate(('ws', 'ad', 'rf', 'uo', 'ik', 'jl'))
              for key, sign in zip(keys, (1.0, -1.0))}
     _EVENTS = {'\r': DONE, '\n': DONE, '\x7f': DISCARD, '\x08': DISCARD, 'q': QUIT, '': QUIT}
-    #: How long a key counts after it came: repeats come every 30 to 50 ms [s].
+    #: Time for which a key counts after it came: repeats come every 30 to 50 ms [s].
     _HELD_S = 0.15
 
     def __init__(self) -> None:
@@ -150,7 +150,7 @@ class Keyboard(Device):
         import tty
         self._terminal, self._until = sys.stdin.fileno(), np.zeros((6, 2))
         self._before = termios.tcgetattr(self._terminal)
-        # What was typed before counts.
+        # Keys that were typed before count.
         tty.setcbreak(self._terminal, termios.TCSADRAIN)
 
     def read(self) -> Reading:

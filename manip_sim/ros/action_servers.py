@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator
 import contextlib
 from functools import partial
 import queue
-import threading
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -21,7 +20,7 @@ from manip_sim.interface.topics import Scope
 from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.ros.command_subscribers import CommandSubscribers, RobotCommands
-from manip_sim.ros.executor import RESULT_ROUNDS, Rounds
+from manip_sim.ros.executor import let_clients_know
 from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import import_optional
 from manip_sim.ros.rejection_log import kind_of
@@ -147,8 +146,6 @@ def _key(goal_handle: Any) -> bytes:
 
 #: Period of feedback to clients, wall time [s].
 _FEEDBACK_S = 0.05
-#: How long the node waits at its end until clients have their results, wall time [s].
-_END_S = 1.0
 
 
 class ActionServers(Feature):
@@ -220,13 +217,7 @@ class ActionServers(Feature):
             if not self.tracker.goals:
                 return
             self.tracker.abort_all('the node is ending')
-        answered = threading.Event()
-
-        async def wait() -> None:
-            await Rounds(self._context.node, RESULT_ROUNDS)
-            answered.set()
-        self._context.node.executor.create_task(wait)
-        answered.wait(_END_S)
+        let_clients_know(self._context.node)
 
 
 def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int]

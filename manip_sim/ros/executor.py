@@ -22,6 +22,8 @@ from manip_sim.ros.rejection_log import RejectionLog
 T = TypeVar('T')
 #: Name of the threads; one that runs when the process ends is abandoned.
 BACKGROUND_THREAD = 'background'
+#: Longest wait for clients at the end of a node, wall time [s].
+_END_S = 1.0
 #: Rounds of the executor until clients of goals have their results: ends of goals, results and
 #: their answers each take one.
 RESULT_ROUNDS = 6
@@ -88,6 +90,18 @@ class Rounds:
             if executor is not None:
                 executor.wake()
             yield
+
+
+def let_clients_know(node: Node) -> None:
+    """Wait until clients have the results that are ready; another thread spins the node."""
+    known = threading.Event()
+
+    async def wait() -> None:
+        await Rounds(node, RESULT_ROUNDS)
+        known.set()
+    if node.executor is not None:
+        node.executor.create_task(wait)
+        known.wait(_END_S)
 
 
 class GuardedExecutor(SingleThreadedExecutor):

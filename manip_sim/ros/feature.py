@@ -50,7 +50,7 @@ class PublishingThread:
         self._thread = threading.Thread(target=self._run, name='publishing')
         self._begun = self._ended = False
         self._lock = threading.Lock()
-        #: How many were added; the event is set when all up to the last multiple of half are out.
+        #: Number of added ones; the event is set when all up to the last multiple of half are out.
         self._count = 0
         self._published = threading.Event()
         self._published.set()

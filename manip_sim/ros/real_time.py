@@ -53,9 +53,7 @@ def run_in_real_time(parameters: Parameters, logger: RcutilsLogger) -> None:
     try:
         for thread in threads:
             _set_priority(thread, priority)
-    except PermissionError:
-        for thread in threads:
-            _set_priority(thread, 0)
+    except PermissionError:  # The priority that somebody else gave the process stays.
         logger.info(f'real-time priority {priority} is not permitted, which costs punctuality on '
                     f'a busy machine; permit it ({_REMEDY}), or set thread_priority to 0')
 
@@ -79,11 +77,10 @@ def _set_processors(threads: list[int], present: set[int], numbers: list[int]) -
 
 
 def _set_priority(thread: int, priority: int) -> None:
-    """Let a thread run before all others of lower priority; 0: as usual."""
-    policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
+    """Let a thread run before all others of lower priority."""
     with contextlib.suppress(ProcessLookupError):  # It has ended.
         os.sched_setscheduler(
-            thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+            thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
 def _lock_memory() -> None:

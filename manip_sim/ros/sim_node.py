@@ -204,7 +204,7 @@ class SimNode(Node):
         if self.actions is not None:
             self._add(self.actions)
         self._add(SafetyStatePublisher(context))
-        self._add(MotionsUntilContact(context, self.commands))
+        self._motions = self._add(MotionsUntilContact(context, self.commands))
         self._add(SimulationServices(context))
         self._add(StandardServices(context, spawn_files(self.declared.value('spawn_roots'))))
         self._add(Diagnostics(context, self.commands, self.surroundings, self.cameras))
@@ -286,7 +286,8 @@ class SimNode(Node):
                      if thread is not None and not thread.is_alive), '')
 
     def end_goals(self) -> None:
-        """Abort the goals of actions and inform their clients, while the executor still spins."""
+        """End goals and motions, and inform their clients, while the executor still spins."""
+        self._motions.end()
         if self.actions is not None:
             self.actions.end()
 

@@ -23,6 +23,7 @@ from manip_sim.interface.topics import BY_NAME
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import shown
 from manip_sim.ros.command_subscribers import RobotCommands
+from manip_sim.ros.executor import let_clients_know
 from manip_sim.ros.feature import create_publisher, Feature, NodeContext
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -100,7 +101,8 @@ class MotionsUntilContact(Feature):
     def _answer(self) -> None:
         while not self._ended.empty():
             motion, success, message = self._ended.get()
-            motion.answer.set_result((success, message))
+            if not motion.answer.done():
+                motion.answer.set_result((success, message))
 
     async def _serve(self, request: Any, response: Any) -> Any:
         """Begin the motion that a text in ``load_namespace`` describes, and wait for its end."""
@@ -147,10 +149,14 @@ class MotionsUntilContact(Feature):
             raise CommandError(refusal)
         return robots[name], command
 
-    def close(self) -> None:
-        """Answer clients that wait still."""
-        for motion in self._motions:
-            motion.answer.set_result((False, 'the node ends'))
+    def end(self) -> None:
+        """Answer clients that wait still, and wait until they know."""
+        motions = self._motions
+        for motion in motions:
+            self._ended.put((motion, False, 'the node is ending'))
+        if motions:
+            self._guard.trigger()
+            let_clients_know(self._context.node)
 
 
 def _described(robot: str, arm: str, contact: Contact) -> str:

@@ -198,10 +198,11 @@ class SimulatedRobot:
 
     def _apply(self, command: Command) -> None:
         clock = self._clock
-        if not self.reflexes.tripped:
+        refusal = self.reflexes.refusal(command)
+        if refusal is None and self.reflexes.armed:
             self.reflexes.check_command(
                 command, self._physics.data, clock.control_s, self._period_s)
-        refusal = self.reflexes.refusal(command)
+            refusal = self.reflexes.refusal(command)
         if refusal is not None:
             command.handle.end(Status.ABORTED, refusal)
         elif isinstance(command, NoCommand):

@@ -123,7 +123,7 @@ def test_the_written_file_composes_the_robot_that_was_recorded(here, excited, tm
                                  dynamics[joint['name']].friction_loss)
                                 for joint in found['joints']], rtol=1e-5)
     assert found['hints'] == [] and 0.0 < found['lag_s'] < 0.005
-    # What was written explains the efforts without any further fit.
+    # The written values explain the efforts without any further fit.
     again, _ = identified(here, bag, '--params-file', tmp_path / 'so101.yaml')
     for before, after in zip(found['joints'], again['joints']):
         assert after['held_out_before'] < 0.1 * before['held_out_before']

@@ -11,6 +11,7 @@ from sampling import Driven, sampled
 from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models import compose
+from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
 
 J1, J2 = 'robot0_joint1', 'robot0_joint2'
@@ -181,3 +182,17 @@ def test_many_worlds_stop_where_a_command_jumps():
             worlds.robot.command.joint_command([J1], position=positions, period_s=0.01)
             worlds.advance(5)
         assert [bool(s.robot.reflexes.tripped) for s in worlds.simulations] == [False, True]
+
+
+def test_one_arm_that_was_stopped_leaves_the_other_one_checked():
+    simulation = Simulation(compose('Baxter'))
+    robot = simulation.robot
+    robot.set_reflex('arm', 'discontinuity', 1.0)
+    for side in ('right', 'left'):
+        index = robot.joints.indices_of(side)[0]
+        command, = robot.parse.joint_command([robot.joints.names[index]], position=[
+            float(robot.joints.setpoints.position[index]) + 0.1])
+        robot.apply(command)
+        simulation.advance(5)
+        assert command.handle.status is Status.ABORTED
+    assert robot.reflexes.tripped.keys() == {'right', 'left'}

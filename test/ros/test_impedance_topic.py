@@ -5,6 +5,7 @@
 
 import json
 import math
+import threading
 
 from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import TwistStamped, WrenchStamped
@@ -151,6 +152,17 @@ def test_the_service_of_a_motion_until_contact_answers_at_its_end(serve, client)
     third = move(client, slow)
     client.spin_until(third.done)
     assert not third.result().success and 'emergency stop' in third.result().message
+
+
+def test_the_end_of_the_node_is_told_to_who_waits_for_a_motion(serve, client):
+    node = serve(stepping='free')
+    answer = move(client, '{linear: [0, 0, 0.0001], force: 50, distance: 1, duration: 90000}')
+    client.spin_until(lambda: node.commands.robots[0].statistics['arm'].accepted == 1)
+    ending = threading.Thread(target=node.end_goals)
+    ending.start()
+    client.spin_until(answer.done)
+    ending.join()
+    assert not answer.result().success and answer.result().message == 'the node is ending'
 
 
 @pytest.mark.parametrize(('text', 'message'), [

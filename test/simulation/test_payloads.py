@@ -166,7 +166,7 @@ def test_an_estimate_of_nothing_is_zero_and_noise_and_offsets_of_the_sensor_are_
         hang(simulation)
         advance(steps)
     simulation.advance = with_weight
-    for declared in (0.0, 0.4):  # What is declared already makes no difference.
+    for declared in (0.0, 0.4):  # A payload that is declared already makes no difference.
         simulation.robot.set_payload('right', declared, [0.0, 0.0, 0.1])
         found = simulation.estimate_payload('right')
         assert abs(found.payload.mass - MASS) < 4.0 * found.mass_error < 0.1
