@@ -18,7 +18,7 @@ pytest.importorskip('test_msgs', reason='test_msgs is not installed')
 
 from test_msgs.action import Fibonacci  # noqa: E402
 
-from manip_sim.ros import action_servers, sim_node  # noqa: E402
+from manip_sim.ros import executor, sim_node  # noqa: E402
 from manip_sim.ros.action_messages import ActionMessages  # noqa: E402
 from manip_sim.ros.action_servers import ActionServers  # noqa: E402
 from manip_sim.runtime.action_goals import GoalCode, GoalError  # noqa: E402
@@ -227,7 +227,7 @@ def test_a_node_that_is_gone_leaves_nothing_behind(served, client, monkeypatch):
 @pytest.mark.full
 def test_the_end_waits_until_clients_are_told_and_no_longer(client, monkeypatch):
     monkeypatch.setattr(sim_node, 'offer_actions', offer)
-    monkeypatch.setattr(action_servers, '_END_S', 1e4)
+    monkeypatch.setattr(executor, '_END_S', 1e4)
     node = Served({}, ['--ros-args', '-r', '__ns:=/alone'])
     swinger = Swinger(client, f'/alone/{NAME}')
     future = swinger.send(50).get_result_async()
