@@ -379,6 +379,10 @@ def _add_run(commands: Any) -> None:
                         help='size of the images [pixels] (default: that of the camera)')
     parser.add_argument('--worlds', type=count, metavar='N', help='how many episodes run at '
                         'once, each in a process (default: one for each processor)')
+    parser.add_argument('--batch', type=count, default=0, metavar='N', help='let the policy act '
+                        'in N episodes of a process at once: act(observations, seeds) gets arrays '
+                        'with a leading axis; --worlds is then how many batches run at once '
+                        '(default: 1)')
     parser.add_argument('--engine', choices=('processes', 'ray'), default='processes',
                         help='what runs the episodes (default: processes of this machine)')
     parser.add_argument('--address', metavar='ADDRESS', help='address of a Ray cluster, such as '

@@ -175,7 +175,8 @@ def _run_one(options: argparse.Namespace, case: dict[str, Any], out: Path
         options.noise,
         {**options.timing, 'time': case['answer']})
     records = out / RECORDS if options.record else None
-    experiment = Experiment(setting, options.policy, records, options.policy_limit)
+    experiment = Experiment(
+        setting, options.policy, records, options.policy_limit, options.batch)
     return run_seeds(experiment, out, seeds, options, (number, count))
 
 
@@ -207,7 +208,9 @@ def run_seeds(experiment: Experiment, out: Path, seeds: Sequence[int],
             rows = run_on_ray(experiment, shard.left, options.address, options.worlds)
         else:
             rows = run_in_processes(
-                experiment, shard.left, 1 if ros else options.worlds or processors())
+                experiment, shard.left,
+                1 if ros or experiment.batch and not options.worlds else (
+                    options.worlds or processors()))
         try:
             with _interruptible():
                 _collect(rows, shard)

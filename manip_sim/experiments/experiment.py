@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import asdict, dataclass
 import functools
@@ -90,12 +90,15 @@ class Experiment:
     :ivar records: folder for a record of each episode; None for no records
     :ivar limit_s: how long an answer of the policy may take, wall time [s]; None for 10 s of a
         ROS node, 600 s of any other
+    :ivar batch: number of episodes whose observations the policy gets at once, with a leading
+        axis; 0: one, without that axis
     """
 
     setting: Setting
     policy: str
     records: Path | None = None
     limit_s: float | None = None
+    batch: int = 0
 
     @classmethod
     def of(cls, description: Mapping[str, Any], records: Path | None = None,
@@ -119,7 +122,8 @@ class Experiment:
                 tuple(description['cameras']), None if size is None else (size[0], size[1]),
                 description['composition'], description.get('noise', {}),
                 AnswerTime(**description.get('answer_time', {})))
-            return cls(setting, description['policy'], records, limit_s)
+            return cls(setting, description['policy'], records, limit_s,
+                       description.get('batch', 0))
         except (KeyError, TypeError, AttributeError, IndexError) as error:
             raise ModelError(f'the description of a run cannot be used: {type(error).__name__}: '
                              f'{error}') from error
@@ -150,6 +154,7 @@ class Experiment:
             **({'noise': dict(setting.noise)} if setting.noise else {}),
             **({} if answer_time.is_none else {'answer_time': answer_time.as_dict()}),
             'policy': self.policy, 'policy_content': policy_content(self.policy, read),
+            **({'batch': self.batch} if self.batch else {}),
             **({'policy_files': read} if read else {}),
             'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                          'numpy': np.__version__, 'python': platform.python_version()}}
@@ -157,7 +162,7 @@ class Experiment:
 
 class Worker:
     """
-    Runs the episodes of an experiment, one after the other, in one process.
+    Runs the episodes of an experiment in one process: one after the other, or a batch at once.
 
     :param experiment: to run
     :param report: gets when an answer of the policy is asked for, as ``time.monotonic()`` [s], and
@@ -168,12 +173,11 @@ class Worker:
     def __init__(self, experiment: Experiment,
                  report: Callable[[float], None] = lambda asked_s: None) -> None:
         self._experiment, self._report = experiment, report
-        self._episode: Episode = experiment.setting.create_episode()
-        self._answers = experiment.setting.create_answers(self._episode)
-        self._are_late = not AnswerTime.of(experiment.setting.answer_time).is_none
+        self._seats = [_Seat(experiment)]
+        self._episode = self._seats[0].episode
         with self._reported():
             self._policy: Policy = load_policy(
-                experiment.policy, self._episode, experiment.policy_limit_s)
+                experiment.policy, self._episode, experiment.policy_limit_s, experiment.batch > 0)
 
     @property
     def period_s(self) -> float:
@@ -192,25 +196,118 @@ class Worker:
         :param seed: of the episode
         :raises RecordError: if a record cannot be written
         """
-        episode, answers, recorder = self._episode, self._answers, self._recorder(seed)
+        (row,) = self.run_at_once([seed])
+        return row
+
+    def run_at_once(self, seeds: Sequence[int]) -> Iterator[Row]:
+        """
+        Yield the rows of a batch, as its episodes end; what a policy raises is in the row.
+
+        :param seeds: of the episodes; several need an experiment with batches
+        :raises RecordError: if a record cannot be written
+        """
+        while len(self._seats) < len(seeds):
+            self._seats.append(_Seat(self._experiment))
+        observes = not isinstance(self._policy, Expert)
+        running = {seed: seat.run(seed, self._reset_policy, observes)
+                   for seed, seat in zip(seeds, self._seats)}
+        # Nothing has been asked: each goes on to its first observation.
+        answers: dict[int, Any] = dict.fromkeys(seeds)
+        while answers:
+            observations = {}
+            for seed, answer in answers.items():
+                episode = running[seed]
+                try:
+                    observations[seed] = (
+                        episode.throw(answer) if isinstance(answer, PolicyFailure)
+                        else episode.send(answer))
+                except StopIteration as end:
+                    yield end.value
+            answers = self._answers(observations)
+
+    def _answers(self, observations: Mapping[int, Any]) -> dict[int, Any]:
+        """Return answers of the policy and the wall time that they took [s], or its failure."""
+        asked_s = time.perf_counter()
+        try:
+            found = self._act(observations) if observations else ()
+        except PolicyFailure as failure:
+            return dict.fromkeys(observations, failure)
+        took_s = time.perf_counter() - asked_s
+        return {seed: (answer, took_s) for seed, answer in zip(observations, found)}
+
+    @contextlib.contextmanager
+    def _reported(self) -> Iterator[None]:
+        self._report(time.monotonic())
+        try:
+            yield
+        finally:
+            self._report(0.0)
+
+    def _reset_policy(self, seed: int) -> None:
+        with self._reported(), failing_as('reset() of the policy', PolicyFailure):
+            self._policy.reset(seed)
+
+    def _act(self, observations: Mapping[int, Any]) -> Sequence[Any]:
+        """Return the answer of the policy for each seed."""
+        policy: Any = self._policy
+        with self._reported(), failing_as('act() of the policy', PolicyFailure):
+            if not self._experiment.batch:
+                return [np.asarray(policy.act(observation))
+                        for observation in observations.values()]
+            first = next(iter(observations.values()))
+            together = {key: np.stack([observation[key] for observation in observations.values()])
+                        for key in first}
+            answers = np.asarray(policy.act(together, np.array([*observations])))
+            if answers.ndim not in (2, 3) or len(answers) != len(observations):
+                raise ValueError(
+                    f'for {len(observations)} episodes it must return an array of the shape '
+                    f'({len(observations)}, {self._episode.actions.size}), or one with a second '
+                    f'axis for chunks of actions, got {answers.shape}')
+            return list(answers)
+
+
+class _Seat:
+    """
+    The place of an episode in a worker, which goes on when its policy has answered.
+
+    :param experiment: whose episodes run
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._experiment = experiment
+        self.episode: Episode = experiment.setting.create_episode()
+        self._answers = experiment.setting.create_answers(self.episode)
+        self._are_late = not AnswerTime.of(experiment.setting.answer_time).is_none
+
+    def run(self, seed: int, reset_policy: Callable[[int], None], observes: bool
+            ) -> Generator[Any, tuple[Any, float], Row]:
+        """
+        Yield observations, and return the row of a seed.
+
+        It gets an answer of the policy and the wall time that it took [s], or the failure of the
+        policy, which is in the row.
+
+        :param reset_policy: begins an episode of the policy
+        :param observes: whether the policy needs observations
+        :raises RecordError: if a record cannot be written
+        """
+        episode, answers, recorder = self.episode, self._answers, self._recorder(seed)
         total, error, answers_s = 0.0, '', list[float]()
         begin_s = time.perf_counter()
         episode.reset(seed)
         answers.reset(seed)
         recorded = recorder is not None
-        observed = recorded or not isinstance(self._policy, Expert)
-        observation = episode.observation if observed else None
+        observation = episode.observation if recorded or observes else None
         if recorder is not None:
             recorder.begin(seed, observation=observation)
         try:
-            self._reset_policy(seed)
+            reset_policy(seed)
             while not episode.over:
                 asks = answers.asks
                 if asks:
-                    asked_s = time.perf_counter()
-                    answer = self._act(observation)
-                    answers_s.append(time.perf_counter() - asked_s)
-                    answers.answer(answer, answers_s[-1])
+                    answer, took_s = yield observation
+                    answers_s.append(took_s)
+                    answers.answer(answer, took_s)
                 if recorder is None:
                     answers.advance()
                 else:
@@ -220,7 +317,7 @@ class Worker:
                     episode.advance()
                 reward = episode.reward
                 total += reward
-                if recorded or observed and answers.asks and not episode.over:
+                if recorded or observes and answers.asks and not episode.over:
                     observation = episode.observation
                 if recorder is not None:
                     recorder.period(due[-1][1] if due else None, reward, observation=observation,
@@ -236,29 +333,13 @@ class Worker:
             recorder.close()
         return row
 
-    @contextlib.contextmanager
-    def _reported(self) -> Iterator[None]:
-        self._report(time.monotonic())
-        try:
-            yield
-        finally:
-            self._report(0.0)
-
-    def _reset_policy(self, seed: int) -> None:
-        with self._reported(), failing_as('reset() of the policy', PolicyFailure):
-            self._policy.reset(seed)
-
-    def _act(self, observation: Any) -> Any:
-        with self._reported(), failing_as('act() of the policy', PolicyFailure):
-            return np.asarray(self._policy.act(observation))
-
     def _recorder(self, seed: int) -> Any:
         if self._experiment.records is None:
             return None
         from manip_sim.records import EpisodeRecorder  # It needs the extra records.
         self._experiment.records.mkdir(parents=True, exist_ok=True)
         return EpisodeRecorder(
-            self._experiment.records / f'{seed}.mcap', self._episode,
+            self._experiment.records / f'{seed}.mcap', self.episode,
             self._experiment.description, overwrite=True)
 
 

@@ -24,7 +24,7 @@ import warnings
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import describe_choices, ManipSimError, ModelError
 from manip_sim.quoting import one_line, quoted
 from manip_sim.tasks import Episode
@@ -221,17 +221,22 @@ def failing_as(what: str, kind: type[ManipSimError]) -> Iterator[None]:
         raise kind(f'{what}: {type(error).__name__}: {text}') from error
 
 
-def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy:
+def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S, batched: bool = False
+                ) -> Policy:
     """
-    Return a policy.
+    Return a policy, or one of a batch of episodes, whose ``act`` also takes their seeds.
 
     :param name: ``expert``; ``module:Class`` of a class without arguments, with ``reset`` and
         ``act``; ``module:function`` of a function of an observation; ``.py`` file in place of the
         module; a ``.pt`` or ``.onnx`` file; or ``ros:/namespace`` of a node
     :param episode: in which it acts
     :param limit_s: how long an answer of a node may take, wall time [s]
+    :param batched: whether it gets observations of several episodes, with a leading axis
     :raises ModelError: if it cannot be used, with the cause
     """
+    if batched and (name == EXPERT or name.startswith(ROS)):
+        raise ModelError(f'policy {quoted(name)} acts in one episode at a time: it needs no '
+                         '--batch')
     if name == EXPERT:
         return episode.task.expert(episode.simulation)
     if name.startswith(ROS):
@@ -242,16 +247,17 @@ def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy
         return RosPolicy(name.removeprefix(ROS), episode, limit_s)
     keys = _checked_interface(name, episode).get('observation')
     with _watched(name):
-        return _loaded(name, keys)
+        return _loaded(name, keys, batched)
 
 
-def _loaded(name: str, keys: Collection[str] | None) -> Policy:
+def _loaded(name: str, keys: Collection[str] | None, batched: bool) -> Policy:
     suffix = Path(name).suffix.lower()
     if suffix in ('.pt', '.pth', '.onnx'):
         if not Path(name).is_file():
             raise ModelError(f'policy {quoted(name)}: there is no such file')
-        act = (_onnx if suffix == '.onnx' else _torch_script)(name, keys)
-        return _Function(act)
+        network = (_onnx if suffix == '.onnx' else _torch_script)(name, keys)
+        return _Function(network if batched else lambda observation: _answer(network(
+            {key: value[None] for key, value in observation.items()})))
     where, colon, attribute = name.rpartition(':')
     if not (colon and where and attribute):
         raise ModelError(f'policy {quoted(name)} must be {_FORMS}')
@@ -361,7 +367,7 @@ def _made(name: str, item: Any) -> Policy:
 class _Function:
     """A policy that is a function of the observation."""
 
-    def __init__(self, act: Callable[[Observation], FloatArray],
+    def __init__(self, act: Callable[..., FloatArray],
                  reset: Callable[[], None] = lambda: None) -> None:
         self.act = act
         self._reset = reset
@@ -379,16 +385,22 @@ def flat(observation: Observation, keys: Collection[str] | None = None) -> Float
 
     :param keys: of the part that is returned; None for all of it
     """
-    return np.concatenate([observation[key].ravel() for key in sorted(observation)
-                           if not key.startswith(IMAGE) and (keys is None or key in keys)])
+    return np.concatenate([observation[key].ravel() for key in _flat_keys(observation, keys)])
+
+
+def _flat_keys(observation: Observation, keys: Collection[str] | None) -> list[str]:
+    return [key for key in sorted(observation)
+            if not key.startswith(IMAGE) and (keys is None or key in keys)]
 
 
 def _inputs(observation: Observation, names: list[str], keys: Collection[str] | None
             ) -> dict[str, Any]:
-    """Return what a network takes, with a leading axis of 1, numbers as float32."""
+    """Return what a network takes of observations with a leading axis, numbers as float32."""
     if len(names) == 1 and names[0] not in observation:
-        return {names[0]: flat(observation, keys)[None].astype(np.float32)}
-    return {key: (value if value.dtype == np.uint8 else value.astype(np.float32))[None]
+        return {names[0]: np.concatenate(
+            [observation[key].reshape(len(observation[key]), -1)
+             for key in _flat_keys(observation, keys)], axis=1).astype(np.float32)}
+    return {key: value if value.dtype == np.uint8 else value.astype(np.float32)
             for key, value in observation.items() if key in names}
 
 
@@ -399,7 +411,8 @@ def _answer(output: Any) -> FloatArray:
         numbers.ravel())
 
 
-def _onnx(file: str, keys: Collection[str] | None) -> Callable[[Observation], FloatArray]:
+def _onnx(file: str, keys: Collection[str] | None) -> Callable[..., Any]:
+    """Return a network, a function of observations with a leading axis."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -412,11 +425,11 @@ def _onnx(file: str, keys: Collection[str] | None) -> Callable[[Observation], Fl
     except Exception as error:
         raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
     names = [item.name for item in session.get_inputs()]
-    return lambda observation: _answer(session.run(None, _inputs(observation, names, keys))[0])
+    return lambda observations, seeds=None: session.run(
+        None, _inputs(observations, names, keys))[0]
 
 
-def _torch_script(file: str, keys: Collection[str] | None
-                  ) -> Callable[[Observation], FloatArray]:
+def _torch_script(file: str, keys: Collection[str] | None) -> Callable[..., Any]:
     try:
         import torch
     except ImportError as error:
@@ -431,11 +444,10 @@ def _torch_script(file: str, keys: Collection[str] | None
         raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
     takes_dict = 'Dict' in str(module.forward.schema.arguments[1].type)
 
-    def act(observation: Observation) -> FloatArray:
-        names = list(observation) if takes_dict else ['']
+    def act(observations: Observation, seeds: IntArray | None = None) -> Any:
+        names = list(observations) if takes_dict else ['']
         tensors = {key: torch.from_numpy(value)
-                   for key, value in _inputs(observation, names, keys).items()}
+                   for key, value in _inputs(observations, names, keys).items()}
         with torch.no_grad():
-            answer = module(tensors if takes_dict else tensors[''])
-        return _answer(answer.numpy())
+            return module(tensors if takes_dict else tensors['']).numpy()
     return act

@@ -67,26 +67,28 @@ class WorkerPool:
         :param seeds: of the episodes
         :raises ManipSimError: if a process cannot begin
         """
-        waiting, died, workers = deque(seeds), Counter[int](), self._workers
-        while waiting or any(worker.seed is not None for worker in workers):
+        size, died, workers = max(self._experiment.batch, 1), Counter[int](), self._workers
+        # The same seeds make the same batches, however fast they run.
+        waiting = deque(list(seeds[i:i + size]) for i in range(0, len(seeds), size))
+        while waiting or any(worker.seeds for worker in workers):
             for worker in workers:
-                if worker.seed is None and waiting:
+                if waiting and not worker.seeds:
                     worker.begin(waiting.popleft())
             for worker in self._ready():
-                seed, answer = worker.seed, worker.answer()
-                assert seed is not None
+                answer = worker.answer()
                 if isinstance(answer, ManipSimError):
                     raise answer
-                if answer is None:
-                    died[seed] += 1
-                    answer = self._failed(seed, died[seed], worker)
-                    worker.restart()
-                elif worker.has_grown_beyond(self._share_bytes):
-                    worker.restart()
-                if answer is None:
-                    waiting.appendleft(seed)
-                else:
+                if answer is not None:
                     yield answer
+                    if not worker.seeds and worker.has_grown_beyond(self._share_bytes):
+                        worker.restart()
+                    continue
+                died.update(worker.seeds)
+                failed = {seed: self._failed(seed, died[seed], worker) for seed in worker.seeds}
+                worker.restart()
+                # Each alone: one may end the process of the others again.
+                waiting.extendleft([seed] for seed, row in failed.items() if row is None)
+                yield from (row for row in failed.values() if row is not None)
 
     def _ready(self) -> list[_WorkerProcess]:
         """
@@ -94,7 +96,7 @@ class WorkerPool:
 
         A copy of one that has died, by a fork, may keep its pipe.
         """
-        asked = [worker for worker in self._workers if worker.seed is not None]
+        asked = [worker for worker in self._workers if worker.seeds]
         while True:
             ready = wait([worker.pipe for worker in asked], min(_LOOK_S, self._limit_s / _LOOKS))
             for worker in asked:
@@ -131,7 +133,7 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
     :param count: number of processes
     :raises ManipSimError: if a process cannot begin
     """
-    pool = WorkerPool(experiment, min(count, len(seeds)))
+    pool = WorkerPool(experiment, min(count, -(-len(seeds) // max(experiment.batch, 1))))
     try:
         yield from pool.run(seeds)
     finally:
@@ -140,16 +142,16 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
 
 class _WorkerProcess:
     """
-    A process that runs one episode after the other.
+    A process that runs one episode after the other, or a batch after the other.
 
-    :ivar seed: what it runs, or None
+    :ivar seeds: what it runs
     :ivar pipe: of the answers
     :ivar was_late: whether it was ended because its policy took too long
     """
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
-        self.seed: int | None = None
+        self.seeds: list[int] = []
         self.exit_code: int | None = None
         self._start()
 
@@ -166,18 +168,19 @@ class _WorkerProcess:
         theirs.close()
         self._first_bytes = 0
 
-    def begin(self, seed: int) -> None:
-        """Let it run a seed; that it has died shows in the answer."""
-        self.seed = seed
+    def begin(self, seeds: list[int]) -> None:
+        """Let it run seeds; that it has died shows in the answer."""
+        self.seeds = seeds
         with contextlib.suppress(OSError):
-            self.pipe.send(seed)
+            self.pipe.send(seeds)
 
     def answer(self) -> Row | ManipSimError | None:
-        """Return the row of its seed, why it cannot begin, or None if it has died."""
-        self.seed = None
+        """Return the row of one of its seeds, why it cannot begin, or None if it has died."""
         with contextlib.suppress(EOFError, OSError):
             if self.pipe.poll():
                 answer: Row | ManipSimError = self.pipe.recv()
+                if isinstance(answer, Row):
+                    self.seeds = [seed for seed in self.seeds if seed != answer.seed]
                 return answer
         self._process.join()
         self.exit_code = self._process.exitcode
@@ -207,8 +210,9 @@ class _WorkerProcess:
         return used_bytes > max(share_bytes, 2 * self._first_bytes)
 
     def restart(self) -> None:
-        """Put another process in its place."""
+        """Put another process in its place, which runs nothing yet."""
         self.end()
+        self.seeds = []
         self._start()
 
     def end(self) -> None:
@@ -230,10 +234,10 @@ def _serve(pipe: Connection, asked_s: Any, experiment: Experiment) -> None:
     try:
         worker = Worker(experiment, functools.partial(setattr, asked_s, 'value'))
         while True:
-            row = worker.run(pipe.recv())
-            if os.getpid() != process:  # A policy has forked; one of the two may answer.
-                os._exit(1)
-            pipe.send(row)
+            for row in worker.run_at_once(pipe.recv()):
+                if os.getpid() != process:  # A policy has forked; one of the two may answer.
+                    os._exit(1)
+                pipe.send(row)
     except MemoryError:  # Not that of the seed: others before it may have kept the memory.
         os._exit(_WITHOUT_MEMORY)
     except ManipSimError as error:
@@ -311,7 +315,8 @@ def _spread(ray: Any, experiment: Experiment, seeds: Sequence[int], count: int |
     # Ray runs a task again that dies with its node; the same seed, the same row.
     run = ray.remote(max_retries=-1, scheduling_strategy='SPREAD')(_run)
     shared = ray.put(experiment)
-    pieces = [list(seeds[i:i + _SEEDS_OF_TASK]) for i in range(0, len(seeds), _SEEDS_OF_TASK)]
+    size = experiment.batch or _SEEDS_OF_TASK
+    pieces = [list(seeds[i:i + size]) for i in range(0, len(seeds), size)]
     most = count or max(1, int(ray.cluster_resources().get('CPU', 1)))
     under_way: list[Any] = []
     while pieces or under_way:

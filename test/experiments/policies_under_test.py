@@ -269,3 +269,35 @@ class Chunks(Towards):
     def act(self, observation):
         found = super().act(observation)
         return np.array([found * 0.6**i for i in range(5)])
+
+
+class Together:
+    """Moves the end effectors of several episodes, and knows how often each has asked."""
+
+    def __init__(self):
+        self.asked = {}
+
+    def reset(self, seed):
+        self.asked[seed] = 0
+
+    def act(self, observations, seeds):
+        for seed in seeds:
+            self.asked[seed] += 1
+        ways = observations['goal'] - observations['eef_pose'][:, 0, :3]
+        return np.concatenate([np.clip(ways / 0.05, -1.0, 1.0), np.zeros((len(ways), 4))], axis=1)
+
+
+class TogetherSometimes(Together):
+    """Fails for a seed, for all or by ending the process."""
+
+    def act(self, observations, seeds):
+        answers = super().act(observations, seeds)
+        if 2 in seeds:
+            answers[list(seeds).index(2)] = np.nan
+        if 5 in seeds:
+            raise ZeroDivisionError('five')
+        if 8 in seeds:
+            return answers[0]
+        if 10 in seeds:
+            os._exit(3)
+        return answers

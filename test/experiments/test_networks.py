@@ -20,6 +20,11 @@ def rows_of(policy):
     return [worker.run(seed) for seed in range(3)]
 
 
+def rows_at_once(policy):
+    worker = Worker(Experiment(Setting('reach'), str(policy), batch=3))
+    return sorted(worker.run_at_once(range(3)), key=lambda row: row.seed)
+
+
 @pytest.fixture(scope='module')
 def like():
     """Return the rows of the policy in Python."""
@@ -50,7 +55,8 @@ def test_an_onnx_file_gives_the_rows_of_the_policy_in_python(takes, like, tmp_pa
     pytest.importorskip('onnxruntime', reason='onnxruntime is not installed; it is the extra onnx')
     onnx = pytest.importorskip('onnx', reason='onnx, which writes the file, is not installed')
     helper, kinds = onnx.helper, onnx.TensorProto
-    own = {'dictionary': ('eef_pose', [1, 1, 7], 2, 0), 'array': ('all', [1, 22], 1, 0)}[takes]
+    own = {'dictionary': ('eef_pose', [None, 1, 7], 2, 0),
+           'array': ('all', [None, 22], 1, 0)}[takes]
     name, shape, axis, begin = own
 
     def ints(key, *values):
@@ -60,26 +66,28 @@ def test_an_onnx_file_gives_the_rows_of_the_policy_in_python(takes, like, tmp_pa
              helper.make_node('Reshape', ['part', 'three'], ['end_effector'])]
     inputs = [helper.make_tensor_value_info(name, kinds.FLOAT, shape)]
     if takes == 'array':  # Sorted: eef_pose, eef_twist, external_wrench, goal, joints.
-        inputs = [helper.make_tensor_value_info(name, kinds.FLOAT, [1, None])]
+        inputs = [helper.make_tensor_value_info(name, kinds.FLOAT, [None, None])]
         nodes.append(helper.make_node('Slice', [name, 'goal0', 'goal1', 'axis'], ['goal']))
     else:
-        inputs.append(helper.make_tensor_value_info('goal', kinds.FLOAT, [1, 3]))
+        inputs.append(helper.make_tensor_value_info('goal', kinds.FLOAT, [None, 3]))
     nodes += [helper.make_node('Sub', ['goal', 'end_effector'], ['way']),
               helper.make_node('Div', ['way', 'scale'], ['steps']),
               helper.make_node('Clip', ['steps', 'low', 'high'], ['move']),
-              helper.make_node('Concat', ['move', 'rest'], ['action'], axis=1)]
+              helper.make_node('Pad', ['move', 'widths'], ['action'])]
     graph = helper.make_graph(
-        nodes, 'towards', inputs, [helper.make_tensor_value_info('action', kinds.FLOAT, [1, 7])],
-        [ints('begin', begin), ints('end', begin + 3), ints('axis', axis), ints('three', 1, 3),
+        nodes, 'towards', inputs,
+        [helper.make_tensor_value_info('action', kinds.FLOAT, [None, 7])],
+        [ints('begin', begin), ints('end', begin + 3), ints('axis', axis), ints('three', -1, 3),
+         ints('widths', 0, 0, 0, 4),
          ints('goal0', 19), ints('goal1', 22),
          helper.make_tensor('scale', kinds.FLOAT, [], [0.05]),
          helper.make_tensor('low', kinds.FLOAT, [], [-1.0]),
-         helper.make_tensor('high', kinds.FLOAT, [], [1.0]),
-         helper.make_tensor('rest', kinds.FLOAT, [1, 4], [0.0] * 4)])
+         helper.make_tensor('high', kinds.FLOAT, [], [1.0])])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid('', 13)])
     model.ir_version = 8
     onnx.save(model, tmp_path / 'network.onnx')
     assert_alike(rows_of(tmp_path / 'network.onnx'), like)
+    assert_alike(rows_at_once(tmp_path / 'network.onnx'), like)
 
 
 @pytest.mark.parametrize('suffix, library', [('.pt', 'torch'), ('.onnx', 'onnxruntime')])
