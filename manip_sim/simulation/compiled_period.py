@@ -16,7 +16,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
-from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Scratch, STEPS, STOOD
+from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, ROW, Scratch, STEPS, STOOD
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.simulation.robot_runs import RobotRun, RunRoom
 
@@ -24,6 +24,8 @@ from manip_sim.simulation.robot_runs import RobotRun, RunRoom
 _REMEMBERED = 64
 #: Compiled code runs so many steps at most, as there is room for notes of each.
 _MOST_STEPS = 1000
+#: No world of no table goes on by itself.
+_NONE = np.zeros((0, 5), np.int64), np.zeros(0, np.int64)
 
 
 class _Kept(threading.local):
@@ -212,7 +214,7 @@ def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> No
     :param scratch: of this thread and of these worlds
     """
     if (table[worlds, STEPS] == steps).any():
-        _period().go_on(table, worlds, steps, _row_in_thread(scratch))
+        _period().run_rows(table[worlds, ROW], table, worlds, steps, _row_in_thread(scratch))
     else:
         table[worlds, BECAME] = STOOD
 
@@ -264,7 +266,7 @@ def run_prepared(rows: Sequence[int], scratch: Scratch) -> None:
     :param rows: addresses of their rows
     :param scratch: of this thread and of these worlds
     """
-    _period().run_rows(np.array(rows), _row_in_thread(scratch))
+    _period().run_rows(np.array(rows), *_NONE, 0, _row_in_thread(scratch))
 
 
 def _row_in_thread(scratch: Scratch) -> int:

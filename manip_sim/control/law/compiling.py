@@ -62,3 +62,13 @@ def inner(function: F) -> F:
     """Compile a function in the same way that only compiled functions call."""
     return cast('F', numba.njit(nogil=True, error_model='numpy', no_cfunc_wrapper=True,
                                 no_cpython_wrapper=True)(function))
+
+
+def inlined(function: F) -> F:
+    """
+    Compile a function into each of the few compiled functions that call it.
+
+    What a compiled function calls is optimized once for itself, and again with each caller up to
+    the outermost one: the end of a chain of five long functions would be compiled five times.
+    """
+    return cast('F', numba.njit(inline='always', nogil=True, error_model='numpy')(function))

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.singular_directions import is_singular, SINGULAR
 from manip_sim.control.law.small_matrices import (
     clip, dot, factorize, minimize_in_box, multiply, multiply_matrices, multiply_transposed, norm,
@@ -141,7 +141,7 @@ def _find_unbounded(jacobian: FloatArray, task: FloatArray, low: FloatArray, hig
     return norm(wanted) <= _LARGEST and norm(missed) <= _NEGLIGIBLE * norm(task)
 
 
-@inner
+@inlined
 def _find_bounded(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: FloatArray,
                   away: FloatArray, rested: bool, square: FloatArray, pull: FloatArray,
                   wanted: FloatArray, step: FloatArray, drift: FloatArray, held: BoolArray,

@@ -16,7 +16,7 @@ from manip_sim.control.law.arm_records import (
     ArmMotion, BRAKES, Goal, MISSED, MISSED_TURN, Motion, RESTS, Spring, STREAMS, Targets, TWISTS,
     Velocities)
 from manip_sim.control.law.cartesian_impedance import impede, Springs
-from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.operational_space import exert, find_error, find_jacobian
 from manip_sim.control.law.setpoint_changes import ramp_to
 from manip_sim.control.law.small_matrices import (
@@ -266,7 +266,7 @@ def lead(world: WorldArrays, scratch: Kinematics, setpoints: Any, postures: Floa
     task.solve_s = now + task.interval_s
 
 
-@inner
+@inlined
 def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobian: FloatArray,
                      error: FloatArray, motion: ArmMotion, result: Velocities
                      ) -> tuple[float, float, bool, bool]:
@@ -283,15 +283,16 @@ def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobia
             result.velocity[i] = clip(
                 0.0, motion.velocity[i] - change, motion.velocity[i] + change)
         return 0.0, 1.0, False, False
+    goes = task.follows == STREAMS
     if task.follows == TWISTS:
         _, axes = pose_of(scratch, task.axes, task.axes_is_site)
         _in_world(axes, speeds[1], along)
+        # A literal False would compile all that follows once more.
         pace, progress, singular, slowed, _ = follow_twist(
-            jacobian, along, motion, interval, False, result)
+            jacobian, along, motion, interval, goes, result)
         place, turned = pose_of(scratch, task.tip, task.tip_is_site)
         _stay_at(scratch, targets, number, place, turned)
         return pace, progress, singular, slowed
-    goes = task.follows == STREAMS
     if goes:
         _, axes = pose_of(scratch, task.anchor, task.anchor_is_site)
         _in_world(axes, speeds[0], before)
@@ -365,7 +366,7 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
     task.notes, task.solve_s = 0, now
 
 
-@inner
+@inlined
 def _impede(world: WorldArrays, postures: FloatArray, targets: Targets, number: int, goal: Goal,
             along: FloatArray, acceleration: FloatArray, duration: float, motion: Motion) -> None:
     """

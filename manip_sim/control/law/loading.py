@@ -8,9 +8,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from manip_sim.control.law.approach import approach, follow_twist
-from manip_sim.control.law.arm_records import (
-    Arm, ArmMotion, CHAIN, Goal, Motion, Spring, targets_of, Velocities)
+from manip_sim.control.law.arm_records import Arm, CHAIN, targets_of
 from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import no_gripper
 from manip_sim.control.law.gripping import move_fingers
@@ -19,8 +17,7 @@ from manip_sim.control.law.joint_records import (
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.leading import act, lead, press_on, put_ahead
 from manip_sim.control.law.loads import no_loads
-from manip_sim.control.law.operational_space import exert
-from manip_sim.control.law.period import go_on, renew, renew_actions, run_rows, SCRATCH
+from manip_sim.control.law.period import renew, renew_actions, run_rows, SCRATCH
 from manip_sim.control.law.rows import Row
 from manip_sim.control.law.servo_rates import drive, find_efforts_beside, find_rates
 from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
@@ -64,14 +61,7 @@ def load_laws() -> None:
     follow(joints, places, np.zeros((_COUNT, 3)))
     drive_base(world, readable(np.zeros(3, SERVO)), joints, places[:3].copy(), places[:3].copy(),
                np.zeros(3), 1.0)
-    jacobian, result = np.eye(_COUNT), Velocities.of(_COUNT)
-    motion = ArmMotion(none, none, -one, one, one, one, none, none)
-    approach(jacobian, none, motion, 0.1, 1.0, 1.0, none, none, False, 0.0, False, result)
-    follow_twist(jacobian, none, motion, 0.1, False, result)
     arm = Arm(readable(np.zeros(_COUNT, CHAIN)), nowhere, 0)
-    goal = Goal(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3), none)
-    exert(world, arm, np.zeros(3), np.eye(3), goal, none, Spring(1.0, 1.0, 1.0, 1.0), False,
-          Motion.of(_COUNT))
     targets = targets_of(_COUNT)._replace(arms=(arm, arm))
     act(world.kinematics, 0, 1, 0, 1, none, none.copy(), np.eye(3))
     put_ahead(world, world.kinematics, joints, targets, 0)
@@ -80,8 +70,7 @@ def load_laws() -> None:
     move_fingers(world, no_gripper(), 0.1)
     if may_step(data):
         nowhere_yet, nobody_yet = np.zeros((0, 5), np.int64), places[:0].copy()
-        run_rows(nobody_yet, Row(SCRATCH).address)
-        go_on(nowhere_yet, nobody_yet, 1, Row(SCRATCH).address)
+        run_rows(nobody_yet, nowhere_yet, nobody_yet, 1, Row(SCRATCH).address)
         renew(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)), 0.01, False)
         renew_actions(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)))
     if not PLAIN:

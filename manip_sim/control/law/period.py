@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.arm_records import (
     ASIDE, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, NEARER, RESTS, Targets, targets_of)
-from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.gripping import move_fingers
@@ -153,7 +153,7 @@ def _waits(targets: Targets, now: float) -> bool:
     return False
 
 
-@inner
+@inlined
 def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, joints: RobotJoints,
                targets: Targets, k: int, now: float, duration: float) -> bool:
     """Let arms bring their end effectors nearer to targets; return whether any of them does."""
@@ -197,7 +197,7 @@ def _move_joints(world: WorldArrays, joints: RobotJoints, k: int, acts: bool, no
     return True
 
 
-@inner
+@inlined
 def _act(addresses: Addresses, k: int, now: float, duration: float, world: WorldArrays,
          scratch: Kinematics, joints: RobotJoints, targets: Targets,
          grippers: tuple[Gripper, Gripper]) -> bool:
@@ -253,7 +253,7 @@ def _begin_robots(robots: IntArray) -> None:
         _read_robot(row).moved_s[0] = -1.0
 
 
-@inner
+@inlined
 def _act_all(addresses: Addresses, period: Period, k: int, now: float, duration: float,
              scratch: Kinematics) -> bool:
     """Write the controls of all robots; return False, and write none, where one has to wait."""
@@ -287,7 +287,7 @@ def _compare_targets(targets: Targets) -> None:
             task.seen_s = targets.facts[number, task.solutions - 1].now_s
 
 
-@inner
+@inlined
 def _run(period: Period, scratch: ScratchArrays) -> None:
     """Run intervals: control of robots at the beginning of each, and its steps."""
     addresses = Addresses(period.place[0], period.place[1], scratch.address)
@@ -315,19 +315,6 @@ def _run(period: Period, scratch: ScratchArrays) -> None:
         _compare_targets(_read_robot(row).targets)
     period.outcome[0] = done
     period.outcome[1] = ends and not compute_end(addresses, period.watch)
-
-
-@compiled
-def run_rows(rows: IntArray, scratch: int) -> None:
-    """
-    Run periods of several worlds, one after another.
-
-    :param rows: addresses of rows by :data:`PERIOD`, shape (n,)
-    :param scratch: of a row by :data:`SCRATCH`, whose data nobody else uses meanwhile
-    """
-    room = _read_scratch(scratch)
-    for row in rows:
-        _run(_read_period(row), room)
 
 
 @inner
@@ -399,32 +386,51 @@ def _is_quiet(period: Period) -> bool:
     return not touched
 
 
-@compiled
-def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: int) -> None:
-    """
-    Let worlds go on as in their last periods, where Python has nothing to do for them.
+@inner
+def _stands(known: IntArray, steps: int) -> bool:
+    """Return whether a world goes on like in its last period, and let it begin one."""
+    known[BECAME] = STOOD
+    if known[STEPS] != steps:
+        return False
+    period = _read_period(known[ROW])
+    if not _goes_on(period):
+        return False
+    period.orders[RESUMES] = period.orders[RESUMES_AFTER]
+    for row in period.robots:
+        _begin_targets(_read_robot(row).targets)
+    known[PERIODS] += 1
+    return True
 
+
+@inner
+def _become(period: Period) -> int:
+    """Return what has become of a world that went on."""
+    quiet = _is_quiet(period)
+    for row in period.robots:
+        quiet = quiet and _is_usual(_read_robot(row).targets)
+    return int(WENT_ON if quiet else ENDED)
+
+
+@compiled
+def run_rows(rows: IntArray, table: IntArray, worlds: IntArray, steps: int, scratch: int) -> None:
+    """
+    Run periods of several worlds, one after another.
+
+    :param rows: addresses of rows by :data:`PERIOD`, shape (n,)
     :param table: ``Physics.standing`` of all worlds, shape (count, 5)
-    :param worlds: which of them go on, shape (n,)
-    :param steps: of the period
+    :param worlds: which of them go on as in their last periods, if Python has nothing to do for
+        them, shape (n,); shape (0,): all run periods that have been prepared
+    :param steps: of the periods of worlds that go on
     :param scratch: of a row by :data:`SCRATCH`, whose data nobody else uses meanwhile
     """
-    room = _read_scratch(scratch)
-    for world in worlds:
-        known = table[world]
-        known[BECAME] = STOOD
-        if known[STEPS] == steps:
-            period = _read_period(known[ROW])
-            if _goes_on(period):
-                period.orders[RESUMES] = period.orders[RESUMES_AFTER]
-                for row in period.robots:
-                    _begin_targets(_read_robot(row).targets)
-                _run(period, room)
-                known[PERIODS] += 1
-                quiet = _is_quiet(period)
-                for row in period.robots:
-                    quiet = quiet and _is_usual(_read_robot(row).targets)
-                known[BECAME] = WENT_ON if quiet else ENDED
+    room, prepared = _read_scratch(scratch), len(worlds) == 0
+    # Both kinds in one function: what it calls is compiled into it, which takes seconds.
+    for k in range(len(rows)):
+        if prepared or _stands(table[worlds[k]], steps):
+            period = _read_period(rows[k])
+            _run(period, room)
+            if not prepared:
+                table[worlds[k], BECAME] = _become(period)
 
 
 @compiled
