@@ -173,7 +173,7 @@ def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, jo
     return acts
 
 
-@inner
+@inlined
 def _move_joints(world: WorldArrays, joints: RobotJoints, k: int, acts: bool, now: float,
                  duration: float) -> bool:
     """Write the controls of joints in an interval; return whether they do not just rest."""

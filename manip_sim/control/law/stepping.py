@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.law.compiling import inner
+from manip_sim.control.law.compiling import inlined, inner
 from manip_sim.control.law.seat import exert_all, feel_all
 from manip_sim.physics.physics import Addresses
 
@@ -250,7 +250,7 @@ def _note(notes: Notes) -> None:
                     notes.rows[tool, number, body - first, k] = notes.forces[body, k]
 
 
-@inner
+@inlined
 def take_steps(addresses: Addresses, steps: int, resumes: int, notes: Notes, seats: IntArray,
                now: float, step_s: float) -> bool:
     """
