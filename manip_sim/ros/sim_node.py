@@ -257,7 +257,7 @@ class SimNode(Node):
         """
         kept = all_are_kept()
         if not kept:
-            self.get_logger().info('Compiling control laws, once, which takes a minute or two')
+            self.get_logger().info('Compiling control laws, once, which takes about a minute')
             _load_laws()
         for feature in self.shared.features:
             feature.start()

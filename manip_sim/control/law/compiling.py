@@ -41,7 +41,7 @@ def kept_in(folder: Path) -> Iterator[None]:
 
 _FOLDER = None if PLAIN else laws_folder()
 if not PLAIN and (_FOLDER is None or next(_FOLDER.rglob('*.nbi'), None) is None):
-    _LOGGER.warning('Compiling control laws, which takes a minute or two, %s',
+    _LOGGER.warning('Compiling control laws, which takes about a minute, %s',
                     f'once: they are kept in {_FOLDER}' if _FOLDER else
                     'in every process: no folder for them can be written')
 
