@@ -19,7 +19,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.missing_meshes import MissingMeshError, skip_missing
 from manip_sim.models.mjcf_versions import ERRORS, Origins, read_mjcf, read_mjcf_text
-from manip_sim.models.xml_check import check_xml, XmlModel
+from manip_sim.models.xml_check import check_xml
 from manip_sim.quoting import one_line, quoted
 
 #: Numbers that MuJoCo accepts from a file even if nan or inf, by the prefix of the field's name.
@@ -173,7 +173,7 @@ def load_spec(file: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
     if file.suffix.lower() == '.mjcf':  # MuJoCo chooses a reader by the suffix.
         spec, dropped = read_mjcf(file)
     else:
-        spec, dropped = _read_file(file, model)
+        spec, dropped = _read_file(file)
     _report(dropped, notes)
     missing: dict[tuple[str, str], MissingMeshError] = {}
     resolve_files(spec, file, model, None if notes is None else missing)
@@ -183,14 +183,12 @@ def load_spec(file: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
     return spec
 
 
-def _read_file(file: Path, model: XmlModel) -> tuple[mujoco.MjSpec, list[str]]:
+def _read_file(file: Path) -> tuple[mujoco.MjSpec, list[str]]:
     try:
         # Of a relative path, MuJoCo repeats the folders before files that included ones name.
         return mujoco.MjSpec.from_file(os.path.abspath(file)), []
-    except ERRORS as error:
-        if model.is_urdf:
-            raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
-    return read_mjcf(file)
+    except ERRORS:
+        return read_mjcf(file)
 
 
 def _report(sentences: list[str], notes: list[str] | None) -> None:
@@ -240,9 +238,8 @@ def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None =
     try:
         return mujoco.MjSpec.from_string(text, include=models or None,
                                          assets=dict(assets) if assets else None)
-    except ERRORS as error:
-        if text.startswith('<robot'):
-            raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
+    except ERRORS:
+        pass
     spec, dropped = read_mjcf_text(text, file, models or {}, assets or {}, origins or {})
     _report(dropped, notes)
     return spec

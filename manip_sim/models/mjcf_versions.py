@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Read MJCF that was written for an earlier version of MuJoCo, and tell where an error in MJCF is.
+Read MJCF that was written for an earlier version of MuJoCo, and tell where an error in a model is.
 
 MuJoCo rejects what its format has no longer. Here that is left out, or gets its later name, each
 time that the installed version rejects it.
@@ -10,7 +10,7 @@ time that the installed version rejects it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import os
 from pathlib import Path
 import re
@@ -75,9 +75,13 @@ _RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
 _TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
 #: Remedies by the beginning of a message.
 _REMEDIES = {'repeated name': ': give one of them another name',
-             'invalid keyword': ': write a word that MuJoCo knows, or delete the attribute'}
-#: File and line of each of some elements.
-Origins = Sequence[tuple[Path, int]]
+             'invalid keyword': ': write a word that MuJoCo knows, or delete the attribute',
+             'bad format': ': write numbers with blanks between them',
+             'attribute ': ': write as many numbers as it needs',
+             'required attribute missing': ': add it', 'missing element': ': add it'}
+#: File and line of an element, and of each of some, if they are known.
+Place = tuple[Path, int]
+Origins = Sequence[Place | None]
 _ORIENTATIONS = ('quat', 'axisangle', 'xyaxes', 'zaxis', 'euler')
 
 
@@ -93,6 +97,17 @@ def read_mjcf(file: Path) -> tuple[mujoco.MjSpec, list[str]]:
     return _read(documents, {}, file)
 
 
+def read_tree(root: ElementTree.Element, origins: Mapping[ElementTree.Element, Place], file: Path
+              ) -> tuple[mujoco.MjSpec, list[str]]:
+    """
+    Read a spec from the elements of an MJCF or URDF file, as :func:`read_mjcf` does.
+
+    :param root: its elements are changed in place
+    :param origins: file and line of them; of others no place is told
+    """
+    return _read([_Document(root, origins, '')], {}, file)
+
+
 def read_mjcf_text(text: str, file: Path, models: Mapping[str, bytes], assets: Mapping[str, bytes],
                    origins: Mapping[str, Origins]) -> tuple[mujoco.MjSpec, list[str]]:
     """
@@ -106,7 +121,9 @@ def read_mjcf_text(text: str, file: Path, models: Mapping[str, bytes], assets: M
     documents = []
     for name, content in {'': text.encode(), **models}.items():
         root = ElementTree.fromstring(content)  # noqa: S314
-        documents.append(_Document(root, dict(zip(root.iter(), origins.get(name, ()))), name))
+        known = {element: place for element, place in zip(root.iter(), origins.get(name, ()))
+                 if place is not None}
+        documents.append(_Document(root, known, name))
     return _read(documents, assets, file)
 
 
@@ -119,7 +136,7 @@ class _Document:
     """
 
     def __init__(self, root: ElementTree.Element,
-                 origins: Mapping[ElementTree.Element, tuple[Path, int]], name: str) -> None:
+                 origins: Mapping[ElementTree.Element, Place], name: str) -> None:
         self.root, self.name = root, name
         self._origins = origins
 
@@ -146,6 +163,11 @@ class _Document:
             return ''
         file, line = self._origins[element]
         return f'{one_line(str(file), 200)}, line {line}'
+
+    def owner(self, element: ElementTree.Element) -> str:
+        """Return the link or joint of a URDF that has an element, or nothing."""
+        return next((f'{part.tag} {quoted(part.get("name", ""))}' for part in self.root
+                     if self.root.tag == 'robot' and element in set(part.iter())), '')
 
 
 def _add(model: XmlModel, documents: list[_Document]) -> str:
@@ -301,10 +323,11 @@ def _sentence(document: _Document, element: ElementTree.Element, what: str, late
             'longer')
 
 
-def _explained(documents: Iterable[_Document], error: Exception, file: Path) -> str:
+def _explained(documents: Sequence[_Document], error: Exception, file: Path) -> str:
     """Return MuJoCo's message, with file, line, element and a remedy for an unknown element."""
     match = _MESSAGE.search(str(error))
-    begin = f'{one_line(str(file))} is not MJCF that MuJoCo can read'
+    kind = 'URDF' if documents[0].root.tag == 'robot' else 'MJCF'
+    begin = f'{one_line(str(file))} is not {kind} that MuJoCo can read'
     if match is None:
         return f'{begin}: {one_line(_joined(error))}'
     problem, tag = match['what'], match['tag']
@@ -314,8 +337,8 @@ def _explained(documents: Iterable[_Document], error: Exception, file: Path) -> 
         elements = [element for element in [document.at(int(match['line']))]
                     if element is not None and element.tag == tag]
         elements += document.root.iter(tag)
-        fitting = (document.place(element) for element in elements
-                   if unknown is None or unknown[1] in element.attrib)
+        fitting = (': '.join(filter(None, (document.place(element), document.owner(element))))
+                   for element in elements if unknown is None or unknown[1] in element.attrib)
         place = place or next(fitting, '')
     place = f'{place}: ' if place else ''
     if unknown:

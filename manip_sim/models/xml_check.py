@@ -139,6 +139,9 @@ _FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler', 'mesh'))
 _CHECKED = _FOLLOWED | LIMITED | {'composite'}
 #: Comments that some old files have before the XML declaration.
 _COMMENT, _BLANKS = re.compile(rb'<!--.*?-->', re.DOTALL), b' \t\r\n\xef\xbb\xbf'
+#: The encoding that a document declares, and those that the parser reads by itself.
+_ENCODING = re.compile(rb'(<\?xml\s[^>]*?\sencoding\s*=\s*["\'])([A-Za-z][\w.-]*)')
+_NATIVE = (b'utf-8', b'utf-16', b'iso-8859-1', b'us-ascii')
 #: An attribute that another one follows without a blank, and an ampersand that begins no entity.
 _ATTRIBUTE = re.compile(rb'(=\s*(?:"[^"<]*"|\'[^\'<]*\'))(?=[A-Za-z_])')
 _AMPERSAND = re.compile(rb'&(?!#?\w+;)')
@@ -251,12 +254,14 @@ class XmlModel:
             raise ModelError(f'{one_line(str(self._file))} is loaded from more than '
                              f'{limits.files} files, {limits.bytes / 1e6:.0f} MB of XML, or files '
                              f'that are loaded by others {limits.depth} deep')
-        data = declared_first(data)
+        data = in_utf8(declared_first(data))
         self._chain.append(real)
         self._open.append(_OpenFile(data))
         try:
             root = self._parsed_as_mujoco_does(data)
-        except (expat.ExpatError, LookupError) as error:
+        except ModelError:
+            raise
+        except (expat.ExpatError, LookupError, ValueError) as error:
             raise ModelError(f'{one_line(str(file))} is not well-formed XML: {error}; correct it '
                              'there') from error
         self._look_through(root, times, depth)
@@ -410,6 +415,18 @@ class XmlModel:
             where = self._place() if self._open else one_line(str(self._file))
             raise ModelError(f'{where}: elements that make several, such as replicate, would make '
                              f'more than {self._budget.limits.made}')
+
+
+def in_utf8(data: bytes) -> bytes:
+    """Return a document in UTF-8 if it declares an encoding that the parser cannot read."""
+    declared = _ENCODING.match(data)
+    if declared is None or declared[2].lower() in _NATIVE:
+        return data
+    try:
+        text = data[declared.end():].decode(declared[2].decode())
+    except (LookupError, UnicodeDecodeError):
+        return data  # The parser says why not.
+    return declared[1] + b'utf-8' + text.encode()
 
 
 def declared_first(data: bytes) -> bytes:

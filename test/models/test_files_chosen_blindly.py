@@ -27,6 +27,7 @@ REMEDY = 'if another file includes this one, load that'
     ('wheels_on_legs.xml', {'base': 12}),
     ('feet.xml', {'legs': 9}),
     ('worm.xml', {'other': 10}),
+    ('steered_wheels.xml', {'base': 6, 'arm': 3}),
     ('standing_pair.xml', {'legs': 6}),
     ('pistons.xml', {'arm': 6}),
     ('turning_fingers.xml', {'arm': 3, 'right/gripper': 1}),
@@ -47,6 +48,8 @@ def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
     ('wheels_on_legs.xml', {'"b_wheel"': '"b_tip"', '"b_roll"': '"b_last"'},
      {'base': 3, 'other': 9}),
     ('worm.xml', {'"s9"': '"tool"'}, {'arm': 10}),
+    ('steered_wheels.xml', {'"a1"': '"a1" axis="1 0 0"', '"c1"': '"c1" axis="1 0 0"'},
+     {'base': 2, 'arm': 3, 'other': 4}),
     ('standing_pair.xml', {'0 0 0.45': '0 0 1.45'}, {'right': 3, 'left': 3}),
     ('palm_in_the_world.xml', {'thumb': 'one', 'index': 'two'}, {'other': 10})])
 def test_less_in_the_file_says_less(tmp_path, old, new, expected):
@@ -56,6 +59,20 @@ def test_less_in_the_file_says_less(tmp_path, old, new, expected):
     parts = Simulation(compose(load_robot(write(tmp_path / 'robot.xml', text)))).robot.parts
     assert {part: len(own.joints) for part, own in parts.items()
             if own.atomic == (part,) and own.joints} == expected
+
+
+def test_what_an_inertial_lacks_or_has_twice_is_completed_or_left_out():
+    robot = load_robot(DATA / 'loose_inertials.urdf')
+    model = robot.compile()
+    bodies = {name: model.body(f'robot0_{name}') for name in ('ball', 'plain', 'double')}
+    assert [body.mass[0] for body in bodies.values()] == [4.18879, 2.0, 3.0]
+    moments = 0.4 * 4.18879 * 0.1**2, 0.02, 0.01
+    np.testing.assert_allclose([body.inertia.max() for body in bodies.values()], moments, 1e-5)
+    np.testing.assert_array_equal(bodies['ball'].pos, [0.0, 0.0, 0.4])
+    np.testing.assert_array_equal(model.geom_rgba[model.geom_group < 3][1], [1.0, 0.0, 0.0, 1.0])
+    assert {"left out: <inertial> without <mass>, of 'weightless'",
+            'the moment of inertia of a ball of water for links whose <inertial> has no <inertia>: '
+            "'ball'"} <= set(robot.inferred)
 
 
 def test_fingers_on_servos_that_integrate_velocities_open_and_close():

@@ -262,7 +262,14 @@ def test_a_number_of_a_joint_that_mujoco_does_not_read_is_checked(
     ('<!DOCTYPE robot [<!ENTITY a "b">]><robot/>', "arm.urdf, line 1: the entity 'a' is declared"),
     (URDF.replace('<child link="upper"/>', '<child link="uper"/>'),
      "joint 'shoulder': its child link 'uper' is not declared"),
-    (URDF.replace('<box size="0.02', '<box size="a'), 'arm.urdf cannot be read by MuJoCo')])
+    (URDF.replace('</robot>', '<joint name="one" type="fixed"><parent link="a"/><child link="b"/>'
+                  '</joint><joint name="two" type="fixed"><parent link="b"/><child link="a"/>'
+                  '</joint></robot>'),
+     "joints 'one', 'two' lead from link 'b' back to it, so nothing carries it: delete one of"),
+    (URDF.replace('<child link="upper"/>', ''), "arm.urdf is not URDF that MuJoCo can read: .*"
+     r"arm.urdf, line \d+: joint 'shoulder': <joint>: missing element: 'child': add it"),
+    (URDF.replace('<box size="0.02', '<box size="a'),
+     r"arm.urdf, line \d+: link '\w+': <box>: bad format in attribute 'size': write numbers with")])
 def test_a_urdf_that_cannot_be_read_is_told_in_one_line(tmp_path, text, message):
     with pytest.raises(ModelError, match=message) as raised:
         load_robot(write(tmp_path / 'arm.urdf', text))
@@ -507,7 +514,7 @@ def test_an_unknown_type_of_a_joint_is_told_with_joint_file_and_choices(tmp_path
 @pytest.mark.parametrize('limit', ['lower="0.5" upper="0.5"', 'lower="0" upper="0.5"'])
 @pytest.mark.parametrize(('origin', 'axis', 'message'), [
     ('<origin xyz="0 0 x"/>', '0 0 1', "bad format in attribute 'xyz'"),
-    ('', '0 1', "attribute 'xyz' does not have enough data")])
+    ('', '0 1', "attribute 'xyz' does not have enough data: write as many numbers as it needs")])
 def test_a_place_or_axis_of_a_joint_that_cannot_be_read_is_told_in_one_line(
         tmp_path, limit, origin, axis, message):
     limit = f'<limit {limit} effort="10" velocity="1"/>'

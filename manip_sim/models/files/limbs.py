@@ -140,7 +140,7 @@ class Limbs:
         Return the joints of wheels: two or more hinges without limits on the trunk.
 
         Their axes are horizontal, and nothing moves on them but what turns on and on, too, as the
-        rollers of omnidirectional wheels do.
+        rollers of omnidirectional wheels do. A vertical hinge may steer one.
 
         :param among: the joints that may be of wheels
         """
@@ -158,6 +158,9 @@ class Limbs:
         """
         axle, *others = self.joints(limb)
         rollers = self.on(limb)
+        if len(rollers) == 1 and self._tree.joints([limb]) == [axle] and (
+                _is_vertical(self._data.xaxis[axle])):
+            return self._is_wheel(rollers[0])
         turning = self._tree.coupled((axle, *others))
         return (all(is_unlimited(self._model, joint) for joint in turning)
                 and abs(float(self._data.xaxis[axle, 2])) < _ALIGNED

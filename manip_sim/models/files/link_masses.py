@@ -23,6 +23,8 @@ _LEAST = 0.01
 _POSES = 50
 #: Of a moving link whose file gives none, and the least moment of inertia [kg, kg m^2].
 _LEAST_KG, _LEAST_INERTIA = 1e-4, 1e-8
+#: Of what a link is made whose mass alone is known [kg/m^3].
+_DENSITY = 1000.0
 #: Moments up to this one, or up to this share of the greatest, may be zero to MuJoCo [kg m^2].
 _ZERO, _ZERO_SHARE = 1e-14, 1e-7
 _PAIRS = [''.join(pair) for pair in combinations_with_replacement('xyz', 2)]
@@ -115,18 +117,30 @@ def make_physical(robot: ElementTree.Element) -> list[str]:
     Make the masses of moving links positive and the moments of inertia of all links possible.
 
     An inertia matrix keeps its axes; a moment below the least becomes that. MuJoCo itself corrects
-    moments of which one is greater than the sum of the others.
+    moments of which one is greater than the sum of the others. Products that are missing are zero,
+    missing moments those of a ball of water, and an ``<inertial>`` without mass is left out.
 
     :param robot: root of the URDF, changed in place; numbers that are none are left to MuJoCo
     :returns: a sentence for each kind of change
     """
     moved = {child.get('link') for joint in robot.iter('joint') if joint.get('type') != 'fixed'
              for child in joint.findall('child')}
-    weightless, projected = [], []
+    weightless, projected, balls, massless = [], [], [], []
     for link in robot.iter('link'):
-        mass, inertia = link.find('inertial/mass'), link.find('inertial/inertia')
-        if mass is None or inertia is None:
+        inertial = link.find('inertial')
+        if inertial is None:
             continue
+        mass, inertia = inertial.find('mass'), inertial.find('inertia')
+        if mass is None:
+            link.remove(inertial)
+            massless.append(str(link.get('name')))
+            continue
+        if inertia is None:
+            inertia = ElementTree.SubElement(inertial, 'inertia')
+            balls.append(str(link.get('name')))
+            _write(inertia, np.diag([_moment_of_ball(mass)] * 3))
+        for pair in _PAIRS:
+            inertia.attrib.setdefault(f'i{pair}', '0')
         try:
             moments, axes = np.linalg.eigh(_matrix(inertia))
             kilograms = float(mass.get('value', 0.0))
@@ -142,6 +156,11 @@ def make_physical(robot: ElementTree.Element) -> list[str]:
             _write(inertia, axes * np.maximum(moments, _LEAST_INERTIA) @ axes.T)
             projected.append(name)
     notes = []
+    if massless:
+        notes.append(f'left out: <inertial> without <mass>, of {quoted_names(massless)}')
+    if balls:
+        notes.append('the moment of inertia of a ball of water for links whose <inertial> has no '
+                     f'<inertia>: {quoted_names(balls)}')
     if weightless:
         notes.append(f'{_LEAST_KG * 1e3:g} g for moving links of mass 0: '
                      f'{quoted_names(weightless)}')
@@ -149,6 +168,16 @@ def make_physical(robot: ElementTree.Element) -> list[str]:
         notes.append('moments of inertia that are not positive became '
                      f'{_LEAST_INERTIA:g} kg m^2: {quoted_names(projected)}')
     return notes
+
+
+def _moment_of_ball(mass: ElementTree.Element) -> float:
+    """Return the moment of inertia of a ball of a mass [kg m^2]; 0 if it is no positive number."""
+    try:
+        kilograms = max(float(mass.get('value', 0.0)), 0.0)
+    except ValueError:
+        return 0.0
+    radius = (3.0 * kilograms / (4.0 * np.pi * _DENSITY)) ** (1.0 / 3.0)
+    return float(0.4 * kilograms * radius**2)
 
 
 def _matrix(inertia: ElementTree.Element) -> FloatArray:

@@ -182,8 +182,10 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
                 camera.add_to(roots[0], root.pos, root.quat)
         return spec, notes
     if free:
-        raise ModelError(f'{file} must have exactly one root body, found {len(roots)}, one of '
-                         f'which is free: {quoted_names([body.name for body in roots])}')
+        raise ModelError(f'{file} must have exactly one root body, found {len(roots)}, '
+                         f'{len(free)} of which are free: '
+                         f'{quoted_names([body.name for body in roots])}; give each robot a file '
+                         'of its own')
     name = free_name({body.name for body in spec.bodies}, 'root')
     held = f' and {loose_counts} of the world body' if loose else ''
     notes.append(f"new root body '{name}' that holds "

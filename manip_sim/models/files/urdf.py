@@ -18,7 +18,7 @@ from manip_sim.models.files.link_masses import make_physical
 from manip_sim.models.files.package_folders import find_meshes
 from manip_sim.models.files.urdf_joints import check_joints, complete_joints
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
-from manip_sim.models.loading import spec_from_string
+from manip_sim.models.mjcf_versions import read_tree, Place
 from manip_sim.models.regular_files import Files, OneText
 from manip_sim.models.untrusted_models import HeldModel, ROBOT_LIMITS
 from manip_sim.models.xml_check import AssetFolders, Budget, XmlModel
@@ -37,7 +37,8 @@ _READ_BY_MUJOCO = ('link', 'joint', 'material', 'mujoco', 'include')
 _GEOMETRY = {'box': {'size'}, 'cylinder': {'radius', 'length'}, 'capsule': {'radius', 'length'},
              'sphere': {'radius'}, 'mesh': {'filename'}}
 #: Elements of which an element has one.
-_SINGLE = {'visual': ('origin', 'geometry', 'material'), 'collision': ('origin', 'geometry'),
+_SINGLE = {'link': ('inertial',),
+           'visual': ('origin', 'geometry', 'material'), 'collision': ('origin', 'geometry'),
            'inertial': ('origin', 'mass', 'inertia'),
            'joint': ('origin', 'axis', 'parent', 'child', 'limit', 'dynamics', 'mimic')}
 
@@ -84,12 +85,15 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     :param expects_meshes: make the sentences on meshes that cannot be read a :class:`LostShape`
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
     """
-    robot, fixed, notes = _read(file, xacro_args or {}, expects_meshes, files)
-    spec = (spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
-            if files is None else _hold(robot, file, files).load_tried())
+    robot, origins, fixed, notes = _read(file, xacro_args or {}, expects_meshes, files)
+    if files is None:
+        spec, changed = read_tree(robot, origins, file)
+        notes += changed
+    else:
+        spec = _hold(robot, origins, file, files).load_tried(notes)
     _let_visual_meshes_be_flat(spec)
     _hide_collision_shapes(spec)
-    notes += complete_joints(spec, robot, fixed, file)
+    notes += complete_joints(spec, robot, fixed)
     notes += _give_mass(spec, robot)
     notes += _take_gravity(spec, robot)
     return spec, notes
@@ -97,10 +101,12 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
 
 def hold_urdf(file: Path, xacro_args: Mapping[str, str], files: Files) -> HeldModel:
     """Read a URDF file and the files that it names, as :func:`load_urdf` does, without MuJoCo."""
-    return _hold(_read(file, xacro_args, True, files)[0], file, files)
+    robot, origins, _, _ = _read(file, xacro_args, True, files)
+    return _hold(robot, origins, file, files)
 
 
-def _hold(robot: ElementTree.Element, file: Path, files: Files) -> HeldModel:
+def _hold(robot: ElementTree.Element, origins: Mapping[ElementTree.Element, Place], file: Path,
+          files: Files) -> HeldModel:
     """Read what a URDF names, and leave out what MuJoCo does not read."""
     read = ElementTree.Element('robot', robot.attrib)
     read.extend([child for child in robot if child.tag in _READ_BY_MUJOCO])
@@ -109,30 +115,38 @@ def _hold(robot: ElementTree.Element, file: Path, files: Files) -> HeldModel:
             material.remove(texture)
     held = HeldModel(str(file), is_light=False)
     held.xml = held.hold_tree(read, {}, AssetFolders(file.parent), files, as_robot=True)
+    held.origins[''] = [*map(origins.get, read.iter())]
     return held
 
 
 def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files: Files | None
-          ) -> tuple[ElementTree.Element, dict[str, float], list[str]]:
+          ) -> tuple[ElementTree.Element, dict[ElementTree.Element, Place], dict[str, float],
+                     list[str]]:
     """
     Return the elements, ready for MuJoCo.
 
-    :returns: with the positions of joints to be fixed, by name, and the omissions, in sentences
+    :returns: with file and line of each, the positions of joints to be fixed, by name, and the
+        omissions, in sentences
     """
-    robot = _elements(file, xacro_args, files)
-    notes = [*find_meshes(robot, file, expects_meshes, files), *_drop_empty_shapes(robot),
-             *make_physical(robot)]
+    robot, origins = _elements(file, xacro_args, files)
     for element in list(robot.iter()):  # Other readers take the first, too; MuJoCo refuses two.
         for tag in _SINGLE.get(element.tag, ()):
             for repeated in element.findall(tag)[1:]:
                 element.remove(repeated)
+    for color in robot.iter('color'):
+        if len(color.get('rgba', '').split()) == 3:
+            color.set('rgba', f'{color.get("rgba")} 1')
+    notes = [*find_meshes(robot, file, expects_meshes, files), *_drop_empty_shapes(robot),
+             *make_physical(robot)]
     fixed, said = check_joints(robot, file)
     compiler = _compiler(robot)
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
-                             ('strippath', 'false'), ('balanceinertia', 'true')):
+                             ('strippath', 'false'), ('balanceinertia', 'true'),
+                             ('autolimits', 'true')):
         compiler.set(attribute, value)
-    compiler.attrib.pop('meshdir', None)
-    return robot, fixed, [*notes, *said]
+    for attribute in ('meshdir', 'coordinate'):  # The frames of a URDF are always local.
+        compiler.attrib.pop(attribute, None)
+    return robot, origins, fixed, [*notes, *said]
 
 
 def _let_visual_meshes_be_flat(spec: mujoco.MjSpec) -> None:
@@ -153,9 +167,9 @@ def _hide_collision_shapes(spec: mujoco.MjSpec) -> None:
 
 
 def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
-              ) -> ElementTree.Element:
+              ) -> tuple[ElementTree.Element, dict[ElementTree.Element, Place]]:
     """
-    Return the root element of a URDF file, or of what a xacro file makes.
+    Return the root element of a URDF file with the places of all, or of what a xacro file makes.
 
     :raises ModelError: if it is not URDF, cannot be read, or is xacro by request, which runs code
     """
@@ -173,10 +187,10 @@ def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
         file, files = text.file, text
     elif xacro_args:
         raise ModelError(f"'xacro_args' are for a {XACRO} file, not for {file}")
-    model = XmlModel(file, budget, files=files)
+    model = XmlModel(file, budget, files=files, traced=not is_xacro)
     if not model.is_urdf:
         raise ModelError(f"{file} is not URDF: its root is {quoted(model.root)}, not 'robot'")
-    return model.tree
+    return model.tree, model.origins
 
 
 def _compiler(robot: ElementTree.Element) -> ElementTree.Element:

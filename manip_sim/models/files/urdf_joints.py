@@ -55,6 +55,7 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     :raises ModelError: naming file and joint, and for types what to write instead
     """
     notes = [*_leave_out_repeated(robot, file), *_declare_links(robot, file)]
+    _reject_circle(robot, file)
     joints = {joint.get('name', ''): joint for joint in robot.findall('joint')}
     fixed: dict[str, float] = {}
     unlimited, swapped, of_sdf = [], [], []
@@ -64,6 +65,8 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
             of_sdf.append(name)
         _reject_negative(limit, ('effort', 'velocity'), name, file)
         _reject_negative(joint.find('dynamics'), ('damping', 'friction'), name, file)
+        if kind in _MOVES:
+            _reject_zero_axis(joint, name, file)
         if kind not in _WITH_RANGE:
             continue
         if limit is None or not {'lower', 'upper'} & set(limit.keys()):
@@ -146,6 +149,14 @@ def _reject_negative(element: ElementTree.Element | None, attributes: Sequence[s
                 f'{value:g}; write {-value:g}, or 0 for none')
 
 
+def _reject_zero_axis(joint: ElementTree.Element, name: str, file: Path) -> None:
+    axis = joint.find('axis')
+    words = ['1'] if axis is None else axis.get('xyz', '1').split()
+    if all(re.fullmatch(r'[+-]?[0.]+', word) for word in words):
+        raise ModelError(f'{file}: joint {quoted(name)}: its axis is zero: write a direction, as '
+                         'in <axis xyz="0 0 1"/>')
+
+
 def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
     """
     Leave out joints that repeat the name and the links of another one.
@@ -178,6 +189,27 @@ def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
             raise ModelError(f'{file}: {count} elements <{kind}> have the name {quoted(name)}: '
                              'give each another one, also where it is referred to')
     return [f'left out: joints that are there twice: {quoted_names(repeated)}'] if repeated else []
+
+
+def _reject_circle(robot: ElementTree.Element, file: Path) -> None:
+    """
+    Reject links that lead to each other in a circle, so that no root carries them.
+
+    :raises ModelError: with the joints of the circle
+    """
+    leading = {child.get('link'): (joint.get('name', ''), parent.get('link'))
+               for joint in robot.findall('joint')
+               for parent, child in zip(joint.findall('parent'), joint.findall('child'))}
+    for link in leading:
+        circle = []
+        while link in leading and leading[link][0] not in circle:
+            name, link = leading[link]
+            circle.append(name)
+        if link in leading:
+            joints = circle[circle.index(leading[link][0]):]
+            raise ModelError(f'{file}: joints {quoted_names(joints)} lead from link '
+                             f'{quoted(str(link))} back to it, so nothing carries it: delete one '
+                             'of them, or correct its <parent> or <child>')
 
 
 def _declare_links(robot: ElementTree.Element, file: Path) -> list[str]:
@@ -277,17 +309,16 @@ def _check_mimics(joints: Mapping[str, ElementTree.Element], file: Path) -> None
                              f'can drive it: {" follows ".join(map(quoted, [*chain, name]))}')
 
 
-def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element, fixed: Mapping[str, float],
-                    file: Path) -> list[str]:
+def complete_joints(spec: mujoco.MjSpec, robot: ElementTree.Element, fixed: Mapping[str, float]
+                    ) -> list[str]:
     """
     Add velocity limits, as the first number of ``user``, and make couplings stiff.
 
     :param fixed: positions of joints that are replaced by fixed ones, by name [rad or m]
     :returns: which joints end before their leaders do, in sentences
-    :raises ModelError: if the axis of one of these is zero, naming file and joint
     """
     for name, position in fixed.items():
-        _fix(spec, spec.joint(name), position, file)
+        _fix(spec, spec.joint(name), position)
     for joint in robot.findall('joint'):
         element, limit = spec.joint(joint.get('name', '')), joint.find('limit')
         velocity = 0.0 if limit is None else float(limit.get('velocity', 0.0))
@@ -322,10 +353,9 @@ def _range_notes(follower: Any, leader: Any, offset: float, ratio: float) -> lis
             'it, is at the ends of its own']
 
 
-def _fix(spec: mujoco.MjSpec, joint: Any, position: float, file: Path) -> None:
+def _fix(spec: mujoco.MjSpec, joint: Any, position: float) -> None:
     body, axis, quat = joint.parent, np.array(joint.axis), np.empty(4)
-    if mujoco.mju_normalize3(axis) < mujoco.mjMINVAL:  # As of joints that move.
-        raise ModelError(f'{file}: joint {quoted(joint.name)}: its axis is zero')
+    mujoco.mju_normalize3(axis)
     if int(joint.type) == int(mujoco.mjtJoint.mjJNT_SLIDE):
         body.pos = body.pos + product(matrix_of(body.quat), position * axis)
     else:

@@ -279,9 +279,9 @@ def _explained(file: Path, error: Exception, given: _Arguments, finder: _Finder)
             return f'{begin}line {line} is not UTF-8: save the file as UTF-8'
         if isinstance(cause, OSError) and cause.filename:
             package = finder.package_of(str(cause.filename))
-            return (f'{begin}no such file: {one_line(str(cause.filename), 300)}' + (
-                f'; if package {quoted(package)} makes it or installs it from elsewhere, build '
-                'and source the package' if package else ''))
+            return (f'{begin}no such file: {one_line(str(cause.filename), 300)}; ' + (
+                f'if package {quoted(package)} makes it or installs it from elsewhere, build '
+                'and source the package' if package else 'put it there, or correct the name'))
     missing = next((str(cause) for cause in causes if type(cause).__name__ == 'ArgException'), '')
     if missing:
         values = ' '.join(f'{name}:=VALUE' for name in _required(file, missing, given))
