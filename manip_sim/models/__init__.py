@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What exists in a world: robots, grippers, bases, arenas and objects; nothing needs ROS."""
+"""The parts of a world: robots, grippers, bases, arenas and objects; nothing needs ROS."""
 
 from __future__ import annotations
 

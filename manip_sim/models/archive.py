@@ -76,7 +76,7 @@ def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
 
 #: Largest archive, and largest total size of its unpacked files [bytes].
 MAX_ARCHIVE_BYTES, _MAX_UNPACKED_BYTES = 2**26, 2**27
-#: How many times its size an archive of more than a megabyte may unpack to.
+#: Greatest ratio to its size that an archive of more than a megabyte may unpack to.
 _MAX_RATIO = 200
 #: Number of files, size of the list of them [bytes], and length of their names.
 _MAX_FILES, _MAX_LIST_BYTES, _MAX_NAME = 1000, 2**18, 200

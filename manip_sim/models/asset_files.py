@@ -119,7 +119,7 @@ class Reference:
 
     kind: str
     _element: Any
-    #: Which of the six images of a cube texture it is; None for any other file.
+    #: Number among the six images of a cube texture; None for any other file.
     _side: int | None = None
 
     @property

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which cameras and lidars a user has chosen, by name or description, such as in a parameter."""
+"""Choice of cameras and lidars by a user, by name or description, such as in a parameter."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class CatalogueModel(MujocoXMLModel):
     #: Where its folder is: ``robots``, ``grippers`` or ``bases``, and the folder.
     _kind: ClassVar[str]
     _folder: ClassVar[str] = ''
-    #: What ``part.yaml`` says, of each class once it is read.
+    #: Content of ``part.yaml``, of each class once it is read.
     _data: ClassVar[dict[str, Any]]
     #: The MJCF file, relative to the folder; by default it is named like the folder.
     _model = FromYaml('model', None)

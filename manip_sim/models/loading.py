@@ -18,7 +18,8 @@ import numpy as np
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.missing_meshes import MissingMeshError, skip_missing
-from manip_sim.models.mjcf_versions import ERRORS, Origins, read_mjcf, read_mjcf_text
+from manip_sim.models.mjcf_versions import (
+    ERRORS, Origins, read_mjcf, read_mjcf_text, with_remedy)
 from manip_sim.models.xml_check import check_xml
 from manip_sim.quoting import one_line, quoted
 
@@ -65,7 +66,7 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
             warnings.filterwarnings('ignore', _EMPTY_PREFIX)
             model = spec.compile()
     except ERRORS as error:
-        raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
+        raise ModelError(f'{name} does not compile: {with_remedy(_one_line(error))}') from error
     _reject_not_finite(model, name)
     _reject_what_tactile_sensors_cannot_feel(model, name)
     return model

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which joints actuators, tendons and constraints of a compiled model act on."""
+"""Joints that actuators, tendons and constraints of a compiled model act on."""
 
 from __future__ import annotations
 

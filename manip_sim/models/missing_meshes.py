@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from manip_sim.models.world import World
 
 
-#: What a file holds in a clone of a repository whose large files were not fetched.
+#: First line of a file in a clone of a repository whose large files were not fetched.
 _POINTER = b'version https://git-lfs'
 
 

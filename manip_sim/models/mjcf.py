@@ -75,15 +75,15 @@ class MujocoXMLModel:
     #: Positions of scalar joints by keyframe and name in the file [rad or m].
     _keyframes: Mapping[str, Mapping[str, float]] = MappingProxyType({})
     _own_model: mujoco.MjModel
-    #: What the prefix begins with, before the idn.
+    #: Beginning of the prefix, before the idn.
     _prefix_word = ''
     _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     _horizontal_radius: float = 0.0
-    #: Whether others have the spec, so that it may be edited at any time.
+    #: True if others have the spec, so that it may be edited at any time.
     _spec_is_shared = False
     #: True if nothing that the spec refers to is missing, as it was compiled before.
     _refers_to_all = False
-    #: Whether :meth:`_check_declared` ran; else it does so before the part is put into a spec.
+    #: True if :meth:`_check_declared` ran; else it does so before the part is put into a spec.
     _is_checked = True
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
@@ -305,7 +305,7 @@ class MujocoXMLModel:
 
     @property
     def naming_prefix(self) -> str:
-        """What each name of this part begins with in the compiled model."""
+        """Beginning of each name of this part in the compiled model."""
         return self._given_prefix or f'{self._prefix_word}{self.idn}_'
 
     def set_naming_prefix(self, prefix: str) -> None:

@@ -73,12 +73,24 @@ _NO_FILE = re.compile(r"Error opening file '(.*)'")
 _UNKNOWN_ELEMENT = 'Schema violation: unrecognized element'
 _RENAMED_MAIN = "top-level default class 'main' cannot be renamed"
 _TWO_ORIENTATIONS = "Schema violation: at most one of 'fullinertia'"
-#: Remedies by the beginning of a message.
-_REMEDIES = {'repeated name': ': give one of them another name',
-             'invalid keyword': ': write a word that MuJoCo knows, or delete the attribute',
-             'bad format': ': write numbers with blanks between them',
-             'attribute ': ': write as many numbers as it needs',
-             'required attribute missing': ': add it', 'missing element': ': add it'}
+#: Remedies by expressions in MuJoCo's messages, of reading and of compiling.
+_REMEDIES = {
+    'repeated name': 'give one of them another name',
+    'invalid keyword': 'write a word that MuJoCo knows, or delete the attribute',
+    'bad format': 'write numbers with blanks between them',
+    'does not have enough data': 'write as many numbers as it needs',
+    'has too much data': 'write as many numbers as it needs',
+    'required attribute missing': 'add it', 'missing element': 'add it',
+    'unknown default c': 'define it in <default>, or load the file that includes this one',
+    'World body cannot have': 'move it into a body',
+    r'^plugin \S+ not found': 'load its library with mujoco.mj_loadPluginLibrary, or delete what uses it',
+    'mass and inertia of moving bodies': 'give it an <inertial>, or a shape with mass',
+    'axis too small': 'write a direction, as in axis="0 0 1"',
+    r'range\[0\] should be smaller': 'write the lower number first, or limited="false"',
+    r'size \d must be positive': 'write its size', 'are negative': 'write positive numbers',
+    'free joint can only': 'move it to <worldbody>, or delete its free joint',
+    'transmission target': 'correct its name, or add what it acts on',
+    ' not found in ': 'correct its name, or add it'}
 #: File and line of an element, and of each of some, if they are known.
 Place = tuple[Path, int]
 Origins = Sequence[Place | None]
@@ -347,9 +359,14 @@ def _explained(documents: Sequence[_Document], error: Exception, file: Path) -> 
     if problem == _UNKNOWN_ELEMENT:
         return (f'{begin}: {place}there is no element <{one_line(tag, 60)}> here: correct its '
                 'name or its place, or delete it')
-    remedy = next((remedy for beginning, remedy in _REMEDIES.items()
-                   if problem.startswith(beginning)), '')
-    return f'{begin}: {place}<{tag}>: {one_line(problem)}{remedy}'
+    return f'{begin}: {place}<{tag}>: {with_remedy(one_line(problem))}'
+
+
+def with_remedy(message: str) -> str:
+    """Return a message of MuJoCo with what to do, if it is one of those that are known."""
+    remedy = next((advice for words, advice in _REMEDIES.items()
+                   if re.search(words, message)), '')
+    return f'{message}: {remedy}' if remedy else message
 
 
 def _joined(error: Exception) -> str:

@@ -62,7 +62,7 @@ class PlacedModel:
     :ivar inferred: the inferences, in sentences
     """
 
-    #: What it is, for messages.
+    #: Kind of the object, for messages.
     kind = 'body'
 
     def __init__(self, name: str, spec: mujoco.MjSpec, origin: str = '') -> None:

@@ -98,7 +98,7 @@ def checked_seed(seed: Any) -> int:
 
 #: Greatest coordinate and distance [m].
 _MOST = 1e4
-#: How often the objects of an area are placed anew before it counts as too small.
+#: Times that the objects of an area are placed again before it counts as too small.
 _TRIES = 2000
 _KEYS = ('objects', 'x', 'y', 'z', 'yaw', 'margin')
 _HALF_TURN = math.pi / 2.0

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What differs from episode to episode: distributions of a world's properties, from YAML."""
+"""Variation from episode to episode: distributions of a world's properties, from YAML."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Quantity:
 _ANY: Mapping[str, Any] = {'length': 3, 'low': -math.inf}
 _TURN = Quantity('rotation vector in its own axes [rad]', 3, -math.pi, math.pi, (OFFSET,))
 _LEAST = 1e-9
-#: What can be drawn, by group and name.
+#: Properties that can be drawn, by group and name.
 GROUPS: Mapping[str, Mapping[str, Quantity]] = MappingProxyType({
     'bodies': {
         'mass': Quantity('mass [kg]; the inertia changes in proportion', low=_LEAST),

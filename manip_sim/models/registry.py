@@ -137,7 +137,7 @@ class Registry(Generic[T]):
 
     def _load(self, name: str, offer: Offer) -> type[T]:
         if offer not in self._loaded:
-            # What a module gets that requests its own name while it is imported.
+            # The answer to a module that requests its own name while it is imported.
             self._loaded[offer] = ModelError(f'{self.kind} {offer} is being imported')
             try:
                 self._loaded[offer] = self._import(name, offer)

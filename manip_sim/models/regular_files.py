@@ -84,7 +84,7 @@ class Files:
     Others are for requests; where a parameter may be None, that stands for these.
     """
 
-    #: What to say of a file that is not found.
+    #: Message on a file that is not found.
     rule = ''
 
     def read(self, file: Path, kind: str, max_bytes: int) -> bytes:

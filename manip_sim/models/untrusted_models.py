@@ -44,9 +44,9 @@ _REMEMBERED = 1000
 
 _passed: dict[bytes, None] = {}
 _running: set[subprocess.Popen[bytes]] = set()
-#: What a model may consist of; all its files together have at most so many bytes.
+#: Limits of a model; all its files together have at most so many bytes.
 LIMITS = Limits(bytes=1_000_000, files=50, depth=10, made=1000, elements=1000, nested=100)
-#: What a robot may consist of.
+#: Limits of a robot.
 ROBOT_LIMITS = replace(LIMITS, elements=5000, keys=100)
 _MAX_ASSET_BYTES = 2 * MAX_FILE_BYTES
 _NAMES_A_FILE = re.compile(r'file.*', re.IGNORECASE)

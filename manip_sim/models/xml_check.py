@@ -218,7 +218,7 @@ class XmlModel:
         self.folders = [AssetFolders(file.parent)]
         self._file = file
         self._budget = budget
-        #: How the current file is reached: the files of models that are being loaded, the
+        #: Way to the current file: the files of models that are being loaded, the
         #: outermost first, then those that include each other, down to the current one.
         self._chain = list(loaded_by)
         #: The contents of these files of this model, and how many elements were looked at in each.
@@ -236,7 +236,7 @@ class XmlModel:
 
     @property
     def is_urdf(self) -> bool:
-        """Whether it is URDF, not MJCF."""
+        """True for URDF, False for MJCF."""
         return self.root == 'robot'
 
     def _read(self, file: Path, kind: str, times: int = 1, depth: int = 0) -> ElementTree.Element:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What all arenas share: parameters, objects of their own, and the places of robots."""
+"""Common parts of all arenas: parameters, objects of their own, and the places of robots."""
 
 from __future__ import annotations
 

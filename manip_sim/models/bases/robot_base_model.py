@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What all bases share: a prefix and the point that the robot stands on."""
+"""Common parts of all bases: a prefix and the point that the robot stands on."""
 
 from __future__ import annotations
 
@@ -52,5 +52,5 @@ class MobileBaseModel(RobotBaseModel, registered=False):
     subsystem_of_others = 'base'
     #: The body that the robot is mounted on.
     support_body = 'support'
-    #: Whether it drives sideways; else twists along y are clamped to zero.
+    #: True if it drives sideways; else twists along y are clamped to zero.
     sideways: bool = True

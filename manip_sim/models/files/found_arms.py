@@ -318,7 +318,7 @@ def _longest_chains(tree: BodyTree, tips: Iterable[int], joints: Collection[int]
 def _joints_of_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
                     ) -> set[int]:
     of_hands = {joint for hand in hands for joint in hand.joints}
-    # What else moves on the link that a hand hangs on, such as a camera, is beyond the arm's end.
+    # Others that move on the link that a hand hangs on, such as a camera, are beyond the end.
     rigid = tree.model.body_weldid.tolist()
     ends = {rigid[hand.body] for hand in hands} - {0}
     of_hands |= {j for j in subsystems if ends.intersection(

@@ -44,9 +44,9 @@ class HandFromFile(GripperModel, registered=False):
     closing: dict[str, list[float]]
 
     inferred: list[str]
-    #: Whether the grasp frame was added.
+    #: True if the grasp frame was added.
     _has_grasp_frame = False
-    #: What the description was read from, for messages.
+    #: Source of the description, for messages.
     _where: str
     _description: HandDescription
     _start: Mapping[str, float]

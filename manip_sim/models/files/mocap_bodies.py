@@ -20,7 +20,7 @@ from manip_sim.quoting import quoted_names
 
 _WELD, _CONNECT = int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)
 _BODY = int(mujoco.mjtObj.mjOBJ_BODY)
-#: What names of shapes and materials of mocap bodies begin with, behind the robot's prefix.
+#: Beginning of names of shapes and materials of mocap bodies, behind the robot's prefix.
 _APART = 'mocap_'
 
 

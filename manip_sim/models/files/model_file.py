@@ -33,7 +33,7 @@ from manip_sim.quoting import counted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
-#: How far from the end a joint at an end is moved, as a fraction of its range.
+#: Distance by which a joint at an end is moved, as a fraction of its range.
 _INSIDE = 0.25
 #: A pose is only better if the overlap of links is less by this much [m].
 _BETTER_M = 1e-3

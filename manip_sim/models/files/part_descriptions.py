@@ -68,13 +68,13 @@ class FrameDescription(Strict):
 
 
 class HandDescription(Strict):
-    """What the file of a hand, or of a robot with a hand, does not say of the hand."""
+    """Description of a hand, beyond the file of it or of a robot with it."""
 
     #: The grasp frame.
     grasp_point: FrameDescription | None = None
     #: Opening and closing control, in that order, by actuator.
     closing: dict[Name, Range] = {}
-    #: Whether an action has one number for each actuator or one for all.
+    #: Numbers of an action: one for each actuator, or one for all.
     action: Literal['each', 'together'] = 'each'
     #: Lists of geoms by role, such as ``left_fingerpad``.
     fingers: dict[Literal['left_finger', 'right_finger', 'left_fingerpad', 'right_fingerpad'],
@@ -129,7 +129,7 @@ class RobotDescription(Description):
     placement: dict[Name, Vector] = {}
     #: Point that stands on a base or the floor, in the frame of the root body [m].
     foot: Vector | None = None
-    #: Whether mocap bodies of the file come with the robot.
+    #: True if mocap bodies of the file come with the robot.
     mocap: Annotated[bool, Field(strict=True)] = True
     #: Effort limits of joints of a file without actuators: its own, or guesses for those too low.
     efforts: Literal['own', 'guess'] = 'own'
@@ -147,13 +147,13 @@ class RobotDescription(Description):
 
 
 class BaseDescription(Description):
-    """What a robot stands on."""
+    """Description of a base, on which a robot stands."""
 
     #: Where the robot stands, in the frame of the root body [m].
     top: Vector | None = None
     #: Body that carries the robot, of a base with joints.
     support: Name | None = None
-    #: Whether a base with joints drives sideways; else twists along y are clamped to zero.
+    #: True if a base with joints drives sideways; else twists along y are clamped to zero.
     sideways: bool = True
 
 
@@ -175,7 +175,7 @@ class ArenaDescription(Description):
 
     @property
     def has_parts(self) -> bool:
-        """Whether it says more than where robots stand."""
+        """True if it says more than where robots stand."""
         return bool(self.arena or self.fixtures or self.objects or self.placements)
 
 

@@ -135,7 +135,7 @@ def _left_out_keyframes(spec: mujoco.MjSpec) -> list[str]:
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: What a camera is besides its name and pose.
+#: Properties of a camera besides its name and pose.
 _OF_CAMERA = ('mode', 'targetbody', 'fovy', 'resolution', 'sensor_size', 'focal_length',
               'focal_pixel', 'principal_length', 'principal_pixel', 'intrinsic', 'ipd', 'proj')
 

@@ -240,7 +240,7 @@ def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
                if link.find('inertial') is None}
     light = []
     for body in spec.bodies[1:]:
-        # What moves on it may be heavy: MuJoCo wants a mass of its own nevertheless.
+        # Links on it may be heavy: MuJoCo wants a mass of its own nevertheless.
         if (body.name in without and len(body.joints)
                 and not any(_has_mass(other, without) for other in _with_fixed(body))):
             body.mass, body.inertia = _LIGHT_KG, [_LIGHT_INERTIA] * 3

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What all grippers share: standard sites and sensors, and the state of ``format_action``."""
+"""Common parts of all grippers: standard sites and sensors, and the state of ``format_action``."""
 
 from __future__ import annotations
 

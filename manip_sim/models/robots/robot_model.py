@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What all robots share: how they are found by name, and what each has to declare."""
+"""Common parts of all robots: the names of them, and the declarations of each."""
 
 from __future__ import annotations
 
@@ -104,12 +104,12 @@ class RobotModel(Subsystems, ABC):
 
     @property
     def is_placed(self) -> bool:
-        """Whether :meth:`set_base_xpos` was called; else an arena places the robot."""
+        """True if :meth:`set_base_xpos` was called; else an arena places the robot."""
         return self._floor_xpos is not None
 
     @property
     def base(self) -> RobotBaseModel | None:
-        """What the robot stands on, or None for the floor."""
+        """The base that the robot stands on, or None for the floor."""
         return self._base
 
     @property
@@ -385,7 +385,7 @@ class RobotModel(Subsystems, ABC):
 
     @property
     def friction_laws(self) -> dict[str, FrictionLaw]:
-        """How friction and torque limits follow the velocity, by joint; a copy."""
+        """Friction and torque limits over the velocity, by joint; a copy."""
         return {part.correct_naming(raw): law for (part, raw), law in self._laws.items()
                 if law.acts}
 

@@ -27,7 +27,7 @@ UNIT_SPHERE = f'package://{PACKAGE}/assets/meshes/unit_sphere.stl'
 ELLIPSOID = '<ellipsoid>'
 #: Formats that RViz and MoveIt read too; only MuJoCo reads its .msh.
 _READABLE = ('.stl', '.obj', '.dae')
-#: How often each triangle of the icosahedron is divided into four.
+#: Times that each triangle of the icosahedron is divided into four.
 _LEVELS = 3
 _GEOM = mujoco.mjtGeom
 #: Groups of geoms that MuJoCo shows by default.
