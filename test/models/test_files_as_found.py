@@ -150,7 +150,8 @@ def test_valid_inertias_stay_as_they_are(tmp_path):
     np.testing.assert_array_equal(robot.compile().body('robot0_tool').inertia, [0.01] * 3)
 
 
-UNKNOWN = 'without a <box>, <cylinder>, <sphere> or <mesh> with its attributes'
+UNKNOWN = ('without a <box>, <cylinder>, <sphere> or <mesh> with its attributes, or without '
+           'numbers in them')
 
 
 @pytest.mark.parametrize(('shape', 'why'), [

@@ -222,6 +222,12 @@ def test_two_arms_without_sides_are_told_apart_by_their_places(tmp_path, one, tw
         f'arms: {{right: {{mount: {left}/tip}}, left: {{mount: {right}/tip}}}}' in said)]
 
 
+def test_names_that_differ_in_their_first_letter_have_sides_whatever_their_places(tmp_path):
+    text = TWO_ARMS.replace('left/', 'raxis/').replace('right/', 'laxis/')
+    robot = load_robot(write(tmp_path / 'pair.xml', text))
+    assert robot.eef_name == {'right': 'robot0_raxis/palm', 'left': 'robot0_laxis/palm'}
+
+
 def test_three_arms_without_sides_are_no_arms_and_it_says_what_to_write(tmp_path):
     text = TWO_ARMS.replace('left/', 'one/').replace('right/', 'two/')
     third = arm_of('three', 0.0)

@@ -105,7 +105,8 @@ class BodyTree:
         """
         Return the sides of bodies by the names of bodies, else of joints, on the ways to them.
 
-        What the ways share counts last, as the name of a robot that is called r2.
+        What the ways share counts last, as the name of a robot that is called r2. Two names that
+        differ in their first letter, l and r, have sides, too.
         """
         shared, joint = len(self.path(self.common(bodies))), self.model.joint
         ways = [self.path(body) for body in bodies]
@@ -113,8 +114,14 @@ class BodyTree:
                      for way in ways]
         if not {'right', 'left'} <= set(of_joints):  # One side alone is that of a finger.
             of_joints = [None] * len(ways)
-        return [side_of(map(self.name, way[shared:])) or by_joint
-                or side_of(map(self.name, way[:shared])) for way, by_joint in zip(ways, of_joints)]
+        sides = [side_of(map(self.name, way[shared:])) or by_joint
+                 or side_of(map(self.name, way[:shared])) for way, by_joint in zip(ways, of_joints)]
+        if len(ways) == 2 and sides == [None, None]:
+            for names in zip(*(map(self.name, way[shared:]) for way in ways)):
+                (one, first), (other, second) = ((name[:1].lower(), name[1:]) for name in names)
+                if first == second and {one, other} == {'l', 'r'}:
+                    return [_SIDES[one], _SIDES[other]]
+        return sides
 
     def driven(self, actuator: int) -> set[int]:
         """Return the joints that an actuator acts on, directly, by a tendon or at a site."""

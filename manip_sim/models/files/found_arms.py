@@ -159,8 +159,15 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
         name = str(tree.model.joint(joint).name)
         return subsystems.get(joint) == 'arm' and name not in declared and joint not in fingers
 
-    for limb in limbs.on(limbs.trunk):
-        joints = [joint for joint in limbs.joints(limb) if joint in subsystems]
+    def may_be_of_shoulder(joint: int) -> bool:
+        words = words_of(str(tree.model.joint(joint).name))
+        return words & _WORDS['legs'] <= _OF_SHOULDERS and not _by_body(tree, joint)
+
+    chains = [limbs.joints(limb) for limb in limbs.on(limbs.trunk)]
+    if not chains and not all(may_be_of_shoulder(joint) for joint in limbs.leading):
+        chains = [limbs.leading]  # A leg alone.
+    for chain in chains:
+        joints = [joint for joint in chain if joint in subsystems]
         words = set().union(*(words_of(str(tree.model.joint(j).name)) for j in joints))
         parts = {subsystems[joint] for joint in joints}
         if 'legs' in parts <= {'legs', 'arm', 'base'} and not (

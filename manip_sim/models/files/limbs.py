@@ -40,6 +40,10 @@ _UNLIMITED_M = 20.0
 _ALIGNED = 0.1
 #: Limbs are mirrored if the places of their roots are so within this share of their distance.
 _MIRRORED = 0.1
+#: Limbs are in a row if their places deviate from a line by less than this share of its length.
+_IN_ROW = 0.2
+#: Places that are nearer are one [m].
+_APART_M = 1e-6
 
 
 def is_unlimited(model: mujoco.MjModel, joint: int) -> bool:
@@ -170,8 +174,8 @@ class Limbs:
         """
         Return the joints of legs: limbs of the trunk that are alike, more than a hand has fingers.
 
-        Four are enough if they stand in pairs on both sides of the middle: a hand has a thumb, or
-        a finger in the middle.
+        Four are enough if they stand in pairs on both sides of the middle, and not in a row: a
+        hand has a thumb, or a finger in the middle.
 
         :param among: the joints that may be of legs
         """
@@ -186,7 +190,7 @@ class Limbs:
                 kind = root, len(joints), len(self._tree.ends(joints))
                 alike.setdefault(kind, []).append(limb)
         return [joint for limbs in alike.values() if len(limbs) >= _LEAST_LEGS
-                and (len(limbs) > MAX_FINGERS or self.in_pairs(limbs))
+                and (len(limbs) > MAX_FINGERS or self.in_pairs(limbs) and not self._in_row(limbs))
                 and not self.are_of_two_hands(list(self.by_carrier(limbs).values()))
                 for limb in limbs for joint in self.joints(limb)]
 
@@ -250,6 +254,12 @@ class Limbs:
                     _mirrors(local, axis, _MIRRORED * size) for axis in range(3)):
                 return True
         return False
+
+    def _in_row(self, limbs: Sequence[int]) -> bool:
+        """Return whether limbs begin beside each other, as the fingers of a palm do."""
+        places = self._data.xpos[list(limbs)]
+        sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        return bool(sizes[0] > _APART_M and sizes[1] < _IN_ROW * sizes[0])
 
     def by_carrier(self, limbs: Iterable[int]) -> dict[int, list[int]]:
         """Return limbs by the body that they hang on."""

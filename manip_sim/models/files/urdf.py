@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+import math
 from pathlib import Path
 import re
 from typing import Any
@@ -206,7 +207,8 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
     """
     Remove shapes of size zero, which some exporters write for links without a shape.
 
-    Shapes without a complete geometry of a kind that URDF knows are removed, too.
+    Shapes without a complete geometry of a kind that URDF knows are removed, too, and those whose
+    place or size is no number, such as what xacro would have replaced.
     """
     dropped, unknown = [], []
     for link in robot.iter('link'):
@@ -214,24 +216,28 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
             sizes = [number for element in shape.findall('geometry/*') if element.tag != 'mesh'
                      for key in ('size', 'radius', 'length')
                      for number in element.get(key, '').split()]
-            if any(_is_zero(number) for number in sizes):
+            places = [number for element in shape.findall('origin')
+                      for number in ' '.join(element.attrib.values()).split()]
+            if any(_value(number) == 0.0 for number in sizes):
                 link.remove(shape)
                 dropped.append(str(link.get('name')))
-            elif not any(needed <= set(element.keys()) for tag, needed in _GEOMETRY.items()
+            elif any(math.isnan(_value(number)) for number in (*sizes, *places)) or not any(needed <= set(element.keys()) for tag, needed in _GEOMETRY.items()
                          for element in shape.findall(f'geometry/{tag}')):
                 link.remove(shape)
                 unknown.append(str(link.get('name')))
     return [f'left out: {counted(len(names), "shape")} {reason}, of {quoted_names(names)}'
             for names, reason in ((dropped, 'of size zero'), (
-                unknown, 'without a <box>, <cylinder>, <sphere> or <mesh> with its attributes'))
+                unknown, 'without a <box>, <cylinder>, <sphere> or <mesh> with its attributes, or '
+                         'without numbers in them'))
             if names]
 
 
-def _is_zero(number: str) -> bool:
+def _value(number: str) -> float:
+    """Return a number of a file, without a comma behind it; NaN if it is none."""
     try:
-        return float(number) == 0.0
+        return float(number.rstrip(','))
     except ValueError:
-        return False
+        return math.nan
 
 
 def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
