@@ -76,8 +76,8 @@ def test_what_an_inertial_lacks_or_has_twice_is_completed_or_left_out():
     np.testing.assert_array_equal(bodies['ball'].pos, [0.0, 0.0, 0.4])
     np.testing.assert_array_equal(model.geom_rgba[model.geom_group < 3][1], [1.0, 0.0, 0.0, 1.0])
     assert {"left out: <inertial> without <mass>, of 'weightless'",
-            'the moment of inertia of a ball of water for links whose <inertial> has no <inertia>: '
-            "'ball'"} <= set(robot.inferred)
+            'the moment of inertia of a ball of water for links whose <inertial> has no <inertia>'
+            ": 'ball'"} <= set(robot.inferred)
 
 
 def test_fingers_on_servos_that_integrate_velocities_open_and_close():

@@ -14,7 +14,7 @@ from files_rig import ARM, arm_of, ARM_WITH_HAND, TWO_ARMS, write
 from manip_sim.errors import ModelError
 from manip_sim.models import compose, compose_robot, load_robot
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.found_places import free_name
+from manip_sim.models.files.mount_frames import free_name
 from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.grippers import PandaGripper

@@ -153,7 +153,8 @@ def test_an_error_in_an_included_file_names_it(tmp_path):
      "Invalid parameter \"name\" of macro 'm': take it out where it is called, or name it in "),
     ('<link name="$(env NO_SUCH_ARM)"/>',
      "environment variable 'NO_SUCH_ARM' is not set: type 'export NAME"),
-    ('<link name="${xacro.load_yaml(\'no.yaml\')}"/>', 'no such file: .*no.yaml; put it there, or correct the name$')])
+    ('<link name="${xacro.load_yaml(\'no.yaml\')}"/>',
+     'no such file: .*no.yaml; put it there, or correct the name$')])
 def test_what_is_wrong_is_told_once_with_a_remedy(text, message, tmp_path):
     with pytest.raises(ModelError, match=f'arm.xacro cannot be expanded by xacro: {message}'):
         load_robot(write(tmp_path / 'arm.xacro', TOP % text))

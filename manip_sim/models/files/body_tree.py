@@ -115,7 +115,8 @@ class BodyTree:
         if not {'right', 'left'} <= set(of_joints):  # One side alone is that of a finger.
             of_joints = [None] * len(ways)
         sides = [side_of(map(self.name, way[shared:])) or by_joint
-                 or side_of(map(self.name, way[:shared])) for way, by_joint in zip(ways, of_joints)]
+                 or side_of(map(self.name, way[:shared]))
+                 for way, by_joint in zip(ways, of_joints)]
         if len(ways) == 2 and sides == [None, None]:
             for names in zip(*(map(self.name, way[shared:]) for way in ways)):
                 (one, first), (other, second) = ((name[:1].lower(), name[1:]) for name in names)

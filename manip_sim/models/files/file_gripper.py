@@ -19,7 +19,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.found_hands import FoundHand
-from manip_sim.models.files.found_places import quat_wxyz_of
+from manip_sim.models.files.mount_frames import quat_wxyz_of
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import GripperDescription

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import contextlib
 import copy
 from functools import partial
+import hashlib
 from typing import Any
 
 import mujoco
@@ -41,6 +42,9 @@ _SHORTER = (0.75, 0.5, 0.25)
 
 #: Opening and closing control, and whether a trial decided which is which.
 Closing = tuple[float, float, bool]
+#: Results of trials, and how many are kept.
+_tried: dict[bytes, tuple[dict[int, Closing], dict[int, Closing]]] = {}
+_MOST_TRIED = 200
 
 
 def _apart(points: FloatArray) -> float:
@@ -203,7 +207,27 @@ class Fingers:
             data.xmat[body].reshape(3, 3).T, points.mean(axis=0) - data.xpos[body])
         return local
 
-    def closing(self, actuators: Sequence[int]) -> dict[int, Closing]:
+    def closing(self, actuators: Sequence[int]) -> tuple[dict[int, Closing], dict[int, Closing]]:
+        """
+        Return how actuators close, see :meth:`_ends`, and other ways, see :meth:`_reopening`.
+
+        Trials of a hand that was loaded before are not repeated.
+        """
+        model = np.empty(mujoco.mj_sizeModel(self._model), np.uint8)
+        mujoco.mj_saveModel(self._model, None, model)
+        digest = hashlib.blake2b(model)
+        digest.update(self._data.qpos.tobytes())
+        digest.update(repr((self._hand, list(actuators))).encode())
+        key = digest.digest()
+        if key not in _tried:
+            ends = self._ends(actuators)
+            if len(_tried) >= _MOST_TRIED:
+                _tried.clear()
+            _tried[key] = ends, self._reopening(ends)
+        ends, others = _tried[key]
+        return dict(ends), dict(others)
+
+    def _ends(self, actuators: Sequence[int]) -> dict[int, Closing]:
         """
         Return the opening and the closing control of actuators that have a range.
 
@@ -228,7 +252,7 @@ class Fingers:
                 *(limits[::-1] if is_clear and change > 0.0 else limits), is_clear)
         return closings
 
-    def reopening(self, closing: Mapping[int, Closing]) -> dict[int, Closing]:
+    def _reopening(self, closing: Mapping[int, Closing]) -> dict[int, Closing]:
         """
         Return closings from which the fingers open again, where the given ones lock a hand.
 
@@ -236,7 +260,7 @@ class Fingers:
         closes less far, or with less effort, see :data:`_SHORTER`. What never opens again stays
         as it is.
 
-        :param closing: as :meth:`closing` returns them
+        :param closing: as :meth:`_ends` returns them
         :returns: those that are other ones, by id
         """
         if not closing:

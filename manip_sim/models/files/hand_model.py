@@ -17,7 +17,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.fingers import control_range, Fingers, integrates
 from manip_sim.models.files.found_hands import FoundHand, hands_of_hand
-from manip_sim.models.files.found_places import add_body_at, find_place, free_name
+from manip_sim.models.files.mount_frames import add_body_at, find_place, free_name
 from manip_sim.models.files.part_descriptions import (
     FrameDescription, HandDescription, OwnHandDescription)
 from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
@@ -95,8 +95,8 @@ class HandFromFile(GripperModel, registered=False):
         for name in declared:
             if name not in names:
                 raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
-        closings = fingers.closing([i for name, i in zip(names, ids) if name not in declared])
-        changed = fingers.reopening(closings)
+        closings, changed = fingers.closing(
+            [i for name, i in zip(names, ids) if name not in declared])
         closings.update(changed)
         ends = []
         self.closing = {}

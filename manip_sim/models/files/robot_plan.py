@@ -18,7 +18,7 @@ from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.found_arms import (
     ALONE, classify_joints, find_arms, FoundArm, lone_hands_as_arms)
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
-from manip_sim.models.files.found_places import add_body_at, find_place, free_name
+from manip_sim.models.files.mount_frames import add_body_at, find_place, free_name
 from manip_sim.models.files.hand_model import OwnHand
 from manip_sim.models.files.limbs import is_unlimited, PALM_WORDS
 from manip_sim.models.files.mocap_bodies import MocapBodies

@@ -213,6 +213,8 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
     dropped, unknown = [], []
     for link in robot.iter('link'):
         for shape in [*link.findall('visual'), *link.findall('collision')]:
+            is_known = any(needed <= set(element.keys()) for tag, needed in _GEOMETRY.items()
+                           for element in shape.findall(f'geometry/{tag}'))
             sizes = [number for element in shape.findall('geometry/*') if element.tag != 'mesh'
                      for key in ('size', 'radius', 'length')
                      for number in element.get(key, '').split()]
@@ -221,8 +223,7 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
             if any(_value(number) == 0.0 for number in sizes):
                 link.remove(shape)
                 dropped.append(str(link.get('name')))
-            elif any(math.isnan(_value(number)) for number in (*sizes, *places)) or not any(needed <= set(element.keys()) for tag, needed in _GEOMETRY.items()
-                         for element in shape.findall(f'geometry/{tag}')):
+            elif not is_known or any(math.isnan(_value(number)) for number in (*sizes, *places)):
                 link.remove(shape)
                 unknown.append(str(link.get('name')))
     return [f'left out: {counted(len(names), "shape")} {reason}, of {quoted_names(names)}'
