@@ -96,6 +96,16 @@ def test_closing_is_where_the_fingertips_meet(tmp_path):
     assert 'closing: pull from 255 to 0' in hand.inferred
 
 
+def test_a_hand_that_was_loaded_before_is_not_tried_again_and_another_is(tmp_path, monkeypatch):
+    file = write(tmp_path / 'hand.xml', HAND)
+    closing = load_gripper(file).closing
+    steps = []
+    monkeypatch.setattr(mujoco, 'mj_step', lambda *given: steps.append(given))
+    assert load_gripper(file).closing == closing and not steps
+    load_gripper(write(file, HAND.replace('axis="0 1 0"', 'axis="0 2 1"')))
+    assert steps
+
+
 def test_the_other_servos_hold_where_they_start_while_one_is_tried(tmp_path):
     # The second finger starts 0.05 m to the left of the first one, and 0.05 m to its right if its
     # control were 0.
