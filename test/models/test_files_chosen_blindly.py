@@ -29,6 +29,7 @@ REMEDY = 'if another file includes this one, load that'
     ('worm.xml', {'other': 10}),
     ('steered_wheels.xml', {'base': 6, 'arm': 3}),
     ('leg_alone.xml', {'legs': 3}),
+    ('names_in_capitals.xml', {'torso': 1, 'right': 2, 'left': 2, 'legs': 6}),
     ('fingers_in_a_row.xml', {'right/gripper': 11}),
     ('standing_pair.xml', {'legs': 6}),
     ('pistons.xml', {'arm': 6}),

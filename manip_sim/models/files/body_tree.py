@@ -13,12 +13,12 @@ import mujoco
 import numpy as np
 
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
+_WORD, _LETTERS = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])'), re.compile(r'[A-Za-z]+')
 _SIDES = {'left': 'left', 'l': 'left', 'lh': 'left', 'right': 'right', 'r': 'right', 'rh': 'right'}
 #: Parts of bodies that are written in one word with a side before or an axis behind them.
 _JOINED = re.compile(
     r'(left|right|upper|lower|[lrfbu])?(thigh|shin|shank|calf|foot|toe|ankle|knee|femur|tibia|hip|'
-    r'leg|finger|thumb|hand|wrist|elbow|shoulder|head|neck|wheel)s?(r?[xyz]|joint|link)?')
+    r'leg|finger|thumb|hand|wrist|elbow|shoulder|head|neck|wheel)s?(r?[xyz]|[pr]|joint|link)?')
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -27,10 +27,12 @@ def words_of(name: str) -> frozenset[str]:
     """
     Return the words of a name in lower case: ``left_hand2`` has ``left`` and ``hand``.
 
-    Those in joined words are added: ``lfemurrx`` has ``l`` and ``femur``, too.
+    Those in joined words are added: ``lfemurrx`` has ``l`` and ``femur``, too, and ``RHIPp`` ``r``
+    and ``hip``.
     """
     words = {word.lower() for word in _WORD.findall(name)}
-    joined = [match.groups() for match in map(_JOINED.fullmatch, words) if match]
+    whole = {word.lower() for word in _LETTERS.findall(name)}
+    joined = [match.groups() for match in map(_JOINED.fullmatch, words | whole) if match]
     return frozenset(words.union(*({part for part in parts[:2] if part} for parts in joined)))
 
 
