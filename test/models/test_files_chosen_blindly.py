@@ -52,6 +52,9 @@ def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
      {'base': 3, 'other': 9}),
     ('worm.xml', {'"s9"': '"tool"'}, {'arm': 10}),
     ('leg_alone.xml', {'knee': 'elbow', 'foot': 'fore'}, {'arm': 3}),
+    ('leg_alone.xml', {'knee': 'third', 'foot': 'fore',
+                       '</mujoco>': '<actuator><motor name="knee_motor" joint="third"/></actuator>'
+                                    '</mujoco>'}, {'legs': 3}),
     ('fingers_in_a_row.xml', {'0 0.02 0.1': '0.05 0.02 0.1', '0 -0.02 0.1': '0.05 -0.02 0.1'},
      {'legs': 8, 'arm': 3}),
     ('steered_wheels.xml', {'"a1"': '"a1" axis="1 0 0"', '"c1"': '"c1" axis="1 0 0"'},

@@ -54,7 +54,8 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     Return the subsystems of joints by id, without free joints.
 
     In this order decide: the description; the name of the joint; the name of the body that it
-    moves, for wheels and legs; what the joint is and where, see :class:`Limbs`. Joints of a limb
+    moves, for wheels and legs; the name of its actuator; what the joint is and where, see
+    :class:`Limbs`. Joints of a limb
     that has a leg's name, and neither an elbow nor a wrist nor fingers, are legs, and those that
     carry nothing but legs and wheels are base. A joint that is torso by a word of :data:`_WORDS`
     is arm if it moves at most one limb, as the waist of an arm on a table does, and so is one of
@@ -67,11 +68,13 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     model = tree.model
     subsystems: dict[int, str] = {}
     unnamed: set[int] = set()
+    by_actuator = _by_actuators(tree)
     for joint in range(model.njnt):
         if int(model.jnt_type[joint]) == 0:
             continue
         name = str(model.joint(joint).name)
-        subsystems[joint] = declared.get(name) or _by_name(name) or _by_body(tree, joint) or 'arm'
+        subsystems[joint] = (declared.get(name) or _by_name(name) or _by_body(tree, joint)
+                             or by_actuator.get(joint, 'arm'))
         if name not in declared and not _by_name(name) and joint not in fingers:
             unnamed.add(joint)
     free = {joint for joint in unnamed if subsystems[joint] == 'arm'}
@@ -104,6 +107,16 @@ def _by_body(tree: BodyTree, joint: int) -> str | None:
     """Return the subsystem that the name of the body says that a joint moves, or None."""
     words = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
     return next((part for part, known in _BODY_WORDS.items() if words & known), None)
+
+
+def _by_actuators(tree: BodyTree) -> dict[int, str]:
+    """Return the subsystems of joints that the names of actuators say that drive them alone."""
+    parts = {}
+    for actuator in range(tree.model.nu):
+        driven, part = tree.driven(actuator), _by_name(str(tree.model.actuator(actuator).name))
+        if len(driven) == 1 and part is not None:
+            parts[next(iter(driven))] = part
+    return parts
 
 
 def _find_unnamed(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str], free: set[int],
@@ -159,9 +172,12 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
         name = str(tree.model.joint(joint).name)
         return subsystems.get(joint) == 'arm' and name not in declared and joint not in fingers
 
+    of_others = _by_actuators(tree)
+
     def may_be_of_shoulder(joint: int) -> bool:
         words = words_of(str(tree.model.joint(joint).name))
-        return words & _WORDS['legs'] <= _OF_SHOULDERS and not _by_body(tree, joint)
+        return (words & _WORDS['legs'] <= _OF_SHOULDERS and not _by_body(tree, joint)
+                and of_others.get(joint) != 'legs')
 
     chains = [limbs.joints(limb) for limb in limbs.on(limbs.trunk)]
     if not chains and not all(may_be_of_shoulder(joint) for joint in limbs.leading):
