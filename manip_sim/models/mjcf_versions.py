@@ -83,8 +83,7 @@ _REMEDIES = {
     'required attribute missing': 'add it', 'missing element': 'add it',
     'unknown default c': 'define it in <default>, or load the file that includes this one',
     'World body cannot have': 'move it into a body',
-    r'^plugin \S+ not found': 'load its library with mujoco.mj_loadPluginLibrary, or delete what '
-                               'uses it',
+    r'^plugin \S+ not found': 'load its library with mujoco.mj_loadPluginLibrary, or delete it',
     'mass and inertia of moving bodies': 'give it an <inertial>, or a shape with mass',
     'axis too small': 'write a direction, as in axis="0 0 1"',
     r'range\[0\] should be smaller': 'write the lower number first, or limited="false"',

@@ -215,7 +215,7 @@ class Fingers:
         """
         model = np.empty(mujoco.mj_sizeModel(self._model), np.uint8)
         mujoco.mj_saveModel(self._model, None, model)
-        digest = hashlib.blake2b(model)
+        digest = hashlib.blake2b(model.data)
         digest.update(self._data.qpos.tobytes())
         digest.update(repr((self._hand, list(actuators))).encode())
         key = digest.digest()
