@@ -734,6 +734,16 @@ def test_a_joint_that_is_there_twice_is_read_once(tmp_path):
     assert robot.joints == load_robot(write(tmp_path / 'one.urdf', URDF)).joints
 
 
+def test_joints_that_are_fixed_may_have_one_name_and_others_may_not(tmp_path):
+    tools = ''.join(f'<link name="{link}"/><joint name="{{}}" type="fixed"><parent link="lower"/>'
+                    f'<child link="{link}"/></joint>' for link in ('one', 'two'))
+    text = URDF.replace('</robot>', f'{tools}</robot>')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text.format('mount', 'mount')))
+    assert {'robot0_one', 'robot0_two'} <= set(robot.bodies)
+    with pytest.raises(ModelError, match="2 elements <joint> have the name 'shoulder'"):
+        load_robot(write(tmp_path / 'arm.urdf', text.format('shoulder', 'mount')))
+
+
 def test_an_error_behind_a_loose_comment_names_the_line_of_the_file(tmp_path):
     text = ('<!-- a -- b\n-->\n' + URDF[URDF.index('<robot'):]).replace(
         '<link name="tool0"/>', '<link name="tool0"')

@@ -161,8 +161,8 @@ def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
     """
     Leave out joints that repeat the name and the links of another one.
 
-    :raises ModelError: if other joints lead to the same link or one to ``world``, or if others or
-        links have one name
+    :raises ModelError: if other joints lead to the same link or one to ``world``, or if links, or
+        a joint that moves and another one, have one name
     """
     leading: dict[str, tuple[str, str]] = {}
     repeated = []
@@ -182,10 +182,13 @@ def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
     if _WORLD in leading:
         raise ModelError(f'{file}: joint {quoted(leading[_WORLD][0])} leads to link '
                          f'{quoted(_WORLD)}, the fixed root of all: give it another name')
+    moving = {joint.get('name') for joint in robot.findall('joint')
+              if joint.get('type') != 'fixed'}
     for kind in ('link', 'joint'):
-        names = Counter(element.get('name', '') for element in robot.findall(kind))
+        names = Counter(element.get('name', '') for element in robot.findall(kind)
+                        if kind == 'link' or element.get('name') in moving)
         name, count = next(iter(names.most_common(1)), ('', 0))
-        if count > 1:
+        if count > 1:  # No joint is made of fixed ones.
             raise ModelError(f'{file}: {count} elements <{kind}> have the name {quoted(name)}: '
                              'give each another one, also where it is referred to')
     return [f'left out: joints that are there twice: {quoted_names(repeated)}'] if repeated else []
