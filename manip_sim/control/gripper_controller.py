@@ -19,15 +19,17 @@ from manip_sim.control.commands import (
 from manip_sim.control.gripper_actuators import GripperActuators
 from manip_sim.control.gripper_force import ForceLimit
 from manip_sim.control.gripper_joints import GripperJoints
-from manip_sim.control.law.finger_records import Grip, Gripper, MOVES, TURNED
+from manip_sim.control.law.finger_records import (
+    ACTS, AWAITED, Grip, Gripper, GRIPPER_RATE_HZ, MOVES, no_rule, RENEWED, Rule, RULED, TURNED)
 from manip_sim.control.ledger import Ledger
 from manip_sim.control.suction import SuctionCups
 from manip_sim.derived import Derived
+from manip_sim.models.grippers.action_rules import ActionRule
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
-#: Rate at which robosuite calls a gripper's ``format_action`` [Hz].
-GRIPPER_RATE_HZ = 20.0
+#: Methods whose meaning a rule stands for.
+_OF_ACTIONS = {'format_action', 'start_at'}
 #: Two setpoints that differ by less than this fraction of the range are the same.
 _SAME = 1e-9
 
@@ -35,6 +37,8 @@ _SAME = 1e-9
 class GripperController:
     """
     A controller that calls a gripper's ``format_action`` at robosuite's 20 Hz of simulation time.
+
+    The law follows the rule of its actions instead, if the gripper has one.
 
     An action lasts until the next one, so one message closes fully, and how often it is repeated
     does not matter. Actions and joint commands set goals; the setpoints approach them no faster
@@ -70,7 +74,8 @@ class GripperController:
     def _forget(self) -> None:
         count = len(self.part.actuators)
         self._action: FloatArray | None = None
-        self._next_call_s = 0.0
+        # When it is taken next, and half a step.
+        self._call = np.array([0.0, self._timestep_s / 2.0])
         # Whether the state of ``format_action`` matches the goal.
         self._in_step = False
         self._goal = np.zeros(count)
@@ -94,6 +99,7 @@ class GripperController:
     @property
     def moving(self) -> bool:
         """Whether :meth:`tick` has to be called; if not, the setpoints stay where they are."""
+        self._physics.interrupt()
         return self._moving or self._centres or self.cups.draw(self._goal)
 
     @property
@@ -194,63 +200,149 @@ class GripperController:
         self._to_end[:] = ends
         self._turned = True
 
-    def tick(self, data: mujoco.MjData, duration_s: float) -> None:
+    def tick(self, data: mujoco.MjData, now_s: float, duration_s: float) -> None:
         """
         Write the controls of the physics steps that follow.
 
+        :param now_s: simulation time since the last reset [s]
         :param duration_s: of these steps [s]
         """
         from manip_sim.control.law.gripping import move_fingers  # It imports numba.
-        gripper = self.begin_run(data)
-        move_fingers(self._physics.arrays, gripper, duration_s)
+        gripper = self.begin_run(data, now_s)
+        move_fingers(self._physics.arrays, gripper, now_s, duration_s)
         self.end_run(gripper)
 
-    def begin_run(self, data: mujoco.MjData) -> Gripper:
-        """Call ``format_action`` if it is due, and return the gripper for the compiled law."""
-        self._call_if_due(data)
-        goal, stopped, flags = self._room
-        goal[:], sucks = self._goal, self.cups.draw(self._goal)
+    def begin_run(self, data: mujoco.MjData, now_s: float) -> Gripper:
+        """
+        Return the gripper for the compiled law; without a rule, call ``format_action`` if due.
+
+        :param now_s: simulation time since the last reset [s]
+        """
+        rule = self._rule
+        if rule is no_rule():
+            self._call_if_due(data, now_s)
+        goal, stopped, flags, action = self._room
+        sucks = self.cups.draw(self._goal)
         if sucks:
+            goal[:] = self._goal
             self.cups.lead(goal, self._actuators.ranges[:, 0], data)
+        else:
+            goal = self._goal
+        if self._action is not None:
+            action[:] = self._action
         flags[:] = (self._moving or sucks, self._turned, self._action is not None,
-                    self._actuators.is_pair)
-        return self._derived.made_of(
+                    self._actuators.is_pair, rule is not no_rule(), False, False)
+        gripper = self._derived.made_of(
             _gripper, self._actuators.fingers(self._tolerance), goal, self._to_end,
-            self._pressing, self._pace, stopped, flags)
+            self._pressing, self._pace, stopped, flags, action, self._call, rule)
+        self._derived.of['kept'] = self._physics.arrays, gripper
+        return gripper
 
     @property
-    def _room(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Room for the goals of an interval, and for what the compiled law says of the fingers."""
-        room: tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None = (
+    def kept(self) -> Gripper | None:
+        """The gripper for the law, as it was last, if its fingers may move again like that."""
+        arrays, gripper = self._derived.of.get('kept', (None, None))
+        if gripper is None or arrays is not self._physics.arrays:
+            return None
+        # Those of a restored state, and after a reset, are others.
+        grip: Grip = gripper.grip
+        same = grip.goal is self._goal and grip.rule is self._rule and grip.flags[RULED]
+        return gripper if same else None
+
+    @property
+    def _rule(self) -> Rule:
+        """The rule that the law follows, or that without commands where Python takes actions."""
+        gripper, made = self.part.gripper, self._derived.of
+        assert gripper is not None
+        if self.cups.names or not _OF_ACTIONS.isdisjoint(vars(gripper)):
+            return no_rule()
+        if 'rule' not in made:
+            rule = made['rule'] = gripper.action_rule
+            made['commands'] = np.zeros(0 if rule is None else len(rule.numbers))
+        rule, commands = made['rule'], made['commands']
+        if rule is None or not len(commands):
+            return no_rule()
+        if len(rule.steps):
+            if gripper.current_action.shape != rule.steps.shape:
+                gripper.current_action = np.resize(gripper.current_action, rule.steps.shape)
+            commands = gripper.current_action
+        return self._derived.made_of(_with_commands, rule, commands)
+
+    @property
+    def _room(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
+        """Room for goals of an interval, what the law says of the fingers, and the action."""
+        room: tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray] | None = (
             self._derived.of.get('room'))
         if room is None:
             count = len(self.part.actuators)
             room = self._derived.of['room'] = (
-                np.zeros(count), np.zeros(count), np.zeros(4, np.bool_))
+                np.zeros(count), np.zeros(count), np.zeros(7, np.bool_), np.zeros(self.dof))
         return room
 
     def end_run(self, gripper: Gripper) -> None:
         """Take over what the compiled law has changed; end commands once all fingers stand."""
-        moved, self._moving, self._turned = (
-            self._moving, bool(gripper.grip.flags[MOVES]), bool(gripper.grip.flags[TURNED]))
+        grip, flags = gripper.grip, gripper.grip.flags
+        if not (self._moving or flags[MOVES] or flags[RENEWED]):
+            return
+        if flags[RENEWED]:
+            self._take_renewed(grip)
+        moved, self._moving, self._turned = self._moving, bool(flags[MOVES]), bool(flags[TURNED])
+        if not flags[ACTS]:
+            self._action = None
         if moved and not self._moving:
             for command in list(self.commands.running):
-                self.commands.finish(command, self._goal - gripper.grip.stopped)
+                self.commands.finish(command, self._goal - grip.stopped)
 
-    def until_call(self, data: mujoco.MjData) -> int | None:
-        """Return after how many physics steps ``format_action`` is due again, or None."""
-        if self._action is None:
+    @property
+    def stands(self) -> bool:
+        """Whether compiled code can go on with it by itself."""
+        return not self.cups.draw(self._goal) and (
+            self._action is None or self._rule is not no_rule())
+
+    def stand(self, gripper: Gripper) -> None:
+        """Let compiled code go on by itself until a command ends that somebody else may know."""
+        renewed = self._derived.of.get('renewed')
+        gripper.grip.flags[AWAITED] = any(
+            [command is not renewed for command in self.commands.running])
+
+    def renews(self, command: GripperAction) -> bool:
+        """
+        Return whether compiled code may give an action other numbers while it goes on by itself.
+
+        :param command: that was applied, nobody else has it
+        """
+        renews = self._in_step and self.commands.rival(command) is None
+        if renews:
+            self._derived.of['renewed'] = command
+        return renews
+
+    def _take_renewed(self, grip: Grip) -> None:
+        """Take over an action that compiled code was given, as if it had come just now."""
+        command: GripperAction = self._derived.of['renewed']
+        grip.flags[RENEWED] = False
+        command.action[:] = grip.action
+        self._action, self._moving = command.action, True
+        if not self.commands.running:
+            self.commands.running.append(command)
+            command.handle.status, command.handle.error = Status.RUNNING, None
+
+    def until_call(self, now_s: float) -> int | None:
+        """
+        Return after how many physics steps ``format_action`` is due again, or None.
+
+        :param now_s: simulation time since the last reset [s]
+        """
+        if self._action is None or self._rule is not no_rule():
             return None
-        left_s = self._next_call_s - self._timestep_s / 2.0 - data.time
-        return max(1, math.ceil(float(left_s) / self._timestep_s - 1e-6))
+        due_s, half_s = self._call
+        return max(1, math.ceil(float(due_s - half_s - now_s) / self._timestep_s - 1e-6))
 
-    def _call_if_due(self, data: mujoco.MjData) -> None:
+    def _call_if_due(self, data: mujoco.MjData, now: float) -> None:
         """Call the gripper's ``format_action`` if it is due."""
-        now, period_s = data.time, 1.0 / GRIPPER_RATE_HZ
-        if self._action is None or now < self._next_call_s - self._timestep_s / 2.0:
+        period_s, (due_s, half_s) = 1.0 / GRIPPER_RATE_HZ, self._call.tolist()
+        if self._action is None or now < due_s - half_s:
             return
-        late = now - self._next_call_s
-        self._next_call_s = period_s + (self._next_call_s if late < period_s else now)
+        self._call[0] = period_s + (due_s if now - due_s < period_s else now)
         goal = self._formatted_goal()
         if goal is None:
             return
@@ -288,3 +380,8 @@ class GripperController:
 
 def _gripper(fingers: Any, *grip: Any) -> Gripper:
     return Gripper(fingers, Grip(*grip))
+
+
+def _with_commands(rule: ActionRule, commands: FloatArray) -> Rule:
+    return Rule(rule.numbers, np.ascontiguousarray(rule.steps), rule.proportional, rule.sources,
+                rule.still, commands)

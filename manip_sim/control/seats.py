@@ -16,7 +16,7 @@ from manip_sim.control.cartesian.arms import Arms
 from manip_sim.control.law.joint_records import PLAIN
 from manip_sim.control.payloads import Payloads
 from manip_sim.control.servos import Servos
-from manip_sim.control.user_laws import Law
+from manip_sim.control.user_laws import COSTLY, Law
 from manip_sim.control.watchdog import watch
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
@@ -29,6 +29,8 @@ from manip_sim.quoting import one_line
 _NOBODY = np.zeros(0, np.int64)
 #: Status of a law of which an effort is not finite, see :mod:`manip_sim.control.law.seat`.
 _NOT_FINITE = 2
+#: Where the wrench is in the costly arguments of a law.
+_WRENCH = COSTLY.index('wrench')
 
 
 class SeatState:
@@ -45,13 +47,16 @@ class SeatState:
     :ivar status: of calls and of failure, as the compiled law has it, shape (3,)
     """
 
-    not_in_digest = ('law', 'is_compiled', 'status')
-
     def __init__(self, law: Law, parameters: FloatArray, compiled: bool) -> None:
         self.law, self.name, self.is_compiled = law, law.name, compiled
         self.parameters, self.memory = parameters, np.zeros(law.memory)
         self.wrench, self.status = np.zeros(6), np.zeros(3, np.int64)
         self.acts = True
+
+    @property
+    def not_in_digest(self) -> tuple[str, ...]:
+        """What is no state, or makes no difference, as a wrench that the law does not read."""
+        return ('law', 'is_compiled', 'status', *(() if self.law.reads[_WRENCH] else ('wrench',)))
 
     def restart(self) -> None:
         """Forget all but the parameters, and act."""
@@ -223,6 +228,7 @@ class Seats:
             room.of.update(
                 state=state, forces=self._physics.data.cfrc_ext, others=np.zeros(6),
                 starts=np.zeros((len(indices), 2)),
+                reads=state.law.reads if state.is_compiled else np.ones(len(COSTLY), dtype=bool),
                 code=state.law.code.address if state.is_compiled else 0,
                 arguments=Arguments.of(
                     len(indices), state.parameters, state.memory, state.wrench))
@@ -231,7 +237,7 @@ class Seats:
         return Seat(made['code'], self._physics.arrays, made['forces'], made['others'], setpoints,
                     efforts, room.made_of(self._joints, part, self._servos.records,
                                           payloads.loads_of(indices)),
-                    made['starts'], made['arguments'], state.status)
+                    made['starts'], made['arguments'], made['reads'], state.status)
 
     def _joints(self, part: str, servos: Any, loads: Any) -> Any:
         from manip_sim.control.law.seat import SeatJoints  # It imports numba.

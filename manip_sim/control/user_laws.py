@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+import dis
 from functools import cached_property, update_wrapper
 import inspect
 import logging
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import one_line, quoted, shown
@@ -23,6 +24,8 @@ from manip_sim.quoting import one_line, quoted, shown
 #: Names of the arguments of a law.
 ARGUMENTS = ('t', 'q', 'v', 'bias', 'mass', 'jacobian', 'wrench', 'setpoint', 'parameters',
              'memory', 'effort')
+#: Those that are computed only for laws that read them, in the order of the compiled law.
+COSTLY = ('mass', 'jacobian', 'wrench')
 #: Start of the names of the control modes in which laws act.
 PREFIX = 'law:'
 #: Greatest number of floats that a law may remember.
@@ -46,6 +49,7 @@ class Law:
     :ivar defaults: of the parameters, by name
     :ivar memory: number of floats
     :ivar is_compiled: whether it is compiled
+    :ivar reads: which of :data:`COSTLY` it reads, shape (3,)
     :raises ModelError: if the function has another number of arguments or no name, or a default
         or the memory is not a number of its range
     """
@@ -63,6 +67,7 @@ class Law:
             raise ModelError(f"law '{self.name}': memory must be a whole number from 0 to "
                              f'{_MOST_MEMORY}, got {shown(memory)}')
         self.memory, self.is_compiled = memory, bool(compiled)
+        self.reads = _reads(function)
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any) -> object:
@@ -121,7 +126,8 @@ def law(parameters: Mapping[str, float] | Callable[..., object] | None = None, m
 
     The function is ``f(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory,
     effort)`` and fills ``effort``. It is called in each physics step for a part of n joints, with
-    arrays of its own that it may change:
+    arrays of its own that it may change. ``mass``, ``jacobian`` and ``wrench`` are computed only
+    for a law whose code mentions them, or which runs as plain Python:
 
     * ``t``: simulation time since the last reset [s]
     * ``q``, ``v``: positions [rad or m] and velocities of the joints, shape (n,)
@@ -230,6 +236,19 @@ def _checked_name(function: Callable[..., object]) -> str:
         raise ModelError(f"law '{name}' must take {len(ARGUMENTS)} arguments, "
                          f'{", ".join(ARGUMENTS)}: {error}') from error
     return name
+
+
+def _reads(function: Callable[..., object]) -> BoolArray:
+    """Return whether a law reads :data:`COSTLY` arguments, as far as its code tells."""
+    code: Any = getattr(function, '__code__', None)
+    names = code.co_varnames[:code.co_argcount] if inspect.iscode(code) else ()
+    if len(names) != len(ARGUMENTS) or code.co_flags & inspect.CO_VARARGS:
+        return np.ones(len(COSTLY), dtype=bool)
+    named = [instruction.argval for instruction in dis.get_instructions(code)]
+    # Some instructions name two variables.
+    used = {name for item in named for name in (item if isinstance(item, tuple) else [item])
+            if isinstance(name, str)}
+    return np.array([names[ARGUMENTS.index(name)] in used for name in COSTLY])
 
 
 def _checked_parameters(law_name: str, given: Mapping[str, float]) -> dict[str, float]:

@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from manip_sim.env.batched_actions import BatchedActions
 from manip_sim.env.task_env import (
     action_space, check_keywords, check_options, observation_space, SEEDS)
 from manip_sim.errors import CommandError, describe_choices, ModelError, UnknownNameError
@@ -105,6 +106,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
             self.worlds.simulations[0], made, min(self.worlds.threads, len(self.worlds)))
         self._episodes = [setting.create_episode(made, simulation, pictures)
                           for simulation in self.worlds.simulations]
+        first_episode = self._episodes[0]
+        self._actions = BatchedActions(
+            self.worlds, first_episode.actions, first_episode.period_s)
         self._answers = [setting.create_answers(episode) for episode in self._episodes]
         self._asked_s = 0.0
         self.task, self.task_description = made.name, made.instruction
@@ -266,8 +270,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         rewards, success, running = np.zeros(self.num_envs), np.zeros_like(acting), acting.copy()
         while running.any():
             indices = np.flatnonzero(running).tolist()
-            for index in indices:
-                self._answers[index].begin_period()
+            self._actions.begin_period(self._answers, indices)
             self.worlds.advance(self._episodes[0].steps, where=running)
             for index in indices:
                 episode = self._episodes[index]

@@ -249,6 +249,18 @@ def renew_actions(table: IntArray, robots: IntArray, worlds: IntArray, indices: 
     _period().renew_actions(table, robots, worlds, indices, actions)
 
 
+def renew_grips(robots: IntArray, worlds: IntArray, number: int, actions: FloatArray) -> None:
+    """
+    Give actions of grippers other numbers, as if equal ones had replaced them, in some worlds.
+
+    :param robots: address of the row of the robot in each world, shape (count,)
+    :param worlds: which of them, all go on, shape (k,)
+    :param number: of the gripper of the robot
+    :param actions: in [-1, 1], shape (count, dof)
+    """
+    _period().renew_grips(robots, worlds, number, actions)
+
+
 def is_loaded() -> bool:
     """Return whether compiled code is there already, whose import takes a while."""
     return _period.cache_info().currsize > 0

@@ -196,6 +196,9 @@ class ControlPeriods:
         if self._steps.goes_on and not self._pulls and all([
                 robot in acting or robot.stands_resting for robot in self._robots]):
             self._standing = acting, runs
+            standing = dict(zip(acting, runs))
+            for robot in self._robots:
+                robot.runs.standing = standing.get(robot)
             self.compiled.stand(steps, until_s, len(acting) > 0)
 
     def _begin_control(self, period_s: float) -> None:

@@ -19,8 +19,8 @@ from manip_sim.control.cartesian.cartesian_settings import IMPEDANCE
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
 from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.commands import (
-    Command, CommandHandle, GripperCommand, JointSetpoint, JointTrajectory, NoCommand, Status,
-    TrajectoryReference)
+    Command, CommandHandle, GripperAction, GripperCommand, JointSetpoint, JointTrajectory,
+    NoCommand, Status, TrajectoryReference)
 from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
@@ -603,7 +603,7 @@ class SimulatedRobot:
         self.joints.tick(self._physics.data, self._clock.control_s, duration_s)
         for gripper in self.grippers.values():
             if gripper.moving:
-                gripper.tick(self._physics.data, duration_s)
+                gripper.tick(self._physics.data, self._clock.control_s, duration_s)
 
     def stand(self, run: RobotRun) -> float | None:
         """
@@ -617,9 +617,10 @@ class SimulatedRobot:
 
     @property
     def _may_stand(self) -> bool:
-        """True if nothing but joints has to be looked at in a control period."""
+        """True if nothing but joints and fingers has to be looked at in a control period."""
         return not (self._late or self.sensing.settings.delays or self.sensing.settings.measures
-                    or self.reflexes.armed or self.reflexes.is_recovering or self.grippers_move)
+                    or self.reflexes.armed or self.reflexes.is_recovering
+                or not all([gripper.stands for gripper in self.grippers.values()]))
 
     @property
     def stands_resting(self) -> bool:
@@ -638,6 +639,18 @@ class SimulatedRobot:
                 [other is command for other in self.joints.commands.running]):
             return 0
         return self.runs.address
+
+    def renews_grip(self, part: str, command: GripperAction) -> int:
+        """
+        Return where compiled code can give the action of a gripper other numbers, see above.
+
+        :param part: the gripper
+        :param command: that was applied, nobody else has it
+        :returns: address of the row of the robot; 0 if it has to be applied again
+        """
+        if self.faults.scheduled or self.sensing.settings.delays_commands or self.reflexes.tripped:
+            return 0
+        return self.runs.renews(part, command)
 
     def abort(self, reason: str) -> None:
         """

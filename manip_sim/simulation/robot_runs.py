@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.commands import GripperAction
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.law.arm_records import Targets
@@ -23,7 +24,6 @@ from manip_sim.physics.physics import Physics
 
 #: The compiled law moves so many grippers.
 _MOST_GRIPPERS = 2
-_NO_GRIPPERS = no_gripper(), no_gripper()
 
 
 class RunRoom(NamedTuple):
@@ -58,8 +58,8 @@ class RobotRun(NamedTuple):
 
     :ivar joints: its joints
     :ivar targets: of its end effectors
-    :ivar grippers: those that move, and others without fingers
-    :ivar controllers: of the grippers that move
+    :ivar grippers: those that move or may begin to, and others without fingers
+    :ivar moving: the former with their controllers
     :ivar intervals: physics steps of each interval, shape (k,)
     :ivar room: for the law
     :ivar seats: addresses of the rows of laws of users, shape (s,)
@@ -68,7 +68,7 @@ class RobotRun(NamedTuple):
     joints: RobotJoints
     targets: Targets
     grippers: tuple[Gripper, Gripper]
-    controllers: list[GripperController]
+    moving: list[tuple[GripperController, Gripper]]
     intervals: IntArray
     room: RunRoom
     seats: IntArray
@@ -104,16 +104,17 @@ class RobotRuns:
         joints, targets, count = run
         if count < len(intervals):
             intervals = intervals[:count]
-        moving = [gripper for gripper in self._grippers.values() if gripper.moving]
-        if not moving:
-            return RobotRun(joints, targets, _NO_GRIPPERS, moving, intervals, self._room,
-                            self._joints.seat_rows())
-        grippers = [gripper.begin_run(data) for gripper in moving]
-        calls = [steps for gripper in moving if (steps := gripper.until_call(data)) is not None]
-        count = _count_within(intervals.tolist(), min(calls)) if calls else len(intervals)
-        if count < len(intervals):
-            intervals = intervals[:count]
-        first, second, *_ = *grippers, no_gripper()
+        grippers, moving, now_s = [], [], self._clock.control_s
+        for controller in self._grippers.values():
+            moves = controller.moving
+            gripper = controller.begin_run(data, now_s) if moves else controller.kept
+            grippers.append(gripper or no_gripper())
+            if gripper is not None:
+                moving.append((controller, gripper))
+            until = controller.until_call(now_s) if moves else None
+            if until is not None:
+                intervals = intervals[:_count_within(intervals.tolist(), until)]
+        first, second, *_ = *grippers, no_gripper(), no_gripper()
         return RobotRun(joints, targets, self._derived.made_of(_pair, first, second), moving,
                         intervals, self._room, self._joints.seat_rows())
 
@@ -141,7 +142,7 @@ class RobotRuns:
         :param run: the intervals, of :meth:`begin`
         """
         self._joints.end_run(run.joints, run.targets, run.room.moved_s.item())
-        for controller, gripper in zip(run.controllers, run.grippers):
+        for controller, gripper in run.moving:
             controller.end_run(gripper)
 
     def stand(self, run: RobotRun) -> float | None:
@@ -151,9 +152,31 @@ class RobotRuns:
         :param run: the last intervals
         :returns: simulation time since the last reset at which a command times out [s], or None
         """
-        if run.controllers:
-            return None
+        for controller, gripper in run.moving:
+            controller.stand(gripper)
         return self._joints.stand(run.joints, run.targets, run.room.owners, run.room.acts)
+
+    @property
+    def standing(self) -> RobotRun | None:
+        """The intervals that compiled code goes on with by itself, if the robot acts in them."""
+        run: RobotRun | None = self._derived.of.get('standing')
+        return run
+
+    @standing.setter
+    def standing(self, run: RobotRun | None) -> None:
+        self._derived.of['standing'] = run
+
+    def renews(self, part: str, command: GripperAction) -> int:
+        """
+        Return where compiled code can give the action of a gripper other numbers.
+
+        :param command: that was applied, nobody else has it
+        :returns: address of the row of the robot; 0 if it has to be applied again
+        """
+        controller = self._grippers[part]
+        goes_on = self.standing is not None and any(
+            [other is controller for other, _ in self.standing.moving])
+        return self.address if goes_on and controller.renews(command) else 0
 
     def catch_up(self, run: RobotRun | None, begin_s: float | None) -> None:
         """
@@ -168,6 +191,8 @@ class RobotRuns:
             moved_s = -1.0 if begin_s is None else run.room.moved_s.item()
             self._joints.catch_up(
                 run.targets, moved_s, run.room.goals, run.room.renewed_s, self._clock.control_s)
+            for controller, gripper in run.moving:
+                controller.end_run(gripper)
 
 
 def _pair(first: Gripper, second: Gripper) -> tuple[Gripper, Gripper]:

@@ -198,13 +198,27 @@ class LateAnswers:
         :returns: the actions, and in how many steps they take effect
         :raises CommandError: if one cannot be carried out
         """
+        due = self.take_due()
+        self.apply(due)
+        return due
+
+    def take_due(self) -> list[tuple[int, FloatArray]]:
+        """Return the actions due within the next control period, as :meth:`begin_period` does."""
         begin = self._count
         end = begin + self._episode.steps
         due = [(time - begin, action) for time, action in self._waiting if time < end]
         self._waiting = self._waiting[len(due):]
+        return due
+
+    def apply(self, due: Sequence[tuple[int, FloatArray]]) -> None:
+        """
+        Let actions take effect within the next control period.
+
+        :param due: as :meth:`take_due` has returned them
+        :raises CommandError: if one cannot be carried out
+        """
         for steps, action in due:
             self._episode.actions.apply(action, self._episode.period_s, steps)
-        return due
 
     def advance(self) -> list[tuple[int, FloatArray]]:
         """

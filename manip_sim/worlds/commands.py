@@ -7,21 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.clamping import clamp
-from manip_sim.control.cartesian.cartesian_commands import PoseAction
 from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
 from manip_sim.control.modes import POSITION, VELOCITY
 from manip_sim.control.setpoints import wait_in_worlds
 from manip_sim.errors import CommandError
 from manip_sim.physics.physics import EPOCH, STEPS
 from manip_sim.simulation import SimulatedRobot
-from manip_sim.simulation.compiled_period import renew, renew_actions
+from manip_sim.simulation.compiled_period import renew, renew_actions, renew_grips
 from manip_sim.validation import positive_number
 from manip_sim.worlds.rows import chosen, rows
 
@@ -73,6 +72,8 @@ class RowByRow:
     def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
                  ) -> None:
         self._robots, self._table, self._timestep_s = robots, table, timestep_s
+        #: By part: the last action of each world, which nobody else has, and which go on.
+        self._actions: dict[str, tuple[dict[int, Any], GoingOn]] = {}
 
     def _apply(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]],
                where: ArrayLike | None, period_s: float | None) -> None:
@@ -92,6 +93,42 @@ class RowByRow:
 
     def _rows(self, values: ArrayLike, what: str) -> FloatArray:
         return rows(values, len(self._robots), what)
+
+    def _act(self, part: str, numbers: FloatArray, mask: BoolArray, period_s: float | None,
+             parse: Callable[[SimulatedRobot, FloatArray], Command],
+             address: Callable[[SimulatedRobot, Any], int],
+             renew: Callable[[GoingOn, IntArray, IntArray], None]) -> None:
+        """
+        Command an action in some worlds; those that go on with one get other numbers.
+
+        :param numbers: of the actions, shape (count, n)
+        :param mask: of the worlds, shape (count,)
+        :param parse: returns the command of a world, with ``action``
+        :param address: as of :meth:`GoingOn.find`, of a robot and its last action
+        :param renew: gives the numbers to worlds that go on with actions for some indices
+        """
+        inside = mask & (np.abs(numbers) <= 1.0).all(axis=1)
+        running, going_on = self._actions.setdefault(
+            part, ({}, GoingOn(self._table, self._timestep_s)))
+        if np.isfinite(numbers).all():
+            worlds = going_on.find(inside, period_s, lambda world: (
+                address(self._robots[world], running[world]) if world in running else 0))
+            if len(worlds):
+                renew(going_on, worlds, running[worlds.item(0)].indices)
+            others = np.ones(len(mask), dtype=bool)
+            others[worlds] = False
+            mask, inside = mask & others, inside & others
+        # Where nothing has to be clamped or rejected, actions differ in nothing but numbers.
+        command: Any = None
+
+        def parsed(robot: SimulatedRobot, world: int) -> list[Command]:
+            nonlocal command
+            if not inside[world]:
+                return [parse(robot, numbers[world])]
+            command = command or parse(robot, numbers[world])
+            running[world] = replace(command, action=numbers[world], handle=CommandHandle())
+            return [running[world]]
+        self._apply(parsed, mask, period_s)
 
 
 class _Stream(NamedTuple):
@@ -142,8 +179,19 @@ class Commands(RowByRow):
         :raises UnknownNameError: if the part is unknown
         """
         numbers = self._rows(action, f'{part}: actions')
-        self._apply(lambda robot, world: [robot.parse.action(part, numbers[world])], where,
-                    period_s)
+        grippers = self._robots[0].grippers
+        if not (isinstance(part, str) and part in grippers
+                and numbers.shape[1:] == (grippers[part].dof,)):
+            self._apply(lambda robot, world: [robot.parse.action(part, numbers[world])], where,
+                        period_s)
+            return
+        number = [*grippers].index(part)
+
+        def renew(going_on: GoingOn, worlds: IntArray, _: IntArray) -> None:
+            renew_grips(going_on.robots, worlds, number, numbers)
+        self._act(part, numbers, chosen(where, len(self._robots)), period_s,
+                  lambda robot, action: robot.parse.action(part, action),
+                  lambda robot, command: robot.renews_grip(part, command), renew)
 
     def joint_command(self, names: Sequence[str], position: ArrayLike | None = None,
                       velocity: ArrayLike | None = None, effort: ArrayLike | None = None, *,
@@ -314,12 +362,6 @@ class CartesianCommands(RowByRow):
     :param timestep_s: length of a physics step [s]
     """
 
-    def __init__(self, robots: Sequence[SimulatedRobot], table: IntArray, timestep_s: float
-                 ) -> None:
-        super().__init__(robots, table, timestep_s)
-        #: By arm: the last action of each world, which nobody else has, and the worlds that go on.
-        self._actions: dict[str, tuple[dict[int, PoseAction], GoingOn]] = {}
-
     def pose(self, arm: str, position: ArrayLike, quat_xyzw: ArrayLike, frame: str = '', *,
              where: ArrayLike | None = None, period_s: float | None = None) -> None:
         """
@@ -423,41 +465,12 @@ class CartesianCommands(RowByRow):
         """
         numbers = self._rows(action, f'{arm}: pose actions')
         mask = chosen(where, len(self._robots))
-        inside = mask & (np.abs(numbers.reshape(len(numbers), -1)) <= 1.0).all(axis=1)
-        if not isinstance(arm, str) or numbers.shape[1:] != (6,) or not inside.any():
+        if not isinstance(arm, str) or numbers.shape[1:] != (6,):
             self._apply(lambda robot, world: [robot.parse_cartesian.action(arm, numbers[world])],
                         mask, period_s)
             return
-        if np.isfinite(numbers).all():
-            others = np.ones(len(mask), dtype=bool)
-            others[self._go_on(arm, numbers, inside, period_s)] = False
-            mask, inside = mask & others, inside & others
-            if not mask.any():
-                return
-        # Where nothing has to be clamped or rejected, actions differ in nothing but numbers.
-        command = None
-        if inside.any():
-            first = int(np.flatnonzero(inside)[0])
-            command = self._robots[first].parse_cartesian.action(arm, numbers[first])
-            running, _ = self._actions.setdefault(
-                arm, ({}, GoingOn(self._table, self._timestep_s)))
 
-        def parsed(robot: SimulatedRobot, world: int) -> list[PoseAction]:
-            if command is None or not inside[world]:
-                return [robot.parse_cartesian.action(arm, numbers[world])]
-            running[world] = replace(command, action=numbers[world], handle=CommandHandle())
-            return [running[world]]
-        self._apply(parsed, mask, period_s)
-
-    def _go_on(self, arm: str, actions: FloatArray, mask: BoolArray, period_s: float | None
-               ) -> IntArray:
-        """Let actions that run in worlds that go on have other numbers; return where they do."""
-        if arm not in self._actions:
-            return np.zeros(0, np.int64)
-        running, going_on = self._actions[arm]
-        worlds = going_on.find(mask, period_s, lambda world: (
-            self._robots[world].streams(running[world]) if world in running else 0))
-        if len(worlds):
-            renew_actions(self._table, going_on.robots, worlds, running[worlds.item(0)].indices,
-                          actions)
-        return worlds
+        def renew(going_on: GoingOn, worlds: IntArray, indices: IntArray) -> None:
+            renew_actions(self._table, going_on.robots, worlds, indices, numbers)
+        self._act(arm, numbers, mask, period_s, lambda robot, action: (
+            robot.parse_cartesian.action(arm, action)), SimulatedRobot.streams, renew)

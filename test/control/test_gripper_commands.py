@@ -564,3 +564,29 @@ def test_an_effort_at_a_finger_is_the_force_of_its_actuator_by_gear_and_tendon(f
     assert simulation.model.actuator_forcerange[actuator] == pytest.approx([-20.0, 20.0])
     limit.set(0.0)
     assert simulation.model.actuator_forcerange[actuator] == pytest.approx([-20.0, 20.0])
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('name', [
+    'PandaGripper', 'RobotiqThreeFingerGripper', 'JacoThreeFingerDexterousGripper',
+    'FourierLeftHand'])
+def test_the_rule_of_a_gripper_does_what_its_format_action_does(name, one_joint_arm):
+    simulations = []
+    for _ in range(2):
+        robot = one_joint_arm()
+        robot.add_gripper(create_gripper(name))
+        simulations.append(Simulation(World([robot])))
+    gripper = simulations[1].robot.parts[GRIPPER].gripper
+    assert gripper.action_rule is not None
+    gripper.format_action = gripper.format_action  # No rule stands for what a user has changed.
+    assert gripper.action_rule is None
+    draw = np.random.default_rng(0)
+    for period in range(80):
+        steps = int(draw.integers(3, 40))
+        if draw.random() < 0.5:
+            action = draw.choice([-1.0, -0.3, 0.0, 0.5, 1.0], size=gripper.dof)
+            for simulation in simulations:
+                simulation.robot.apply(simulation.robot.parse.action(GRIPPER, action))
+        for simulation in simulations:
+            simulation.advance(steps)
+        assert simulations[0].digest() == simulations[1].digest(), period

@@ -74,6 +74,37 @@ def test_a_compiled_law_and_plain_python_give_the_same_bits(panda_sim):
     assert np.abs(panda_sim.robot.state().position[:2]).max() > 0.05
 
 
+def test_arguments_that_cost_something_are_computed_for_laws_that_mention_them(panda_sim):
+    def weightless(t, q, v, bias, m, jacobian, w, setpoint, parameters, memory, effort):
+        effort[:] = bias
+        if memory[0] > 1.0:
+            (lambda: jacobian)()
+
+    def wrapped(*arguments):
+        weightless(*arguments)
+    lazy, other = Law(weightless, memory=1), Simulation(panda_sim.world)
+    assert lazy.reads.tolist() == [False, True, False]
+    assert Law(spring.function).reads.tolist() == [True, False, False]
+    assert Law(wrapped).reads.all()
+    holding = Law(holding_alone)
+    assert not holding.reads.any()
+    for simulation, is_compiled in ((panda_sim, True), (other, False)):
+        simulation.robot.set_law('arm', holding, compiled=is_compiled)
+        tool = simulation.model.site(simulation.robot.end_effectors['right'].grip_site).bodyid[0]
+        simulation.data.xfrc_applied[tool, 0] = 5.0
+        simulation.advance(5)
+        seats = simulation.robot.joints.seats
+        (part,) = seats.of
+        mass, jacobian, wrench = seats._room(part).of['arguments'][4:7]
+        # Plain Python may look at them in a debugger.
+        assert mass.any() == jacobian.any() == wrench.any() == (not is_compiled)
+    assert panda_sim.digest() == other.digest()
+
+
+def holding_alone(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+    effort[:] = bias - 5.0 * v
+
+
 def test_a_law_that_computes_the_torque_follows_a_stream_closely(panda_sim):
     panda_sim.robot.set_law('arm', spring, stiffness=900.0, damping=60.0)
     robot = panda_sim.robot

@@ -174,6 +174,13 @@ def _hit(robot):
     data.joint('cube_joint').qvel[:] = 0.0, 0.0, 2.0, 0.0, 0.0, 0.0
 
 
+def _grip(robot):
+    data = robot._physics.data
+    place = data.site(robot.end_effectors['right'].grip_site).xpos
+    data.joint('cube_joint').qpos[:3] = place
+    data.joint('cube_joint').qvel[:] = 0.0
+
+
 def _blow(robot):
     robot._physics.model.opt.wind[:] = 50.0
     robot._physics.model.opt.density = 1.2
@@ -195,6 +202,8 @@ def held(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, ef
 _BETWEEN = [
     [lambda robot: None], [_push], [_hit], [_blow], [_take], [_take, _hit],
     [lambda robot: robot.apply(robot.parse.action('right/gripper', [1.0]))],
+    [_grip, lambda robot: robot.apply(*robot.parse.joint_command(
+        robot.grippers['right/gripper'].joints.names[:1], position=[0.03]))],
     [lambda robot: robot.set_wrench_cutoff('right', 20.0), _hit],
     [_hit, lambda robot: robot.tare_wrench()],
     [lambda robot: robot.set_payload('right', 0.3, [0.0, 0.0, 0.1]), _hit],
@@ -248,7 +257,14 @@ def _command(kind, worlds, alone, period, steps):
             names, **{field: np.tile(goals, (len(where), 1))}, where=where, period_s=period_s)
         alone.robot.apply(*alone.robot.parse.joint_command(
             names, **{field: goals}), period_s=period_s)
-    elif kind == 'osc':
+    elif kind in ('osc', 'lead'):
+        if period // 20 % 2:  # It closes, turns back, and may stay open.
+            grip = [np.sign(np.sin(0.4 * period)) if period // 40 % 2 else (
+                1.0 if period % 20 < 8 else -1.0)]
+            worlds.robot.command.action(
+                'right/gripper', np.tile(grip, (len(where), 1)), where=where, period_s=period_s)
+            alone.robot.apply(
+                alone.robot.parse.action('right/gripper', grip), period_s=period_s)
         # Now and then far enough for an arm that is held, and off its way.
         actions = (0.9 if period // 50 % 2 else 0.2) * np.sin(0.15 * period + np.arange(6))
         worlds.robot.command_cartesian.action(
@@ -258,7 +274,7 @@ def _command(kind, worlds, alone, period, steps):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('kind', ['rest', 'stream', 'osc'])
+@pytest.mark.parametrize('kind', ['rest', 'stream', 'osc', 'lead'])
 def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_once):
     world = compose('Panda', arena=create_arena('table', cube=True))
     worlds, alone = Worlds(world, 1, 1), Simulation(world)
@@ -319,8 +335,8 @@ def test_no_world_that_goes_on_takes_a_command_that_is_invalid_in_another_one(ki
 
 
 @pytest.mark.full
-def test_ends_of_the_reach_are_told_as_by_python(at_once):
-    world, went_on = compose('Panda'), 0
+def test_ends_of_the_reach_and_of_grips_are_told_as_by_python(at_once):
+    world, went_on, grips = compose('Panda'), 0, []
     worlds, alone = Worlds(world, 1, 1), Simulation(world)
     BY_PYTHON.append(alone.periods)
     first = worlds.simulations[0]
@@ -330,17 +346,23 @@ def test_ends_of_the_reach_are_told_as_by_python(at_once):
         action = np.array([along, 0.0, 0.0, 0.0, 0.0, 0.0])
         worlds.robot.command_cartesian.action('right', action[None], period_s=0.02)
         alone.robot.apply(alone.robot.parse_cartesian.action('right', action), period_s=0.02)
+        if not grips:
+            grips = [simulation.robot.parse.action('right/gripper', [-1.0])
+                     for simulation in (alone, first)]
+            alone.robot.apply(grips[0])
+            first.robot.apply(grips[1])
         worlds.advance(STEPS)
         alone.advance(STEPS)
         _same(first, alone)
+        assert grips[0].handle.status is grips[1].handle.status
         went_on += first.physics.standing[BECAME] == WENT_ON
     _same_digest(first, alone)
-    assert went_on > 100
+    assert went_on > 100 and not grips[0].handle.is_active
     assert alone.robot.joints.cartesian.reports['right'].unreachable > 1
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', [3, 4, 6])
 def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at_once):
     draw, went_on = np.random.default_rng(seed), 0
     world = compose('Panda', arena=create_arena('table', cube=True))
@@ -370,7 +392,8 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                 alone.restore(saved[0])
                 first.restore(saved[1])
             if draw.random() < 0.05:
-                kind, steps = draw.choice(['rest', 'stream', 'osc']), int(draw.choice([STEPS, 4]))
+                kind = draw.choice(['rest', 'stream', 'osc', 'lead'])
+                steps = int(draw.choice([STEPS, 4]))
             _command(kind, worlds, alone, period, steps)
             worlds.advance(steps)
             with contextlib.suppress(DivergenceError):

@@ -485,14 +485,14 @@ class CartesianController:
         """
         Let compiled code go on with the targets of commands, and return whether it may.
 
-        It may with arms that exert efforts for a goal that rests.
+        It may with arms that are on their way to a goal that rests.
 
         :param targets: as :meth:`begin_run` has returned them
         """
         for number, command in enumerate(commands):
             task, report = targets.tasks[number], self.reports[command.arm]
             streams = self._targets[command.arm].stream is not None
-            if (streams or task['acts'] != EXERTS or task['follows'] != RESTS or task['impedes']
+            if (streams or task['settled'] or task['follows'] != RESTS or task['impedes']
                     or not report.active.issubset(_KNOWN)):
                 return False
             task['awaited'], task['seen_s'] = command.handle.is_active, report.seen_s

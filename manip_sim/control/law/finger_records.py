@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.law.joint_records import readable
 
 #: An actuator of a gripper: its id, its address in ``act`` where it integrates; gain of a servo
@@ -26,14 +26,36 @@ FINGER = np.dtype([
         'reach_above', 'tolerance')),
     *((name, np.bool_) for name in ('is_servo', 'integrates'))], align=True)
 #: Flags of a gripper: setpoints move, or a finger that was sent to an end has yet to stop; the
-#: goals are new; ``format_action`` will be called again; there are two independent fingers that
-#: close on each other.
-MOVES, TURNED, ACTS, PAIR = range(4)
+#: goals are new; an action will be taken again; there are two independent fingers that close on
+#: each other; the law takes actions by a rule; Python has to look as soon as setpoints do not move
+#: any more; another action has come in compiled code.
+MOVES, TURNED, ACTS, PAIR, RULED, AWAITED, RENEWED = range(7)
+#: Rate at which an action of a gripper is taken again and again, that of robosuite [Hz].
+GRIPPER_RATE_HZ = 20.0
+
+
+class Rule(NamedTuple):
+    """
+    Meaning of the actions of a gripper, see :class:`~manip_sim.models.grippers.ActionRule`.
+
+    :ivar numbers: shape (m,), as ``commands``
+    :ivar steps: shape (m,), or (0,)
+    :ivar proportional: shape (1,)
+    :ivar sources: shape (n,), as ``still``
+    :ivar commands: the present ones, which the law changes
+    """
+
+    numbers: IntArray
+    steps: FloatArray
+    proportional: BoolArray
+    sources: IntArray
+    still: FloatArray
+    commands: FloatArray
 
 
 class Grip(NamedTuple):
     """
-    Where the setpoints of a gripper go; the law changes all but the first and the fourth.
+    Where the setpoints of a gripper go, which the law changes.
 
     :ivar goal: shape (n,)
     :ivar to_end: whether each was sent to the lower and the upper end of its range, and its finger
@@ -41,7 +63,10 @@ class Grip(NamedTuple):
     :ivar pressing: whether its finger has stopped before that, shape (n,)
     :ivar pace: of setpoints, at most [1/s], shape (n,)
     :ivar stopped: where the fingers were when all had come to rest, as setpoints, shape (n,)
-    :ivar flags: by :data:`MOVES`, :data:`TURNED`, :data:`ACTS`, :data:`PAIR`, shape (4,)
+    :ivar flags: by :data:`MOVES` and those that follow it, shape (7,)
+    :ivar action: that is taken again and again, in [-1, 1], shape (dof,)
+    :ivar call: simulation time when it is taken next, and half a physics step [s], shape (2,)
+    :ivar rule: its meaning, if the law takes it
     """
 
     goal: FloatArray
@@ -50,6 +75,9 @@ class Grip(NamedTuple):
     pace: FloatArray
     stopped: FloatArray
     flags: NDArray[np.bool_]
+    action: FloatArray
+    call: FloatArray
+    rule: Rule
 
 
 class Gripper(NamedTuple):
@@ -65,8 +93,16 @@ class Gripper(NamedTuple):
 
 
 @cache
+def no_rule() -> Rule:
+    """Return the rule of a gripper whose actions Python takes."""
+    none, nobody = np.zeros(0), np.zeros(0, np.int64)
+    return Rule(nobody, none, none > 0.0, nobody, none, none)
+
+
+@cache
 def no_gripper() -> Gripper:
     """Return a gripper without fingers, which does nothing."""
     none = np.zeros(0)
     return Gripper(readable(np.zeros(0, FINGER)), Grip(
-        none, np.zeros((0, 2), np.bool_), none > 0.0, none, none, np.zeros(4, np.bool_)))
+        none, np.zeros((0, 2), np.bool_), none > 0.0, none, none, np.zeros(7, np.bool_), none,
+        np.zeros(2), no_rule()))

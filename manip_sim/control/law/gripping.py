@@ -12,7 +12,8 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.compiling import compiled, inner
-from manip_sim.control.law.finger_records import ACTS, Grip, Gripper, MOVES, PAIR, TURNED
+from manip_sim.control.law.finger_records import (
+    ACTS, Grip, Gripper, GRIPPER_RATE_HZ, MOVES, PAIR, RULED, TURNED)
 from manip_sim.control.law.small_matrices import clip
 from manip_sim.physics.physics import WorldArrays
 
@@ -27,30 +28,33 @@ _CENTRES_S = 0.1
 #: Two fingers that press have settled if their setpoints move less in an interval, as a fraction
 #: of the range.
 _STEADY = 1e-3
+#: Time from one call of an action to the next one [s].
+_CALL_S = 1.0 / GRIPPER_RATE_HZ
 
 
 @compiled
-def move_fingers(world: WorldArrays, gripper: Gripper, duration: float) -> None:
+def move_fingers(world: WorldArrays, gripper: Gripper, now: float, duration: float) -> None:
     """
     Write the controls of a gripper for an interval, if its setpoints move or centre fingers.
 
     :param gripper: whose grip is changed
+    :param now: simulation time since the last reset [s]
     :param duration: of the interval [s]
     """
     fingers, grip = gripper.fingers, gripper.grip
+    if grip.flags[RULED] and grip.flags[ACTS] and now >= grip.call[0] - grip.call[1]:
+        _take_action(world, fingers, grip, now)
     centres = grip.flags[PAIR] and grip.pressing[0] and grip.pressing[1]
     if not (grip.flags[MOVES] or centres):
         return
     count = len(fingers)
     place, present, target = np.empty(count), np.empty(count), np.empty(count)
     for i in range(count):
-        finger = fingers[i]
-        place[i] = -(finger.offset + finger.per_length * world.lengths[finger.id]) / finger.gain
+        place[i] = _place(world, fingers[i])
     _end_at_ends(fingers, grip, place)
     for i in range(count):
         finger = fingers[i]
-        present[i] = (world.activations[finger.activation] if finger.integrates
-                      else world.controls[finger.id])
+        present[i] = _setpoint(world, finger)
         speed = -finger.per_length / finger.gain * world.speeds[finger.id]
         target[i] = _find_target(finger, grip, i, place[i], present[i], speed)
     centres = grip.flags[PAIR] and grip.pressing[0] and grip.pressing[1]
@@ -78,6 +82,78 @@ def move_fingers(world: WorldArrays, gripper: Gripper, duration: float) -> None:
         for i in range(count):
             grip.stopped[i] = place[i]
     grip.flags[MOVES], grip.flags[TURNED] = moves, False
+
+
+@inner
+def _place(world: WorldArrays, finger: Any) -> float:
+    """Return the setpoint at which a servo would rest where it is; zero for another actuator."""
+    return float(-(finger.offset + finger.per_length * world.lengths[finger.id]) / finger.gain)
+
+
+@inner
+def _setpoint(world: WorldArrays, finger: Any) -> float:
+    """Return the present setpoint of a servo, or the control of another actuator."""
+    return float(world.activations[finger.activation] if finger.integrates
+                 else world.controls[finger.id])
+
+
+@inner
+def _take_action(world: WorldArrays, fingers: Any, grip: Grip, now: float) -> None:
+    """Take an action that is due by its rule, as the controller does with other grippers."""
+    late, count = now - grip.call[0], len(fingers)
+    grip.call[0] = _CALL_S + (grip.call[0] if late < _CALL_S else now)
+    goal, place, back = np.empty(count), np.empty(count), False
+    _find_goal(fingers, grip, goal)
+    for i in range(count):
+        place[i] = _place(world, fingers[i])
+        ahead, left = grip.goal[i] - place[i], goal[i] - place[i]
+        back = back or (fingers[i].is_servo and ahead * left > 0.0 and abs(left) < abs(ahead))
+    if back:
+        _start_at(fingers, grip, place)
+        _find_goal(fingers, grip, goal)
+    same = True
+    for i in range(count):
+        same = same and abs(goal[i] - grip.goal[i]) <= fingers[i].tolerance
+    for i in range(count):
+        finger = fingers[i]
+        grip.goal[i] = clip(goal[i], finger.low, finger.high)
+        below = grip.goal[i] - finger.low <= finger.tolerance and finger.below > 0.0
+        above = finger.high - grip.goal[i] <= finger.tolerance and finger.above > 0.0
+        grip.pressing[i] = grip.pressing[i] and (
+            grip.to_end[i, 0] and below or grip.to_end[i, 1] and above)
+        grip.to_end[i, 0], grip.to_end[i, 1] = below, above
+        # Until the next call the setpoints move evenly, not in jumps.
+        grip.pace[i] = math.inf if same else abs(goal[i] - _setpoint(world, finger)) / _CALL_S
+    grip.flags[ACTS], grip.flags[TURNED] = not same, True
+
+
+@inner
+def _find_goal(fingers: Any, grip: Grip, goal: FloatArray) -> None:
+    """Let commands follow an action by a step of its rule, and write the goals."""
+    rule = grip.rule
+    for k in range(len(rule.commands)):
+        number = grip.action[rule.numbers[k]]
+        if len(rule.steps):
+            if not rule.proportional[0]:
+                number = 1.0 if number > 0.0 else -1.0 if number < 0.0 else 0.0
+            number = rule.commands[k] + rule.steps[k] * number
+        rule.commands[k] = clip(number, -1.0, 1.0)
+    for i in range(len(fingers)):
+        finger, source = fingers[i], rule.sources[i]
+        command = rule.still[i] if source < 0 else rule.commands[source]
+        goal[i] = finger.low + (command + 1.0) / 2.0 * (finger.high - finger.low)
+
+
+@inner
+def _start_at(fingers: Any, grip: Grip, place: FloatArray) -> None:
+    """Let commands go on from where fingers are."""
+    rule = grip.rule
+    for i in range(len(fingers) - 1, -1, -1):
+        finger = fingers[i]
+        if rule.sources[i] >= 0:
+            begin = clip(place[i], finger.low, finger.high) if finger.is_servo else grip.goal[i]
+            rule.commands[rule.sources[i]] = (
+                (begin - finger.low) / (finger.high - finger.low) * 2.0 - 1.0)
 
 
 @inner

@@ -17,7 +17,8 @@ from manip_sim.control.law.joint_records import (
 from manip_sim.control.law.kept import note_that_all_are_kept
 from manip_sim.control.law.leading import act, lead, press_on, put_ahead
 from manip_sim.control.law.loads import no_loads
-from manip_sim.control.law.period import renew, renew_actions, run_rows, SCRATCH
+from manip_sim.control.law.period import (
+    renew, renew_actions, renew_grips, run_rows, SCRATCH)
 from manip_sim.control.law.rows import Row
 from manip_sim.control.law.servo_rates import drive, find_efforts_beside, find_rates
 from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
@@ -67,12 +68,13 @@ def load_laws() -> None:
     put_ahead(world, world.kinematics, joints, targets, 0)
     press_on(world, none.copy(), none, targets, 0, 0, 0.0, 1.0)
     lead(world, world.kinematics, joints, none, targets, 0, 0.0)
-    move_fingers(world, no_gripper(), 0.1)
+    move_fingers(world, no_gripper(), 0.0, 0.1)
     if may_step(data):
         nowhere_yet, nobody_yet = np.zeros((0, 5), np.int64), places[:0].copy()
         run_rows(nobody_yet, nowhere_yet, nobody_yet, 1, Row(SCRATCH).address)
         renew(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)), 0.01, False)
         renew_actions(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)))
+        renew_grips(nobody_yet, nobody_yet, 0, np.zeros((0, _COUNT)))
     if not PLAIN:
         note_that_all_are_kept()
 

@@ -17,7 +17,8 @@ from manip_sim.control.law.arm_records import (
     ASIDE, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, NEARER, RESTS, Targets, targets_of)
 from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.driving import drive_base
-from manip_sim.control.law.finger_records import Gripper, no_gripper
+from manip_sim.control.law.finger_records import (
+    ACTS as TAKES, AWAITED, Gripper, MOVES as FINGERS_MOVE, no_gripper, RENEWED)
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import (
     ACTS, DUE, JOINT, MOVES, readable, RobotJoints, SERVO, WRITTEN)
@@ -209,7 +210,7 @@ def _act(addresses: Addresses, k: int, now: float, duration: float, world: World
         joints.flags[MOVES] = True
     moved = _move_joints(world, joints, k, leads, now, duration)
     for number in range(2):
-        move_fingers(world, grippers[number], duration)
+        move_fingers(world, grippers[number], now, duration)
     return moved
 
 
@@ -275,7 +276,7 @@ def _compare_targets(targets: Targets) -> None:
         task = targets.tasks[number]
         if task.acts == IDLE:
             continue
-        task.usual = int(task.follows == RESTS)
+        task.usual = int(task.follows == RESTS and task.settled == 0)
         for k in range(task.solutions):
             facts = targets.facts[number, k]
             if (facts.held != task.was_held or facts.singular != task.was_singular
@@ -343,6 +344,16 @@ def _is_usual(targets: Targets) -> bool:
 
 
 @inner
+def _are_awaited(grippers: tuple[Gripper, Gripper]) -> bool:
+    """Return whether fingers have come to rest for which Python waits."""
+    awaited = False
+    for number in range(2):
+        flags = grippers[number].grip.flags
+        awaited = awaited or flags[AWAITED] and not flags[FINGERS_MOVE]
+    return awaited
+
+
+@inner
 def _begin_targets(targets: Targets) -> None:
     """Let what becomes of targets in a period be noted."""
     for number in range(2):
@@ -407,7 +418,8 @@ def _become(period: Period) -> int:
     """Return what has become of a world that went on."""
     quiet = _is_quiet(period)
     for row in period.robots:
-        quiet = quiet and _is_usual(_read_robot(row).targets)
+        robot = _read_robot(row)
+        quiet = quiet and _is_usual(robot.targets) and not _are_awaited(robot.grippers)
     return int(WENT_ON if quiet else ENDED)
 
 
@@ -481,3 +493,21 @@ def renew_actions(table: IntArray, robots: IntArray, worlds: IntArray, indices: 
             targets.actions[number, k] = actions[world, k]
         for joint in indices:
             robot.renewed_s[joint] = period.time.counts[1] * period.time.step_ns * 1e-9
+
+
+@compiled
+def renew_grips(robots: IntArray, worlds: IntArray, number: int, actions: FloatArray) -> None:
+    """
+    Give actions of grippers other numbers, as if equal ones had replaced them, in some worlds.
+
+    :param robots: address of the row of the robot in each world, shape (count,)
+    :param worlds: which of them, shape (k,)
+    :param number: of the gripper of the robot
+    :param actions: in [-1, 1], shape (count, dof)
+    """
+    for world in worlds:
+        grip = _read_robot(robots[world]).grippers[number].grip
+        for k in range(len(grip.action)):
+            grip.action[k] = actions[world, k]
+        grip.flags[TAKES] = grip.flags[FINGERS_MOVE] = grip.flags[RENEWED] = True
+        grip.flags[AWAITED] = False

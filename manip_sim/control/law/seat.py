@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 import numpy as np
 from numpy.typing import NDArray
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.law.arm_records import Arm, CHAIN
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.joint_records import blank_state, PLAIN, readable, records, SERVO
@@ -35,6 +35,8 @@ from manip_sim.physics.physics import WorldArrays
 CALLS, INSIDE, FAILED = range(3)
 #: Why that is: it has raised an exception, or an effort is not finite.
 RAISED, NOT_FINITE = 1, 2
+#: Arguments that cost something, which are computed where the law reads them.
+MASS, JACOBIAN, WRENCH = range(3)
 #: The tip of a part: site of the end effector or -1, site of the sensor, first body of the tool,
 #: the one after its last, root of its tree.
 TIP, SENSOR, FIRST, END, ROOT = range(5)
@@ -99,6 +101,7 @@ class Seat(NamedTuple):
     :ivar joints: of the part
     :ivar starts: position and velocity of setpoints at the beginning of the interval, shape (n, 2)
     :ivar arguments: of the law
+    :ivar reads: by :data:`MASS`, :data:`JACOBIAN`, :data:`WRENCH`, whether the law reads it, (3,)
     :ivar status: by :data:`CALLS`, :data:`INSIDE`, :data:`FAILED`, shape (3,)
     """
 
@@ -111,6 +114,7 @@ class Seat(NamedTuple):
     joints: SeatJoints
     starts: FloatArray
     arguments: Arguments
+    reads: BoolArray
     status: IntArray
 
 
@@ -138,14 +142,15 @@ def sense(seat: Seat, now: float, share: float) -> None:
         joint, start = chain[i], seat.starts[i]
         x.q[i], x.v[i] = world.kinematics.positions[joint.qpos], world.velocities[joint.dof]
         x.bias[i] = world.bias[joint.dof] - world.carried[joint.dof]
-        for j in range(len(chain)):
-            x.mass[i, j] = world.inertia[places[i, j]] if places[i, j] >= 0 else 0.0
+        if seat.reads[MASS]:
+            for j in range(len(chain)):
+                x.mass[i, j] = world.inertia[places[i, j]] if places[i, j] >= 0 else 0.0
         end = seat.setpoints[joint.joint]
         x.setpoint[i, 0] = start[0] + share * (end.position - start[0])
         x.setpoint[i, 1] = start[1] + share * (end.velocity - start[1])
         x.setpoint[i, 2] = end.acceleration
         x.effort[i] = 0.0
-    if joints.tip[TIP] >= 0:
+    if seat.reads[JACOBIAN] and joints.tip[TIP] >= 0:
         find_jacobian(world.kinematics, joints.arm, world.kinematics.sites[joints.tip[TIP]],
                       x.jacobian)
 
@@ -173,7 +178,7 @@ def settle(seat: Seat) -> None:
 def feel(seat: Seat) -> None:
     """Note the wrench of the world on the tool, after a step."""
     tip, wrench, kinematics = seat.joints.tip, seat.arguments.wrench, seat.world.kinematics
-    if tip[TIP] < 0:
+    if tip[TIP] < 0 or not seat.reads[WRENCH]:
         return
     center, place = kinematics.centers[tip[ROOT]], kinematics.sites[tip[SENSOR]]
     axes, total, moment = kinematics.site_axes[tip[SENSOR]], np.zeros(6), np.empty(3)
@@ -219,7 +224,8 @@ def _example() -> Seat:
     arm = Arm(readable(np.zeros(0, CHAIN)), np.zeros((0, 0), np.int64), 0)
     joints = SeatJoints(arm, readable(np.zeros(0, SERVO)), np.zeros(5, np.int64), no_loads())
     return Seat(0, world, np.zeros((0, 6)), np.zeros(6), records(blank_state(none)), none, joints,
-                np.zeros((0, 2)), Arguments.of(0, none, none, np.zeros(6)), np.zeros(3, np.int64))
+                np.zeros((0, 2)), Arguments.of(0, none, none, np.zeros(6)),
+                np.zeros(3, np.bool_), np.zeros(3, np.int64))
 
 
 #: The places of a seat in its row.

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.catalogue_model import CatalogueModel, FromYaml
+from manip_sim.models.grippers.action_rules import ActionRule
 from manip_sim.models.grippers.gripper_model import GripperModel
 
 
@@ -65,23 +66,47 @@ class CatalogueGripper(CatalogueModel, GripperModel, registered=False):
         :returns: commands in [-1, 1], in the order of :attr:`actuators`, shape (nu,), a copy
         :raises CommandError: if the length is wrong or a number is not finite
         """
-        commands, law = self._checked(action), self._action
-        if law.get('steps', True):
-            size = commands if law.get('proportional') else np.sign(commands)
-            commands = self._integrate(
-                np.array(law.get('closing', [1.0])) * self.speed * size)
-        if 'actuators' in law:
-            commands = np.repeat(commands, law['actuators'])
-        return np.append(commands, law['still']) if 'still' in law else commands
+        rule = self._rule
+        commands = self._checked(action)[rule.numbers]
+        if rule.steps.size:
+            commands = self._integrate(rule.steps * (
+                commands if rule.proportional[0] else np.sign(commands)))
+        return np.where(rule.sources < 0, rule.still, np.append(commands, 0.0)[rule.sources])
 
     def start_at(self, command: ArrayLike) -> None:
         """
         Make :meth:`format_action` continue from an actuator command, where it moves by steps.
 
-        :param command: commands in [-1, 1], one for each actuator
+        :param command: commands in [-1, 1], one for each actuator; of several that follow the
+            same number, the first counts
         """
-        if self._action.get('steps', True):
-            super().start_at(command)
+        rule = self._rule
+        if rule.steps.size:
+            self.current_action = np.zeros(len(rule.steps))
+            follows = np.flatnonzero(rule.sources >= 0)[::-1]
+            self.current_action[rule.sources[follows]] = np.asarray(command)[follows]
+
+    @property
+    def action_rule(self) -> ActionRule | None:
+        """The meaning of actions, unless a subclass or an attribute has given them another."""
+        changed = any(name in vars(self) or getattr(type(self), name) is not getattr(
+            CatalogueGripper, name) for name in ('format_action', 'start_at'))
+        return None if changed else self._rule
+
+    @property
+    def _rule(self) -> ActionRule:
+        law = self._action
+        moves = law.get('steps', True)
+        closing = np.array(law.get('closing', [1.0]), dtype=float)
+        count = max(self.dof, len(closing)) if moves and self.dof else self.dof
+        sources = np.repeat(np.arange(count), law.get('actuators', [1]))
+        still = np.array(law.get('still', []), dtype=float)
+        return ActionRule(
+            np.arange(count) % max(self.dof, 1),
+            np.broadcast_to(closing, count) * self.speed if moves else np.zeros(0),
+            np.array([bool(law.get('proportional'))]),
+            np.append(sources, np.full(len(still), -1)),
+            np.append(np.zeros(len(sources)), still))
 
 
 class FourierLeftHand(CatalogueGripper, folder='fourier_left_hand'):

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models.grippers.action_rules import ActionRule
 from manip_sim.models.grippers.tactile import add_tactile_sensors
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
@@ -158,6 +159,11 @@ class GripperModel(MujocoXMLModel, ABC):
             :attr:`actuators`, shape (nu,), a copy
         :raises CommandError: if the length is wrong or a number is not finite
         """
+
+    @property
+    def action_rule(self) -> ActionRule | None:
+        """The meaning of actions as numbers; None where only :meth:`format_action` knows it."""
+        return None
 
     @property
     def rotation_offset(self) -> FloatArray:
