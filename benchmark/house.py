@@ -6,7 +6,8 @@ Print how large the package is, and how many of its functions a command and a st
 
 Lines of code are those without comments, docstrings and blank lines. An importer is another module
 of the package. Calls are counted in a node in this process: those of a JointState command until it
-is buffered, from the buffer to ``mj_step``, and of one interval between two calls of ``mj_step``.
+is buffered, and from the buffer to the first step of the physics, with the files that they are in;
+and those of a control period without a message, with all that the thread of the physics does.
 
     python3 benchmark/house.py [--names]
 """
@@ -24,12 +25,14 @@ import threading
 import time
 import tokenize
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'manip_sim'
 NOT_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
             tokenize.ENCODING, tokenize.ENDMARKER}
 PERIOD_S = 0.05
+#: Calls are counted in so many control periods after a command.
+_PERIODS = 10
 
 
 def modules() -> dict[str, Path]:
@@ -95,29 +98,43 @@ def print_size(with_names: bool) -> None:
         print(f'{len(names)} {what}' + (f': {", ".join(names)}' if with_names else ''))
 
 
+class Call(NamedTuple):
+    """A function that was called: its name with those around it, and its file."""
+
+    name: str
+    file: str
+
+
 class Calls:
     """The functions of the package, and some of MuJoCo, that threads call while it records."""
 
     def __init__(self) -> None:
-        self.by_thread: dict[str, list[str]] = defaultdict(list)
+        self.by_thread: dict[str, list[Call]] = defaultdict(list)
         self.recording = False
 
     def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
         """Record a call, as a profile function."""
         if not self.recording:
             return
-        calls = self.by_thread[threading.current_thread().name]
-        if event == 'call' and frame.f_code.co_filename.startswith(str(PACKAGE)):
-            calls.append(frame.f_code.co_qualname if sys.version_info >= (3, 11)
-                         else frame.f_code.co_name)
+        calls, code = self.by_thread[threading.current_thread().name], frame.f_code
+        if event == 'call' and code.co_filename.startswith(str(PACKAGE)):
+            calls.append(Call(code.co_qualname if sys.version_info >= (3, 11)
+                              else code.co_name, code.co_filename))
         elif event == 'c_call' and getattr(argument, '__name__', '').startswith('mj_step'):
-            calls.append('mj_step')
+            calls.append(Call('mj_step', ''))
 
-    def count(self, thread: str, first: str, last: str) -> int:
-        """Return how many calls a thread made from one function to the next call of another."""
+    def between(self, thread: str, first: str, through: str, last: tuple[str, ...]) -> list[Call]:
+        """Return the calls of a thread from one function through another to the next of others."""
         calls = self.by_thread[thread]
-        begin = next(i for i, call in enumerate(calls) if call.endswith(first))
-        return next(i for i in range(begin + 1, len(calls)) if calls[i].endswith(last)) - begin
+        middle = next(i for i, call in enumerate(calls) if call.name.endswith(through))
+        begin = next(i for i in range(middle, -1, -1) if calls[i].name.endswith(first))
+        end = next(i for i in range(middle, len(calls)) if calls[i].name.endswith(last))
+        return calls[begin:end]
+
+    def lengths(self, thread: str, name: str) -> list[int]:
+        """Return how many calls a thread made from each call of a function to the next one."""
+        begins = [i for i, call in enumerate(self.by_thread[thread]) if call.name.endswith(name)]
+        return [end - begin for begin, end in zip(begins, begins[1:])]
 
 
 def calls_to_a_world() -> int:
@@ -140,6 +157,7 @@ def print_calls_of_a_command() -> None:
     from sensor_msgs.msg import JointState
 
     from manip_sim.ros.sim_node import SimNode
+    from manip_sim.simulation.compiled_period import is_loaded
     calls = Calls()
     threading.setprofile(calls)
     rclpy.init()
@@ -157,21 +175,24 @@ def print_calls_of_a_command() -> None:
         calls.recording = position > 0.1
         publisher.publish(JointState(name=['robot0_joint1', 'robot0_joint2'],
                                      position=[position] * 2))
-        time.sleep(6 * PERIOD_S)
+        while not is_loaded():  # Laws are loaded, or compiled, as the first command takes effect.
+            time.sleep(PERIOD_S)
+        begin_ns = node.thread.progress.time_ns
+        while node.thread.progress.time_ns < begin_ns + _PERIODS * PERIOD_S * 1e9:
+            time.sleep(PERIOD_S)
     calls.recording = False
     node.stop()
     client.destroy_node()
     node.destroy_node()
     rclpy.shutdown()
-    print(f'{calls.count("commands", "_take", "CommandBuffer.add")} calls from a message to the '
-          'buffer')
-    physics = calls.by_thread['physics']
-    # MuJoCo's function, or what is asked for last before compiled code calls it.
-    steps = [i for i, call in enumerate(physics)
-             if call == 'mj_step' or call == 'run_prepared']
-    first = next(i for i, call in enumerate(physics) if call.endswith('PendingCommands.take'))
-    print(f'{next(i for i in steps if i > first) - first} calls from the buffer to mj_step')
-    print(f'{statistics.median(b - a for a, b in zip(steps, steps[1:])):.0f} calls of an interval')
+    to_buffer = calls.between('commands', '_take', 'submit', ('CommandBuffer.add',))
+    # MuJoCo's function, or what is called last before compiled code calls it.
+    to_step = calls.between(
+        'physics', 'PendingCommands.take', 'SimulatedRobot.apply', ('mj_step', '_row_in_thread'))
+    print(f'{len(to_buffer)} calls from a message to the buffer, {len(to_step)} from there to the '
+          f'first step, in {len({call.file for call in to_buffer + to_step})} files')
+    print(f'{statistics.median(calls.lengths("physics", "SimulationThread._period")):.0f} calls '
+          'of a control period without a message')
 
 
 def main() -> None:

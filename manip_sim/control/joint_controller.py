@@ -26,9 +26,9 @@ from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointImpedance, JointSetpoint, JointTrajectory, Status,
     TrajectoryReference, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
-from manip_sim.control.modes import Arrival, ControlMode, MODES
+from manip_sim.control.modes import Arrival, ControlMode, MODES, POSITION, VELOCITY
 from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
-from manip_sim.control.law.joint_records import RobotJoints
+from manip_sim.control.law.joint_records import MOVES, RobotJoints
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.control.payloads import Payloads
@@ -42,6 +42,8 @@ from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics
 
 C = TypeVar('C', bound=Command)
+#: Modes whose commands are goals of setpoints that go on by themselves.
+_STREAMED = (POSITION.name, VELOCITY.name)
 #: No joint that a trajectory leads.
 _NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
 #: No base that follows a twist.
@@ -435,6 +437,33 @@ class JointController(ControlledJoints):
         self._setpoints.now_s = now_s
         self._timeouts.renew(command.parts, now_s)
         command.values[:] = values
+        return True
+
+    def go_on(self, command: Command, goals: FloatArray, renewed_s: FloatArray, now_s: float,
+              period_s: float) -> bool:
+        """
+        Let a command replace one that differs in its numbers alone while compiled code goes on.
+
+        :param goals: of joints, see :meth:`catch_up`, changed
+        :param renewed_s: with them, changed
+        :param now_s: simulation time since the last reset [s]
+        :param period_s: length of a control period [s]
+        :returns: False, and nothing has changed, where it has to be applied instead
+        """
+        if type(command) is not JointSetpoint or len(set(command.modes)) != 1 or (
+                command.modes[0] not in _STREAMED):
+            return False
+        for older in self.commands.running:
+            if (type(older) is JointSetpoint and older.indices is command.indices
+                    and older.modes is command.modes and older.handle.is_active):
+                break
+        else:
+            return False
+        self.commands.replace(older, command)
+        command.handle.status = Status.RUNNING
+        self._apply_setpoint(command, period_s)
+        self._flags[MOVES] = True
+        goals[command.indices], renewed_s[command.indices] = command.values, now_s
         return True
 
     def _of_present_mode(self, command: C) -> C | None:

@@ -63,6 +63,12 @@ class Ledger:
         if len(self.running) > 1:
             self.running.sort(key=_first_joint)
 
+    def replace(self, older: Command, newer: Command) -> None:
+        """Let a command run in place of one that runs for the same joints."""
+        self._own(newer.indices, newer.handle)
+        self.running[self.running.index(older)] = newer
+        older.handle.end(Status.REPLACED)
+
     def start(self, trajectory: JointTrajectory) -> None:
         """Let a trajectory that waits take its joints from what runs, not from what waits."""
         self.waiting.remove(trajectory)

@@ -130,7 +130,10 @@ class Seats:
         self._physics, self._servos, self._indices, self._tips = physics, servos, indices, tips
         self.of: dict[str, SeatState] = {}
         self._arms, self._derived = Arms(physics, servos), Derived()
-        physics.on_change(self._derived.of.clear)
+        physics.on_change(self._look_at_model)
+
+    def _look_at_model(self) -> None:
+        self._derived.of.clear()
 
     @property
     def runs_python(self) -> bool:

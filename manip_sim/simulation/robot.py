@@ -35,7 +35,7 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.parts import atomic_parts, find_parts, Part
 from manip_sim.physics.payload import Payload
-from manip_sim.physics.physics import Physics
+from manip_sim.physics.physics import Physics, STEPS
 from manip_sim.simulation.dynamics_description import joint_dynamics, JointDynamics
 from manip_sim.simulation.faults import RobotFaults
 from manip_sim.simulation.robot_reader import RobotReader
@@ -161,6 +161,8 @@ class SimulatedRobot:
         :raises CommandError: if a command was made for another robot, or ``period_s`` is not a
             finite number above 0; then none takes effect
         """
+        if len(commands) == 1 and not delay_steps and self._goes_on(commands[0], period_s):
+            return
         self._physics.interrupt()
         for command in commands:
             self.check_own(command)
@@ -175,6 +177,17 @@ class SimulatedRobot:
                     command, count + self.sensing.delays['command'].steps(count))
             else:
                 self._apply(command)
+
+    def _goes_on(self, command: Command, period_s: float | None) -> bool:
+        """Let compiled code go on with a command like the one before; return whether it does."""
+        run = self.runs.standing if self._physics.standing.item(STEPS) else None
+        if run is None or period_s not in (None, self._period_s) or (
+                self.faults.scheduled or self.sensing.settings.delays_commands
+                or self.reflexes.tripped):
+            return False
+        self.check_own(command)
+        return self.joints.go_on(command, run.room.goals, run.room.renewed_s,
+                                 self._clock.control_s, self._period_s)
 
     def renew(self, command: JointSetpoint, values: FloatArray, period_s: float | None) -> bool:
         """

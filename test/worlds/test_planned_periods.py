@@ -4,6 +4,7 @@
 """Control periods in compiled code are those of ticks and steps by Python, to the last bit."""
 
 import contextlib
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -245,6 +246,10 @@ def _same_digest(one, other):
     assert own == others
 
 
+#: By simulation: the last messages to the first world and to it.
+SENT = {}
+
+
 def _command(kind, worlds, alone, period, steps):
     """Let the first world and a simulation follow the next message of a stream."""
     names, period_s = alone.robot.joints.names[:7], steps * 0.002
@@ -257,6 +262,19 @@ def _command(kind, worlds, alone, period, steps):
             names, **{field: np.tile(goals, (len(where), 1))}, where=where, period_s=period_s)
         alone.robot.apply(*alone.robot.parse.joint_command(
             names, **{field: goals}), period_s=period_s)
+    elif kind == 'sent':  # By messages, with stamps, some of which stand for two.
+        field = alone.robot.command_interfaces()[names[0]]
+        goals = 0.1 * np.sin(0.05 * period + np.arange(7)) + (
+            alone.robot.joints.cartesian.posture[:7] if field == 'position' else 0.0)
+        messages = []
+        for simulation in (worlds.simulations[0], alone):
+            command, = simulation.robot.parse.joint_command(names, **{field: goals})
+            messages.append(replace(
+                command, sent_ns=(period + 1) * 20_000_000, messages=1 + (period % 7 == 0)))
+            simulation.robot.apply(messages[-1], period_s=period_s)
+        SENT[alone] = [*SENT.get(alone, [])[-2:], messages]
+        for one, other in SENT[alone]:
+            assert one.handle.status is other.handle.status
     elif kind in ('osc', 'lead'):
         if period // 20 % 2:  # It closes, turns back, and may stay open.
             grip = [np.sign(np.sin(0.4 * period)) if period // 40 % 2 else (
@@ -274,7 +292,7 @@ def _command(kind, worlds, alone, period, steps):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('kind', ['rest', 'stream', 'osc', 'lead'])
+@pytest.mark.parametrize('kind', ['rest', 'stream', 'sent', 'osc', 'lead'])
 def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_once):
     world = compose('Panda', arena=create_arena('table', cube=True))
     worlds, alone = Worlds(world, 1, 1), Simulation(world)
@@ -392,7 +410,7 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                 alone.restore(saved[0])
                 first.restore(saved[1])
             if draw.random() < 0.05:
-                kind = draw.choice(['rest', 'stream', 'osc', 'lead'])
+                kind = draw.choice(['rest', 'stream', 'sent', 'osc', 'lead'])
                 steps = int(draw.choice([STEPS, 4]))
             _command(kind, worlds, alone, period, steps)
             worlds.advance(steps)

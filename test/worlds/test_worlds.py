@@ -810,6 +810,20 @@ def _of_one(robot):
     return robot.law_parameters('arm')
 
 
+def test_a_law_feels_its_tool_after_objects_have_gone_from_its_world(pair):
+    @law
+    def yielding(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+        effort[:] = bias + 0.05 * wrench[2]
+    for one in (pair.worlds.simulations[1], pair.simulations[1]):
+        one.robot.set_law('arm', yielding)
+        one.advance(2)
+        one.change_objects(plan_without(one.plan, one.entities.free_names[0]))
+        tool = one.model.site(one.robot.end_effectors['right'].grip_site).bodyid[0]
+        one.data.xfrc_applied[tool, :3] = 30.0
+        one.advance(20)
+    assert pair.worlds.digest()[1] == pair.simulations[1].digest()
+
+
 def test_different_laws_in_worlds_have_no_parameters_together(pair):
     pair.worlds.robot.set_law('arm', pulled, where=np.array([True, True, False]))
     with pytest.raises(ModelError, match='no law moves arm'):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.finger_records import (
     ACTS, Grip, Gripper, GRIPPER_RATE_HZ, MOVES, PAIR, RULED, TURNED)
 from manip_sim.control.law.small_matrices import clip
@@ -84,20 +84,20 @@ def move_fingers(world: WorldArrays, gripper: Gripper, now: float, duration: flo
     grip.flags[MOVES], grip.flags[TURNED] = moves, False
 
 
-@inner
+@inlined
 def _place(world: WorldArrays, finger: Any) -> float:
     """Return the setpoint at which a servo would rest where it is; zero for another actuator."""
     return float(-(finger.offset + finger.per_length * world.lengths[finger.id]) / finger.gain)
 
 
-@inner
+@inlined
 def _setpoint(world: WorldArrays, finger: Any) -> float:
     """Return the present setpoint of a servo, or the control of another actuator."""
     return float(world.activations[finger.activation] if finger.integrates
                  else world.controls[finger.id])
 
 
-@inner
+@inlined
 def _take_action(world: WorldArrays, fingers: Any, grip: Grip, now: float) -> None:
     """Take an action that is due by its rule, as the controller does with other grippers."""
     late, count = now - grip.call[0], len(fingers)
@@ -144,7 +144,7 @@ def _find_goal(fingers: Any, grip: Grip, goal: FloatArray) -> None:
         goal[i] = finger.low + (command + 1.0) / 2.0 * (finger.high - finger.low)
 
 
-@inner
+@inlined
 def _start_at(fingers: Any, grip: Grip, place: FloatArray) -> None:
     """Let commands go on from where fingers are."""
     rule = grip.rule
@@ -156,7 +156,7 @@ def _start_at(fingers: Any, grip: Grip, place: FloatArray) -> None:
                 (begin - finger.low) / (finger.high - finger.low) * 2.0 - 1.0)
 
 
-@inner
+@inlined
 def _end_at_ends(fingers: Any, grip: Grip, place: FloatArray) -> None:
     """
     Let fingers stay at ends of their range to which they were sent.
@@ -176,7 +176,7 @@ def _end_at_ends(fingers: Any, grip: Grip, place: FloatArray) -> None:
             grip.to_end[i, 0] = grip.to_end[i, 1] = False
 
 
-@inner
+@inlined
 def _find_target(finger: Any, grip: Grip, i: int, place: float, setpoint: float, speed: float
                  ) -> float:
     """Return the goal, or beyond the end of the range where the full force is requested."""
@@ -192,7 +192,7 @@ def _find_target(finger: Any, grip: Grip, i: int, place: float, setpoint: float,
     return float(target)
 
 
-@inner
+@inlined
 def _find_centre(fingers: Any, grip: Grip, place: FloatArray, setpoints: FloatArray,
                  duration: float, target: FloatArray) -> None:
     """
@@ -215,7 +215,7 @@ def _find_centre(fingers: Any, grip: Grip, place: FloatArray, setpoints: FloatAr
         target[i] = grip.goal[i] + inward * (lead + trim - opened)
 
 
-@inner
+@inlined
 def _stride(finger: Any, grip: Grip, i: int, distance: float, centres: bool, duration: float
             ) -> float:
     """Return how far a setpoint moves in an interval."""

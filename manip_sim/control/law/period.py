@@ -18,7 +18,7 @@ from manip_sim.control.law.arm_records import (
 from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import (
-    ACTS as TAKES, AWAITED, Gripper, MOVES as FINGERS_MOVE, no_gripper, RENEWED)
+    ACTS as TAKES, AWAITED, Gripper, MOVES as FINGERS_MOVE, no_gripper, PAIR, RENEWED)
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import (
     ACTS, DUE, JOINT, MOVES, readable, RobotJoints, SERVO, WRITTEN)
@@ -144,10 +144,10 @@ class ScratchArrays(NamedTuple):
 
 
 @inner
-def _waits(targets: Targets, now: float) -> bool:
+def _waits(tasks: Any, now: float) -> bool:
     """Return whether room for the notes of a solution is missing."""
     for number in range(2):
-        task = targets.tasks[number]
+        task = tasks[number]
         if task.acts == LEADS and task.settled == 0 and now >= task.solve_s - 1e-9 and (
                 task.solutions >= MOST_SOLUTIONS):
             return True
@@ -210,7 +210,9 @@ def _act(addresses: Addresses, k: int, now: float, duration: float, world: World
         joints.flags[MOVES] = True
     moved = _move_joints(world, joints, k, leads, now, duration)
     for number in range(2):
-        move_fingers(world, grippers[number], now, duration)
+        flags, pressing = grippers[number].grip.flags, grippers[number].grip.pressing
+        if flags[FINGERS_MOVE] or flags[PAIR] and pressing[0] and pressing[1]:
+            move_fingers(world, grippers[number], now, duration)
     return moved
 
 
@@ -259,7 +261,7 @@ def _act_all(addresses: Addresses, period: Period, k: int, now: float, duration:
              scratch: Kinematics) -> bool:
     """Write the controls of all robots; return False, and write none, where one has to wait."""
     for row in period.robots:
-        if _waits(_read_robot(row).targets, now):
+        if _waits(_read_robot(row).targets.tasks, now):
             return False
     for row in period.robots:
         robot = _read_robot(row)
@@ -270,22 +272,22 @@ def _act_all(addresses: Addresses, period: Period, k: int, now: float, duration:
 
 
 @inner
-def _compare_targets(targets: Targets) -> None:
+def _compare_targets(tasks: Any, facts_of: Any) -> None:
     """Note of each target whether nothing new has become of it, and when that was seen last."""
     for number in range(2):
-        task = targets.tasks[number]
+        task = tasks[number]
         if task.acts == IDLE:
             continue
         task.usual = int(task.follows == RESTS and task.settled == 0)
         for k in range(task.solutions):
-            facts = targets.facts[number, k]
+            facts = facts_of[number, k]
             if (facts.held != task.was_held or facts.singular != task.was_singular
                     or (facts.aside > ASIDE) != (task.was_aside != 0)
                     or facts.reached and task.awaited
                     or facts.progress <= NEARER and not facts.close):
                 task.usual = 0
         if task.usual and task.solutions:
-            task.seen_s = targets.facts[number, task.solutions - 1].now_s
+            task.seen_s = facts_of[number, task.solutions - 1].now_s
 
 
 @inlined
@@ -313,12 +315,13 @@ def _run(period: Period, scratch: ScratchArrays) -> None:
             ends = False
             break
     for row in period.robots:
-        _compare_targets(_read_robot(row).targets)
+        targets = _read_robot(row).targets
+        _compare_targets(targets.tasks, targets.facts)
     period.outcome[0] = done
     period.outcome[1] = ends and not compute_end(addresses, period.watch)
 
 
-@inner
+@inlined
 def _rests(robot: Robot) -> bool:
     """Return whether a robot has nothing to do any more, or one of its commands is done."""
     setpoints, owners = robot.joints.setpoints, robot.owners
@@ -334,16 +337,16 @@ def _rests(robot: Robot) -> bool:
 
 
 @inner
-def _is_usual(targets: Targets) -> bool:
+def _is_usual(tasks: Any) -> bool:
     """Return whether nothing new has become of any target."""
     usual = True
     for number in range(2):
-        task = targets.tasks[number]
+        task = tasks[number]
         usual = usual and (task.acts == IDLE or task.usual != 0)
     return usual
 
 
-@inner
+@inlined
 def _are_awaited(grippers: tuple[Gripper, Gripper]) -> bool:
     """Return whether fingers have come to rest for which Python waits."""
     awaited = False
@@ -354,15 +357,15 @@ def _are_awaited(grippers: tuple[Gripper, Gripper]) -> bool:
 
 
 @inner
-def _begin_targets(targets: Targets) -> None:
+def _begin_targets(tasks: Any) -> None:
     """Let what becomes of targets in a period be noted."""
     for number in range(2):
-        task = targets.tasks[number]
+        task = tasks[number]
         if task.acts != IDLE:
             task.notes, task.solutions, task.solve_s = 1, 0, -math.inf
 
 
-@inner
+@inlined
 def _goes_on(period: Period) -> bool:
     """Return whether a period goes on like the one before."""
     time, standing, tools = period.time, period.standing, period.notes.tools
@@ -383,7 +386,7 @@ def _goes_on(period: Period) -> bool:
     return acts
 
 
-@inner
+@inlined
 def _is_quiet(period: Period) -> bool:
     """Return whether nothing has happened in a period that Python has to look at."""
     left = -period.outcome[0]
@@ -397,7 +400,7 @@ def _is_quiet(period: Period) -> bool:
     return not touched
 
 
-@inner
+@inlined
 def _stands(known: IntArray, steps: int) -> bool:
     """Return whether a world goes on like in its last period, and let it begin one."""
     known[BECAME] = STOOD
@@ -408,18 +411,18 @@ def _stands(known: IntArray, steps: int) -> bool:
         return False
     period.orders[RESUMES] = period.orders[RESUMES_AFTER]
     for row in period.robots:
-        _begin_targets(_read_robot(row).targets)
+        _begin_targets(_read_robot(row).targets.tasks)
     known[PERIODS] += 1
     return True
 
 
-@inner
+@inlined
 def _become(period: Period) -> int:
     """Return what has become of a world that went on."""
     quiet = _is_quiet(period)
     for row in period.robots:
         robot = _read_robot(row)
-        quiet = quiet and _is_usual(robot.targets) and not _are_awaited(robot.grippers)
+        quiet = quiet and _is_usual(robot.targets.tasks) and not _are_awaited(robot.grippers)
     return int(WENT_ON if quiet else ENDED)
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.law.arm_records import Arm, CHAIN
-from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.compiling import inlined, inner
 from manip_sim.control.law.joint_records import blank_state, PLAIN, readable, records, SERVO
 from manip_sim.control.law.loads import carry, find_reaction, Loads, no_loads
 from manip_sim.control.law.operational_space import find_jacobian
@@ -118,7 +118,7 @@ class Seat(NamedTuple):
     status: IntArray
 
 
-@compiled
+@inlined
 def begin(seat: Seat) -> None:
     """Note where setpoints are when an interval begins."""
     joints = seat.joints.arm.joints
@@ -127,7 +127,7 @@ def begin(seat: Seat) -> None:
         seat.starts[i, 0], seat.starts[i, 1] = setpoint.position, setpoint.velocity
 
 
-@compiled
+@inlined
 def sense(seat: Seat, now: float, share: float) -> None:
     """
     Fill the arguments of a law, after ``mj_step1``.
@@ -155,7 +155,7 @@ def sense(seat: Seat, now: float, share: float) -> None:
                       x.jacobian)
 
 
-@compiled
+@inlined
 def settle(seat: Seat) -> None:
     """Let the efforts of a law act, if all are finite, beside those that carry payloads."""
     x, chain, servos = seat.arguments, seat.joints.arm.joints, seat.joints.servos
@@ -174,7 +174,7 @@ def settle(seat: Seat) -> None:
             seat.world.activations[servos[i].activation] = carried[i] / servos[i].gear
 
 
-@compiled
+@inlined
 def feel(seat: Seat) -> None:
     """Note the wrench of the world on the tool, after a step."""
     tip, wrench, kinematics = seat.joints.tip, seat.arguments.wrench, seat.world.kinematics
@@ -243,14 +243,14 @@ def _call(_: Any, address: Any, row: Any) -> Any:
     return types.int64(address, row), generate
 
 
-@inner
+@inlined
 def begin_all(rows: IntArray) -> None:
     """Let an interval begin for laws."""
     for row in rows:
         begin(_read_seat(row))
 
 
-@inner
+@inlined
 def exert_all(rows: IntArray, now: float, share: float) -> None:
     """Let laws exert their efforts, after ``mj_step1``; a failed law keeps its last ones."""
     for row in rows:
@@ -267,7 +267,7 @@ def exert_all(rows: IntArray, now: float, share: float) -> None:
                 settle(seat)
 
 
-@inner
+@inlined
 def feel_all(rows: IntArray) -> bool:
     """Note the wrenches on tools after a step; return whether any law has failed."""
     failed = False

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.compiling import inlined
 from manip_sim.control.law.loads import carry, Loads
 from manip_sim.control.law.small_matrices import clip
 from manip_sim.physics.physics import WorldArrays
@@ -34,7 +34,7 @@ _INTEGRAL_DEADBAND = 5e-6
 _LEAST_SHARE = 0.05
 
 
-@compiled
+@inlined
 def find_rates(world: WorldArrays, servos: Any, places: IntArray, joints: Any,
                beside: FloatArray, duration: float, goals: FloatArray, rates: FloatArray) -> None:
     """
@@ -69,7 +69,7 @@ def find_rates(world: WorldArrays, servos: Any, places: IntArray, joints: Any,
         rates[i] = (goals[i] - before) / duration
 
 
-@compiled
+@inlined
 def find_efforts_beside(world: WorldArrays, servos: Any, joints: Any, loads: Loads,
                         integrals: FloatArray, beside: FloatArray) -> None:
     """
@@ -90,7 +90,7 @@ def find_efforts_beside(world: WorldArrays, servos: Any, joints: Any, loads: Loa
         carry(world, loads, servos, accelerations, True, beside)
 
 
-@compiled
+@inlined
 def drive(world: WorldArrays, servos: Any, places: IntArray, joints: Any, loads: Loads,
           integrals: FloatArray, efforts: FloatArray, duration: float) -> None:
     """
@@ -121,7 +121,7 @@ def drive(world: WorldArrays, servos: Any, places: IntArray, joints: Any, loads:
             world.activations[servo.activation] = (efforts[i] + beside[i]) / servo.gear
 
 
-@inner
+@inlined
 def _integrate(world: WorldArrays, servos: Any, joints: Any, integrals: FloatArray,
                beside: FloatArray, duration: float) -> None:
     """Let integral terms of servos go on, where neither the effort nor the error is too great."""
@@ -138,7 +138,7 @@ def _integrate(world: WorldArrays, servos: Any, joints: Any, integrals: FloatArr
             beside[i] += servo.stiffness * (integrals[i] - before)
 
 
-@inner
+@inlined
 def _room(world: WorldArrays, servo: Any, beside: float) -> tuple[float, float]:
     """
     Return how far a setpoint may be behind its joint, as a negative number, and ahead of it.
@@ -153,7 +153,7 @@ def _room(world: WorldArrays, servo: Any, beside: float) -> tuple[float, float]:
             max(servo.high - carried, _LEAST_SHARE * servo.high) / servo.stiffness)
 
 
-@inner
+@inlined
 def _hold_back(world: WorldArrays, servos: Any, joints: Any, beside: FloatArray,
                duration: float) -> None:
     """Keep setpoints from running ahead of joints that cannot keep up."""

@@ -230,7 +230,7 @@ def _touches(forces: FloatArray, first: int, end: int) -> bool:
     return False
 
 
-@inner
+@inlined
 def _note(notes: Notes) -> None:
     """Note contacts that came or went, and the forces on tools that something touches."""
     contacts, present, tools = notes.contacts[0], notes.present, notes.tools
@@ -315,9 +315,8 @@ def remember(addresses: Addresses, watch: Watch, most: int) -> int:
         watch.warned[kind] = watch.warnings[2 * kind]
     if most == INTEGRATES and _same(watch.good, watch.computed, 0, len(watch.good)):
         return INTEGRATES
-    for part in range(len(watch.first_half)):
-        if not _same(watch.good, watch.computed, watch.first_half[part, 0],
-                     watch.first_half[part, 1]):
+    for k in range(len(watch.first_half)):
+        if not _same(watch.good, watch.computed, watch.first_half[k, 0], watch.first_half[k, 1]):
             return 0
     return min(most, RESUMED)
 
