@@ -266,6 +266,8 @@ def _command(kind, worlds, alone, period, steps):
         field = alone.robot.command_interfaces()[names[0]]
         goals = 0.1 * np.sin(0.05 * period + np.arange(7)) + (
             alone.robot.joints.cartesian.posture[:7] if field == 'position' else 0.0)
+        if field == 'velocity' and 20 <= period < 40:
+            goals[:] = 0.0  # All rests, while the stream goes on.
         messages = []
         for simulation in (worlds.simulations[0], alone):
             command, = simulation.robot.parse.joint_command(names, **{field: goals})
@@ -276,9 +278,9 @@ def _command(kind, worlds, alone, period, steps):
         for one, other in SENT[alone]:
             assert one.handle.status is other.handle.status
     elif kind in ('osc', 'lead'):
-        if period // 20 % 2:  # It closes, turns back, and may stay open.
+        if period // 20 % 2 or period % 60 > 52:  # It closes, turns back, and may stay open.
             grip = [np.sign(np.sin(0.4 * period)) if period // 40 % 2 else (
-                1.0 if period % 20 < 8 else -1.0)]
+                1.0 if period % 20 < 8 or period % 60 in (53, 54, 55) else -1.0)]
             worlds.robot.command.action(
                 'right/gripper', np.tile(grip, (len(where), 1)), where=where, period_s=period_s)
             alone.robot.apply(
@@ -299,7 +301,8 @@ def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_on
     BY_PYTHON.append(alone.periods)
     first = worlds.simulations[0]
     for simulation in (alone, first):
-        simulation.robot.set_control_mode('arm', 'effort' if kind == 'osc' else 'position')
+        simulation.robot.set_control_mode('arm', {'osc': 'effort', 'sent': 'velocity'}.get(
+            kind, 'position'))
     saved = [alone.save(), first.save()]
     options = alone.model.opt.wind.copy(), alone.model.opt.density
     for acts in _BETWEEN:
