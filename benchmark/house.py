@@ -131,10 +131,16 @@ class Calls:
         end = next(i for i in range(middle, len(calls)) if calls[i].name.endswith(last))
         return calls[begin:end]
 
-    def lengths(self, thread: str, name: str) -> list[int]:
-        """Return how many calls a thread made from each call of a function to the next one."""
-        begins = [i for i, call in enumerate(self.by_thread[thread]) if call.name.endswith(name)]
-        return [end - begin for begin, end in zip(begins, begins[1:])]
+    def usual(self, thread: str, first: str, last: str) -> int:
+        """Return the median of the calls of a thread from one function to the next of another."""
+        names, lengths, begin = [call.name for call in self.by_thread[thread]], [], None
+        for place, name in enumerate(names):
+            if begin is not None and name.endswith(last):
+                lengths.append(place - begin)
+                begin = None
+            if name.endswith(first):
+                begin = place
+        return round(statistics.median(lengths))
 
 
 def calls_to_a_world() -> int:
@@ -191,8 +197,9 @@ def print_calls_of_a_command() -> None:
         'physics', 'PendingCommands.take', 'SimulatedRobot.apply', ('mj_step', '_row_in_thread'))
     print(f'{len(to_buffer)} calls from a message to the buffer, {len(to_step)} from there to the '
           f'first step, in {len({call.file for call in to_buffer + to_step})} files')
-    print(f'{statistics.median(calls.lengths("physics", "SimulationThread._period")):.0f} calls '
-          'of a control period without a message')
+    period = 'SimulationThread._period'
+    print(f'{calls.usual("physics", period, period)} calls of a control period without a message, '
+          f'{calls.usual("physics", "Simulation.advance", "Journal.period")} of them of control')
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from os import PathLike
 from typing import TYPE_CHECKING
 
+from manip_sim.models.grippers.action_rules import ActionRule
 from manip_sim.models.grippers.catalogue_grippers import (
     FourierLeftHand, FourierRightHand, JacoThreeFingerDexterousGripper, JacoThreeFingerGripper,
     NullGripper, PalGripper, PandaGripper, RethinkGripper, Robotiq140Gripper, Robotiq85Gripper,
@@ -47,8 +48,9 @@ if not TYPE_CHECKING:
 
 
 __all__ = [
-    'FourierLeftHand', 'FourierRightHand', 'GripperModel', 'JacoThreeFingerDexterousGripper',
-    'JacoThreeFingerGripper', 'NullGripper', 'PalGripper', 'PandaGripper', 'RethinkGripper',
+    'ActionRule', 'FourierLeftHand', 'FourierRightHand', 'GripperModel',
+    'JacoThreeFingerDexterousGripper', 'JacoThreeFingerGripper', 'NullGripper', 'PalGripper',
+    'PandaGripper', 'RethinkGripper',
     'Robotiq140Gripper', 'Robotiq85Gripper', 'RobotiqThreeFingerDexterousGripper',
     'RobotiqThreeFingerGripper', 'SO101Gripper', 'VacuumGripper', 'WipingGripper',
     'create_gripper', 'gripper_names']
