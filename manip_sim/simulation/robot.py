@@ -633,7 +633,7 @@ class SimulatedRobot:
         """True if nothing but joints and fingers has to be looked at in a control period."""
         return not (self._late or self.sensing.settings.delays or self.sensing.settings.measures
                     or self.reflexes.armed or self.reflexes.is_recovering
-                or not all([gripper.stands for gripper in self.grippers.values()]))
+                    or not all([gripper.stands for gripper in self.grippers.values()]))
 
     @property
     def stands_resting(self) -> bool:
