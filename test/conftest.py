@@ -65,8 +65,10 @@ MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 #: of them, a long file that comes last keeps one worker busy and the others waiting for it. Those
 #: of processes that wait for each other take turns with those that compute.
 LONGEST = (
-    'experiments/test_runs.py', 'testing/test_sim_node.py', 'ros/test_documentation.py',
-    'ros/test_viewer.py', 'ros/test_process.py', 'ros/test_diagnostics.py', 'test_bench.py',
+    'experiments/test_runs.py', 'cli/test_cli_identify.py', 'testing/test_sim_node.py',
+    'ros/test_documentation.py', 'simulation/test_compiled_periods.py', 'ros/test_viewer.py',
+    'ros/test_process.py', 'worlds/test_planned_periods.py', 'ros/test_diagnostics.py',
+    'experiments/test_comparison.py', 'test_bench.py',
     'ros/test_neighbours.py', 'ros/test_soak.py', 'ros/test_camera_topics.py',
     'ros/test_hostile_viewer.py', 'ros/test_pick_cube.py', 'ros/test_node_records.py',
     'ros/test_journal.py', 'ros/test_ros_commands.py', 'tasks/test_tasks.py',

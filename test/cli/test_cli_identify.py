@@ -77,7 +77,7 @@ def identified(here, *arguments):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('robot', ['Panda', 'UR5e', 'Kinova3'])
+@pytest.mark.parametrize('robot', ['UR5e', 'Kinova3'])
 def test_hidden_parameters_are_found_through_noise(tmp_path, robot):
     values = hidden(robot, tmp_path / 'hidden.yaml', 0.3)
     simulation = Simulation(compose_world(GivenParameters(
