@@ -53,7 +53,9 @@ def test_the_page_says_that_arms_rest_in_time():
     ('FR3', 'velocity', 0.002, 'table', [21, 22], 3),
     ('GR1', 'position', 0.005, 'table', [3, 4, 5], 1),
     ('Panda', 'position', 0.002, 'table', [3, 4, 5], 21),
-    ('Tiago', 'velocity', 0.005, 'table', [45], 7)])
+    ('Tiago', 'velocity', 0.005, 'table', [45], 7),
+    ('Baxter', 'position', 0.005, 'empty', [12], 51),
+    ('PandaOmron', 'position', 0.005, 'table', [0, 1, 2], 51)])
 def test_arms_that_press_on_something_come_to_rest(
         benchmark_module, robot, mode, timestep_s, arena, motions, seed):
     outcomes = benchmark_module('resting').measure(robot, mode, timestep_s, motions, arena, seed)

@@ -64,6 +64,7 @@ class WorldArrays(NamedTuple):
     :ivar inertia: ``M``, shape (nM,)
     :ivar bias: ``qfrc_bias``, shape (nv,)
     :ivar carried: ``qfrc_gravcomp``, shape (nv,)
+    :ivar constraints: ``qfrc_constraint``, shape (nv,)
     :ivar lengths: ``actuator_length``, shape (nu,)
     :ivar speeds: ``actuator_velocity``, shape (nu,)
     :ivar activations: ``act``, shape (na,)
@@ -75,6 +76,7 @@ class WorldArrays(NamedTuple):
     inertia: FloatArray
     bias: FloatArray
     carried: FloatArray
+    constraints: FloatArray
     lengths: FloatArray
     speeds: FloatArray
     activations: FloatArray
@@ -84,7 +86,8 @@ class WorldArrays(NamedTuple):
     def of(cls, data: mujoco.MjData) -> WorldArrays:
         """Return the views into a ``mujoco.MjData``."""
         return cls(Kinematics.of(data), data.qvel, data.M, data.qfrc_bias, data.qfrc_gravcomp,
-                   data.actuator_length, data.actuator_velocity, data.act, data.ctrl)
+                   data.qfrc_constraint, data.actuator_length, data.actuator_velocity, data.act,
+                   data.ctrl)
 
 
 def places_of_inertia(model: mujoco.MjModel, dofs: IntArray) -> IntArray:

@@ -495,14 +495,14 @@ def test_braking_velocity_leaves_the_way_of_a_constant_deceleration(interval_s, 
     assert braking_velocity(0.0, 1.0, interval_s) == 0.0
 
 
-def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0):
+def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0, constraint=0.0):
     """Let servos of joints that cannot keep up hold back their setpoints, by efforts at most."""
     count = len(measured)
     none, places = np.zeros(count), np.arange(count)
     frames = np.zeros((0, 3)), np.zeros((0, 3, 3))
     kinematics = Kinematics(measured, np.zeros((count, 6)), np.zeros((1, 3)), *frames, *frames)
     world = WorldArrays(kinematics, none + velocity, none, none, none + carried,
-                        *(none.copy() for _ in range(4)))
+                        none + constraint, *(none.copy() for _ in range(4)))
     servos = np.zeros(count, SERVO)
     for field in ('qpos', 'dof', 'activation', 'control'):
         servos[field] = places
@@ -534,6 +534,22 @@ def test_a_setpoint_that_is_held_back_goes_on_with_its_joint_but_not_back(seeks)
         expected = min(expected, before)
         assert setpoints.velocity[0] == pytest.approx(expected)
         assert setpoints.position[0] == pytest.approx(1.5 + 0.002 * expected)
+
+
+def test_a_setpoint_of_a_joint_that_presses_goes_on_with_its_mean_velocity():
+    def held(speeds, constraint):
+        setpoints = generator(low=-9.0, high=9.0)
+        setpoints.place(ONE, np.array([3.0]), np.array([0.6]))
+        for speed in speeds:
+            setpoints.joints['position'], setpoints.joints['velocity'] = 3.0, 0.6
+            hold_back(setpoints, np.array([0.5]), np.ones(1), speed, constraint=constraint)
+        return setpoints.velocity[0]
+
+    swings, slides = [-0.2, 0.2] * 50, [0.2] * 100
+    # Of an effort of 1, contacts take 0.9 or push on.
+    assert held(swings, 0.0) == held(slides, 0.0) == held(swings, 0.9) == pytest.approx(0.2)
+    assert 0.0 <= held(swings, -0.9) < 0.01
+    assert held(slides, -0.9) == pytest.approx(0.2, rel=0.05)
 
 
 def test_a_setpoint_that_was_dragged_away_at_rest_goes_back_when_it_is_woken():

@@ -30,8 +30,9 @@ FIELDS = (
     # The motion tracked beside it: the target, velocities before and after two low-pass stages,
     # and their time constant; the limit of all accelerations.
     'target', 'raw', 'first', 'second', 'smoothing', 'bound',
-    # Flags: comes to the target, brakes before that, moves, was held back at rest.
-    'seeks', 'brakes', 'moves', 'held',
+    # Flags: comes to the target, brakes before that, moves, was held back at rest; mean velocity
+    # of the joint.
+    'seeks', 'brakes', 'moves', 'held', 'slide',
     # A goal that came at this instant: how many messages, their stamp and the control period.
     'waiting', 'waiting_goal', 'waiting_messages', 'waiting_stamp', 'waiting_period',
     # When messages came and were sent: the last arrival, its stamp and number in the stream; the

@@ -32,6 +32,10 @@ _INTEGRAL_SHARE = 0.2
 _INTEGRAL_DEADBAND = 5e-6
 #: Share of the highest effort that a servo may exert where the weight takes more.
 _LEAST_SHARE = 0.05
+#: A joint presses on something that takes more than this share of the effort that is left to it.
+_PRESSING_SHARE = 0.5
+#: Time constant of the mean velocity of a joint that presses [s].
+_SLIDE_S = 0.05
 
 
 @inlined
@@ -153,6 +157,21 @@ def _room(world: WorldArrays, servo: Any, beside: float) -> tuple[float, float]:
             max(servo.high - carried, _LEAST_SHARE * servo.high) / servo.stiffness)
 
 
+@inner
+def _presses(world: WorldArrays, servo: Any, room: float) -> bool:
+    """
+    Return whether something resists a joint with much of the effort that its setpoint may use.
+
+    A setpoint that goes on with its joint takes the damping from it while it moves that way. One
+    that presses would swing for ever on contacts that let go and take hold again, so there the
+    setpoint goes on with the mean velocity.
+
+    :param room: how far the setpoint may be ahead of its joint [rad or m]
+    """
+    effort = room * servo.stiffness
+    return bool(world.constraints[servo.dof] * effort < -_PRESSING_SHARE * effort * effort)
+
+
 @inlined
 def _hold_back(world: WorldArrays, servos: Any, joints: Any, beside: FloatArray,
                duration: float) -> None:
@@ -160,9 +179,14 @@ def _hold_back(world: WorldArrays, servos: Any, joints: Any, beside: FloatArray,
     for i in range(len(joints)):
         x, servo = joints[i], servos[i]
         low, high = _room(world, servo, beside[i])
+        place = world.kinematics.positions[servo.qpos]
+        velocity = world.velocities[servo.dof]
+        x.slide += duration / (_SLIDE_S + duration) * (velocity - x.slide)
+        if _presses(world, servo, high if x.position > place else low):
+            velocity = clip(x.slide, min(velocity, 0.0), max(velocity, 0.0))
         # It goes on with its joint, but never against its own motion.
-        velocity = clip(world.velocities[servo.dof], min(x.velocity, 0.0), max(x.velocity, 0.0))
-        place = world.kinematics.positions[servo.qpos] + duration * velocity
+        velocity = clip(velocity, min(x.velocity, 0.0), max(x.velocity, 0.0))
+        place += duration * velocity
         if servo.gives or low <= x.position - place <= high:
             continue
         x.position = clip(clip(x.position, place + low, place + high), x.low, x.high)

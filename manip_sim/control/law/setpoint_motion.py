@@ -126,6 +126,7 @@ def rest(x: Any) -> None:
         if x.seeks != 0.0:
             x.position = x.goal
         x.raw = x.first = x.second = x.acceleration = x.rate = x.moves = x.held = 0.0
+        x.slide = 0.0
         x.bound = x.limit
 
 
