@@ -28,7 +28,8 @@ _AT_END = 1e-3
 #: A joint is blocked if contacts leave less than this share of its acceleration; one that can move
 #: away from its neighbour keeps half of it.
 _BLOCKED = 0.25
-#: Armature that holds other joints still while one is tried, as a multiple of the largest inertia.
+#: Armature that holds other joints still while one is tried, as a multiple of the larger of their
+#: inertia and that of the one, so that a hand is held alone as on an arm.
 _HELD = 1e3
 #: Acceleration by the trial force of a joint without a force limit [rad/s^2 or m/s^2].
 _TRIAL_ACCELERATION = 100.0
@@ -145,7 +146,11 @@ def _is_blocked(model: mujoco.MjModel, trial: Any, data: mujoco.MjData, joint: i
     together = JointCouplings(model, scalar).group(joint)
     held = np.ones(model.nv, dtype=bool)
     held[[model.jnt_dofadr[j] for j in together]] = False
-    trial.dof_armature[held] += _HELD * model.dof_M0.max()
+    inertia = model.dof_M0[model.jnt_dofadr[joint]]
+    trial.dof_armature[held] += _HELD * np.maximum(model.dof_M0[held], inertia)
+    # Contacts are as soft as the bodies are free, and an arm beyond a hand is not here.
+    mujoco.mj_setConst(trial, copy.copy(data))
+    trial.opt.noslip_iterations = 0  # They do not converge beside what is held.
     with_contacts = _span(trial, data, joint)
     trial.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return with_contacts < _BLOCKED * _span(trial, data, joint)

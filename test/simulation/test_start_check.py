@@ -491,3 +491,39 @@ def test_absurd_inertias_are_told_in_one_sentence_that_begins_with_the_worst():
 def test_a_link_without_shapes_has_no_size_to_compare_an_inertia_with():
     worldbody = re.sub('<geom type="box"[^>]*>', '', LIMB.format(mass=0.1, moment=1.0))
     assert [defect for defect in defects_of(worldbody) if defect.kind == 'inertia'] == []
+
+
+def wedged_hand(depth, sideways):
+    """Return a URDF hand: the outer link of a finger is wedged between two posts of the palm."""
+    def link(name, *boxes):
+        shapes = ''.join(
+            f'<collision><origin xyz="{xyz}"/><geometry><box size="{size}"/></geometry>'
+            '</collision>' for size, xyz in boxes)
+        return (f'<link name="{name}"><inertial><mass value="0.05"/><inertia ixx="1e-5" iyy="1e-5"'
+                f' izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial>{shapes}</link>')
+
+    def joint(name, parent, xyz, axis):
+        return (f'<joint name="{name}_joint" type="revolute"><parent link="{parent}"/><child '
+                f'link="{name}"/><origin xyz="{xyz}"/><axis xyz="{axis}"/><limit lower="-0.6" '
+                'upper="0.6" effort="5" velocity="2"/></joint>')
+    away = 0.015 - depth
+    posts = [('.02 .02 .06', f'{x} 0 .13') for x in (away, -away)]
+    return ('<robot name="hand">' + link('palm', ('.08 .06 .04', '0 0 0'), *posts)
+            + link('inner', ('.01 .02 .04', '0 0 .02')) + link('outer', ('.01 .02 .05', '0 0 .02'))
+            + link('other', ('.01 .02 .08', '0 0 .04'))
+            + joint('inner', 'palm', '0 0 .05', '0 1 0')
+            + joint('outer', 'inner', '0 0 .05', '1 0 0' if sideways else '0 1 0')
+            + joint('other', 'palm', '0 .05 .03', '1 0 0') + '</robot>')
+
+
+@pytest.mark.parametrize('sideways', [False, True])
+@pytest.mark.parametrize('depth', [4e-5, 3e-4, 8e-4])
+def test_a_hand_of_a_file_has_the_same_defects_alone_and_on_an_arm(depth, sideways, tmp_path):
+    file = tmp_path / 'hand.urdf'
+    file.write_text(wedged_hand(depth, sideways))
+    alone, mounted = (
+        [sentence.replace(prefix, '') for sentence in Simulation(world).start_defects]
+        for prefix, world in (('robot0_', compose(str(file))),
+                              ('gripper0_right_', compose('UR5e', gripper=str(file)))))
+    assert alone == mounted
+    assert any("'inner_joint' starts blocked" in sentence for sentence in alone)
