@@ -90,8 +90,8 @@ class JointController(ControlledJoints):
             self._setpoints, self.commands, len(self.names), _SLEW_SHARE * float(np.min(
                 self._servos.acceleration_limit / self._servos.velocity_limit, initial=1e3)))
         self._base = BaseTwists(self._servos, self._setpoints)
-        #: The parts whose timeout ends Cartesian targets too.
-        self._targets_end = set(atomic)
+        #: The parts whose timeout was set, and so ends Cartesian targets too.
+        self._targets_end: set[str] = set()
         #: Whether new efforts have yet to be written.
         self._efforts_due = False
         self._written = False
@@ -142,12 +142,9 @@ class JointController(ControlledJoints):
         index = int(self.indices_of(part)[0])
         longest_s, hold_s = self._setpoints.stream_settings(index)
         return {'control_mode': self.modes[index], 'command_timeout': self._timeouts[part],
+                'timeout_follows_mode': part not in self._targets_end,
                 'stream_interval': longest_s, 'stream_hold': hold_s,
                 'integral_gain': self._servos.integral_gain(index)}
-
-    def ends_targets(self, part: str) -> bool:
-        """Return whether the timeout of an atomic part ends Cartesian targets too."""
-        return part in self._targets_end
 
     @property
     def resting(self) -> bool:
@@ -175,9 +172,7 @@ class JointController(ControlledJoints):
         """
         for name in self.parts_of(self.indices_of(part)):
             self._timeouts.set(name, timeout_s)
-            # Without a timeout it makes no difference, and is none in saved states either.
-            ends = ends_targets or not timeout_s
-            (self._targets_end.add if ends else self._targets_end.discard)(name)
+            (self._targets_end.add if ends_targets else self._targets_end.discard)(name)
 
     def set_stream(self, part: str, longest_s: float | None = None, hold_s: float | None = None
                    ) -> None:

@@ -45,7 +45,7 @@ _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 #: Names that no robot may have: of the node's namespace and of its parameters.
 _RESERVED = ('arena', 'armature', 'camera', 'command_timeout', 'control_mode', 'friction',
              'latency', 'law', 'noise', 'objects', 'qos_overrides', 'resolution', 'sensors',
-             'stream_hold', 'stream_interval', 'torque_speed', 'truth')
+             'stream_hold', 'stream_interval', 'timeout_follows_mode', 'torque_speed', 'truth')
 
 
 @dataclass(frozen=True)

@@ -249,17 +249,22 @@ def law_parameters(scope: Scope, part: str, law: str) -> list[ParameterSpec]:
 def timeout_parameters(scope: Scope, parts: Sequence[str],
                        mode_of: Callable[[str], str] = default_mode) -> list[ParameterSpec]:
     """
-    Return the parameters that say when a part stops for want of commands.
+    Return the parameters that say when parts stop for want of commands.
 
     :param parts: the parts with driven joints, see :func:`commanded_parts`
     :param mode_of: returns the control mode of a part, on which the default depends
     """
-    return [ParameterSpec(
-        f'command_timeout.{part}', default_timeout(part, mode_of(part)),
-        f'After this time without a new command for the {part} (simulation time), position holds, '
-        'velocity goes to zero, effort to gravity compensation; 0 switches it off. Until you set '
-        'it, the default follows the control mode.', 's', live=True, minimum=0.0,
-        maximum=3600.0).within(scope) for part in parts]
+    return [spec.within(scope) for part in parts for spec in (
+        ParameterSpec(
+            f'command_timeout.{part}', default_timeout(part, mode_of(part)),
+            f'After this time without a new command for the {part} (simulation time), position '
+            'holds, velocity goes to zero, effort to gravity compensation; 0 switches it off. '
+            'Until you set it, the default follows the control mode.', 's', live=True,
+            minimum=0.0, maximum=3600.0),
+        ParameterSpec(
+            f'timeout_follows_mode.{part}', True,
+            f'Let command_timeout.{part} be the default of the control mode, which ends no '
+            'Cartesian targets; false as soon as you set that.', live=True))]
 
 
 def stream_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:

@@ -25,8 +25,8 @@ from manip_sim.physics.parts import Part
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 
 #: Parameters of parts that set the same parameters of the parts that a part consists of.
-_COUPLED = ('control_mode.{}', 'command_timeout.{}', 'stream_interval.{}', 'stream_hold.{}',
-            'integral_gain.{}',
+_COUPLED = ('control_mode.{}', 'command_timeout.{}', 'timeout_follows_mode.{}',
+            'stream_interval.{}', 'stream_hold.{}', 'integral_gain.{}',
             *(f'reflex.{{}}.{field.name}' for field in fields(ReflexLimits)))
 
 
@@ -64,9 +64,6 @@ class Parameters:
         self._specs: dict[str, ParameterSpec] = {}
         #: By name.
         self._of_parts: dict[str, _PartParameter] = {}
-        #: Timeouts that the user has set, and those that follow the modes in the present change.
-        self._set_timeouts: set[str] = set()
-        self._following: set[str] = set()
         #: True while changes of parameters do not act.
         self.showing = False
         node.add_pre_set_parameters_callback(self._complete)
@@ -93,7 +90,6 @@ class Parameters:
         begin = scope.parameter('')
         self._of_parts = {name: coupled for name, coupled in self._of_parts.items()
                           if coupled.scope != scope}
-        self._set_timeouts = {name for name in self._set_timeouts if not name.startswith(begin)}
         self.forget(begin)
 
     def forget(self, begin: str) -> None:
@@ -133,8 +129,7 @@ class Parameters:
         """
         Let parameters of a part set the same ones of its parts, and under its other name.
 
-        At the start, a value given for one arm overrides one given for both, and a timeout that
-        is the default of the control mode follows it.
+        At the start, a value given for one arm overrides one given for both.
         """
         overrides = parameter_overrides(self._node)
         coupled = {}
@@ -150,25 +145,17 @@ class Parameters:
         self._of_parts.update(coupled)
         self._node.set_parameters([overrides[name] for name in sorted(
             coupled, key=lambda name: coupled[name].is_atomic) if name in overrides])
-        for part in parts:
-            mode, timeout = (scope.parameter(pattern.format(part)) for pattern in _COUPLED[:2])
-            if timeout in self._set_timeouts and self.value(timeout) == default_timeout(
-                    part, self.value(mode)):
-                self._set_timeouts.discard(timeout)
 
-    def show(self, values: Mapping[str, Any], timeouts: Mapping[str, bool]) -> None:
+    def show(self, values: Mapping[str, Any]) -> None:
         """
         Let parameters have the values that act already.
 
         :param values: by name; names that are not declared are left out
-        :param timeouts: of atomic parts, by name, whether they were set
         """
         changed = [Parameter(name, value=value) for name, value in values.items()
                    if name in self._specs and self.value(name) != value]
         with self.without_acting():
             self._node.set_parameters(changed)
-        self._set_timeouts -= timeouts.keys()
-        self._set_timeouts.update(name for name, is_set in timeouts.items() if is_set)
 
     @contextlib.contextmanager
     def without_acting(self) -> Iterator[None]:
@@ -191,17 +178,8 @@ class Parameters:
                              key=lambda change: -len(known[change.name].atomic)):
             for name in known[change.name].same:
                 values[name] = Parameter(name, change.type_, change.value)
-        self._following = set()
-        for change in () if self.showing else [*values.values()]:
-            coupled = known.get(change.name)
-            if coupled is None or coupled.group != 'control_mode' or change.value not in [*MODES]:
-                continue
-            timeout = coupled.scope.parameter(f'command_timeout.{coupled.part}')
-            if coupled.is_atomic and timeout not in {*values, *self._set_timeouts}:
-                self._following.update(known[timeout].same)
-                values.update({name: Parameter(
-                    name, value=default_timeout(coupled.part, change.value))
-                    for name in known[timeout].same})
+        if not self.showing:
+            self._complete_timeouts(values)
         # Parts that consist of several have the values in which these agree.
         for name, coupled in known.items():
             if not coupled.is_atomic and name not in values and {*coupled.atomic} & {*values}:
@@ -211,9 +189,24 @@ class Parameters:
                     values[name] = Parameter(name, ones[0].type_, ones[0].value)
         return [*values.values()]
 
-    def is_set(self, name: str) -> bool:
-        """Return whether the user has set a timeout; else it follows the control mode."""
-        return name in self._set_timeouts
+    def _complete_timeouts(self, values: dict[str, Parameter]) -> None:
+        """Add that timeouts which change do not follow the control mode, and those that do."""
+        known = self._of_parts
+        for timeout in [name for name, coupled in known.items()
+                        if coupled.is_atomic and coupled.group == 'command_timeout']:
+            scope, part = known[timeout].scope, known[timeout].part
+            follows, mode = (scope.parameter(f'{group}.{part}')
+                             for group in ('timeout_follows_mode', 'control_mode'))
+            if timeout in values and follows not in values:
+                values.update({name: Parameter(name, value=False)
+                               for name in known[follows].same})
+            given = {name: values.get(name) or self._node.get_parameter(name)
+                     for name in (follows, mode)}
+            if {*given} & {*values} and given[follows].value is True and (
+                    given[mode].value in [*MODES]):
+                values.update({name: Parameter(
+                    name, value=default_timeout(part, given[mode].value))
+                    for name in known[timeout].same})
 
     @property
     def values(self) -> dict[str, Any]:
@@ -240,10 +233,6 @@ class Parameters:
             problem = _problem(spec, parameter)
             if problem:
                 return SetParametersResult(successful=False, reason=problem)
-        if not self.showing:
-            names = {parameter.name for parameter in parameters} & self._of_parts.keys()
-            self._set_timeouts.update(name for name in names - self._following
-                                      if self._of_parts[name].group == 'command_timeout')
         return SetParametersResult(successful=True)
 
 

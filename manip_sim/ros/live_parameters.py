@@ -95,11 +95,14 @@ class LiveParameters(Feature):
                 ) -> Callable[[Any], object]:
         """Return the function that changes a setting of a robot."""
         change = partial(self._context.thread.change, *_operation(robot.name, setting))
-        if not setting.startswith('command_timeout.'):
+        group, _, part = setting.partition('.')
+        if group not in ('command_timeout', 'timeout_follows_mode'):
             return change
-        name, is_set = scope.parameter(setting), self._context.parameters.is_set
+        timeout, follows = (scope.parameter(f'{group}.{part}') for group in (
+            'command_timeout', 'timeout_follows_mode'))
+        value_of = self._context.parameters.value
         # A Cartesian target comes to rest by itself: only a timeout that was set ends it.
-        return lambda value: change(value, is_set(name))
+        return lambda _: change(value_of(timeout), not value_of(follows))
 
     def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
         for parameter in parameters:
@@ -112,23 +115,18 @@ class LiveParameters(Feature):
         """Let parameters have the values that act, as a reset or a restored state changes them."""
         with contextlib.suppress(SimulationEnded):
             self._follow_laws()
-            self._context.parameters.show(*self._context.thread.call(self._acting))
+            self._context.parameters.show(self._context.thread.call(self._acting))
 
-    def _acting(self) -> tuple[dict[str, Any], dict[str, bool]]:
-        """Return acting values by name, and for timeouts whether they end Cartesian targets."""
+    def _acting(self) -> dict[str, Any]:
+        """Return acting values by name."""
         simulation, seed = self._context.simulation, self._context.thread.next_seed
         values: dict[str, Any] = {
             'seed': simulation.seed if seed is None else seed,
             'keyframe': simulation.episode_start.keyframe}
-        timeouts: dict[str, bool] = {}
         for scope, robot in self._robots.items():
-            settings = {scope.parameter(name): value for name, value in robot.settings.items()}
-            begin = scope.parameter('command_timeout.')
-            values.update(settings)
-            timeouts.update({
-                name: robot.joints.ends_targets(name.removeprefix(begin))
-                for name, value in settings.items() if name.startswith(begin) and value})
-        return values, timeouts
+            values.update({
+                scope.parameter(name): value for name, value in robot.settings.items()})
+        return values
 
 
 def _operation(robot: str, setting: str) -> tuple[str, ...]:
@@ -138,4 +136,5 @@ def _operation(robot: str, setting: str) -> tuple[str, ...]:
         return 'sensing', robot, setting
     if group in IMPEDANCE:
         return 'cartesian', robot, *which, group
-    return {'control_mode': 'mode', 'command_timeout': 'timeout'}.get(group, group), robot, *which
+    return {'control_mode': 'mode', 'command_timeout': 'timeout',
+            'timeout_follows_mode': 'timeout'}.get(group, group), robot, *which

@@ -83,7 +83,7 @@ def test_features_are_told_of_the_start_of_robots_parameters_and_the_end(recorde
     assert told == [('parameters',), ('start', False), ('started', True)]
     node.set_parameters([Parameter('real_time_factor', value=2.0)])
     assert events(calls, 'parameters') == [('parameters', 'real_time_factor')]
-    node.shared.parameters.show({'real_time_factor': 1.5}, {})  # It acts already.
+    node.shared.parameters.show({'real_time_factor': 1.5})  # It acts already.
     assert events(calls, 'parameters') == [('parameters',)]
     spawned = SpawnedRobots(node.shared)
     plan = plan_with_robot(node.simulation, RequestedRobot(

@@ -32,6 +32,8 @@ def another(spec, number):
     """Return a value of a parameter that is not its default; another one for each number."""
     if spec.choices:
         return [choice for choice in spec.choices if choice != spec.default][number % 2]
+    if isinstance(spec.default, bool):
+        return not spec.default
     low, high = spec.minimum or 0.0, min(spec.maximum, 3.0)
     value = low + (high - low) * (0.3 + 0.1 * number)
     if spec.name.endswith('.inertia'):  # Of a ball.
@@ -132,6 +134,31 @@ def test_a_restored_timeout_follows_the_mode_as_it_did_when_it_was_saved(serve):
     assert node.declared.value('command_timeout.right') == 0.2
     set_live(node, control_mode__arm='position')
     assert node.declared.value('command_timeout.arm') == 0.0
+    assert_agree(node)
+
+
+def test_a_timeout_that_was_set_to_its_default_stays_set_in_dumps_and_saved_states(serve):
+    def modes_then_timeouts(node):
+        return [(set_live(node, control_mode__arm=mode),
+                 node.declared.value('command_timeout.arm'))[1]
+                for mode in ('velocity', 'position', 'effort')]
+
+    node = serve(robot='Panda', start_paused=True)
+    set_live(node, command_timeout__right=0.0)
+    assert not node.declared.value('timeout_follows_mode.arm')
+    dumped = {name.replace('.', '__'): value for name, value in node.declared.values.items()}
+    assert modes_then_timeouts(serve(**dumped)) == [0.0] * 3
+    node.thread.change('save')
+    set_live(node, timeout_follows_mode__arm=True)
+    assert modes_then_timeouts(node) == [0.2, 0.0, 0.2]
+    node.thread.restore()
+    assert_agree(node)
+    assert modes_then_timeouts(node) == [0.0] * 3
+    # The default of the mode in the same change.
+    assert node.set_parameters_atomically([
+        Parameter('control_mode.arm', value='velocity'),
+        Parameter('timeout_follows_mode.arm', value=True)]).successful
+    assert node.declared.value('command_timeout.right') == 0.2
     assert_agree(node)
 
 

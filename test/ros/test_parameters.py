@@ -116,7 +116,8 @@ def test_every_parameter_is_described(serve, client):
                            DescribeParameters.Request(names=ours))
     live = {'real_time_factor', 'pause_at', 'expected_command_rate', 'seed', 'keyframe',
             'control_mode.arm',
-            'speed_scaling', 'command_timeout.arm',
+            'speed_scaling', 'command_timeout.arm', 'timeout_follows_mode.arm',
+            'timeout_follows_mode.right',
             'control_mode.right', 'command_timeout.right', 'wrench_cutoff.right',
             *(f'payload.right.{name}' for name in ('mass', 'center_of_mass', 'inertia')),
             'integral_gain.arm', 'integral_gain.right',
