@@ -22,6 +22,7 @@ from manip_sim.models.loading import compile_spec
 from manip_sim.models.object_creation import check_object_names, ObjectModel
 from manip_sim.models.spec_edits import TakenNames
 from manip_sim.physics.state_transfer import carry_data, carry_edits, ElementMap
+from manip_sim.quoting import quoted_names
 
 
 @dataclass(frozen=True)
@@ -101,18 +102,22 @@ def compile_visual(plan: WorldPlan) -> Any:
     return compile_spec(_composed(base, plan.objects)[0], 'the world with its visual shapes')
 
 
-def plan_with(plan: WorldPlan, item: ObjectModel) -> WorldPlan:
+def plan_with(plan: WorldPlan, *items: ObjectModel) -> WorldPlan:
     """
-    Return the plan of a world with one more object, which comes last.
+    Return the plan of a world with more objects, which come last in their order.
+
+    Compiling takes as long for many as for one.
 
     :raises ModelError: if a name is taken already or MuJoCo cannot compile it
     """
-    objects = (*plan.objects, item)
+    objects = (*plan.objects, *items)
     check_object_names(objects)
     spec = plan.spec.copy()
     taken = plan.taken.copy(spec)
-    item.attach(spec, taken)
-    return _follow(plan, objects, spec, taken, f"the world with '{item.name}'")
+    for item in items:
+        item.attach(spec, taken)
+    return _follow(plan, objects, spec, taken,
+                   f'the world with {quoted_names([item.name for item in items], 3)}')
 
 
 def _follow(plan: WorldPlan, objects: tuple[ObjectModel, ...], spec: Any, taken: TakenNames,
@@ -179,14 +184,14 @@ def carry_over(live: LiveWorld, plan: WorldPlan, both: ElementMap | None = None)
     return LiveWorld(plan, model, data)
 
 
-def spawn(live: LiveWorld, item: ObjectModel) -> LiveWorld:
+def spawn(live: LiveWorld, *items: ObjectModel) -> LiveWorld:
     """
-    Return the world with one more object and everything else as it is.
+    Return the world with more objects and everything else as it is.
 
     :param live: not changed
     :raises ModelError: if a name is taken already or MuJoCo cannot compile it
     """
-    return carry_over(live, plan_with(live.plan, item))
+    return carry_over(live, plan_with(live.plan, *items))
 
 
 def delete(live: LiveWorld, name: str) -> LiveWorld:

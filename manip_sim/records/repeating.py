@@ -296,13 +296,14 @@ class _World:
     def _operation(self, name: str, arguments: list[Any], failed: bool) -> None:
         if name not in self._operations.names:
             raise ModelError(f'there is no operation {quoted(name)}')
-        if name == 'spawn':
-            _check_count(len(self.simulation.plan.object_names) + 1)
+        spawned = {'spawn': [arguments], 'spawn_all': next(iter(arguments), ())}.get(name, ())
+        _check_count(len(self.simulation.plan.object_names) + len(spawned))
         reason = None
         try:
-            if name == 'spawn' and arguments[1] is None and not failed:
-                raise _Stop(f'{quoted(arguments[0])} was spawned from a file, which the record '
-                            'does not contain')
+            for item in spawned if not failed else ():
+                if item[1] is None:
+                    raise _Stop(f'{quoted(item[0])} was spawned from a file, which the record '
+                                'does not contain')
             self._operations.run(name, *arguments)
         except ManipSimError as error:
             reason = str(error)

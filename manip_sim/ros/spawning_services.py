@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 import re
@@ -210,6 +211,20 @@ SUFFIXES = (*_MJCF, *_URDF, *_YAML)
 _MAX_QUICK = 5_000
 
 
+@dataclass(frozen=True)
+class _NewObject:
+    """
+    An object that comes.
+
+    :ivar arguments: of the operation that spawns it
+    :ivar response: to its request
+    """
+
+    item: ObjectModel
+    arguments: list[Any]
+    response: Any
+
+
 class SpawningServices:
     """
     The services that add and delete objects and robots while the simulation runs.
@@ -235,14 +250,9 @@ class SpawningServices:
             'DeleteEntity': answering_later(self._delete)}, self.group)
 
     async def _spawn_all(self, request: Any, response: Any) -> None:
-        """Spawn one after the other, whatever becomes of those before."""
-        results = []
-        for spawn_request in request.spawn_requests:
-            results.append(self._messages.SpawnResult())
-            with result_filled(results[-1].result):
-                await self._spawn(spawn_request, results[-1])
-            await Rounds(self._context.node)
-        response.results = results
+        response.results = [self._messages.SpawnResult() for _ in request.spawn_requests]
+        await self._spawn_in_turn([*zip(request.spawn_requests, response.results)])
+        results = response.results
         reasons = [result.result.error_message for result in results
                    if result.result.result != ResultCode.RESULT_OK]
         if reasons:
@@ -250,48 +260,90 @@ class SpawningServices:
                             f'{len(reasons)} of {len(results)} failed, the first: {reasons[0]}')
 
     async def _spawn(self, request: Any, response: Any) -> None:
-        namespace, pose = request.entity_namespace.strip('/'), _pose(request.initial_pose)
-        with _parsing():
-            is_quick, create = _prepared(request, self._files)
+        await self._spawn_in_turn([(request, response)])
 
-        place = pose.position.tolist(), xyzw_to_wxyz(pose.quat_xyzw).tolist()
+    async def _spawn_in_turn(self, requests: list[tuple[Any, Any]]) -> None:
+        """
+        Spawn one after the other, whatever becomes of those before.
 
-        def make() -> tuple[str, WorldPlan | RobotsPlan]:
-            with _parsing():
-                item = create()
-                return (self._plan_robot(item, request, namespace, pose)
-                        if isinstance(item, RequestedRobot) else
-                        self._plan_object(item, request, namespace, place))
-        name, plan = make() if is_quick else await in_background(self._context.node, make)
-        if isinstance(plan, RobotsPlan):
-            self._robots.add(name, plan)
-        else:
-            resource = resource_of(request, 'entity_resource')
-            text = None if resource.uri else resource.resource_string.strip()
-            self._take_over(plan, 'spawn', name, text, *place)
-        response.entity_name = name
+        Objects wait for each other, as compiling the world takes as long for many as for one.
 
-    def _plan_object(self, item: ObjectModel, request: Any, namespace: str,
-                     place: tuple[list[float], list[float]]) -> tuple[str, WorldPlan]:
-        if namespace:
+        :param requests: and their responses
+        """
+        objects: list[_NewObject] = []
+        for request, response in requests:
+            with result_filled(response.result):
+                pose = _pose(request.initial_pose)
+                with _parsing():
+                    is_quick, create = _prepared(request, self._files)
+                    item = create() if is_quick else await in_background(
+                        self._context.node, create)
+                if isinstance(item, RequestedRobot):
+                    await self._add_objects(objects)
+                    objects = []
+                    await self._add_robot(item, request, response, pose)
+                else:
+                    objects.append(self._new_object(item, request, response, pose, objects))
+            if len(requests) > 1:
+                await Rounds(self._context.node)
+        await self._add_objects(objects)
+
+    def _new_object(self, item: ObjectModel, request: Any, response: Any, pose: Pose,
+                    before: list[_NewObject]) -> _NewObject:
+        if request.entity_namespace.strip('/'):
             raise Rejection(SpawnCode.NAMESPACE_INVALID,
                             'an object is published below objects/ and has no namespace')
-        item.name = self._free_name(request.name or item.name, request.allow_renaming)
+        item.name = self._free_name(request.name or item.name, request.allow_renaming,
+                                    {new.item.name for new in before})
+        place = pose.position.tolist(), xyzw_to_wxyz(pose.quat_xyzw).tolist()
         item.place(*place)
-        return item.name, plan_with(self._simulation.plan, item)
+        resource = resource_of(request, 'entity_resource')
+        text = None if resource.uri else resource.resource_string.strip()
+        return _NewObject(item, [item.name, text, *place], response)
 
-    def _plan_robot(self, item: RequestedRobot, request: Any, namespace: str, pose: Pose
-                    ) -> tuple[str, RobotsPlan]:
+    async def _add_objects(self, objects: list[_NewObject]) -> None:
+        """Add objects in one change, but for those that the world cannot have."""
+        if not objects:
+            return
+        simulation, half = self._simulation, len(objects) // 2
+        try:
+            plan = await in_background(self._context.node, lambda: plan_with(
+                simulation.plan, *(new.item for new in objects)))
+        except ModelError as error:
+            if half:
+                await self._add_objects(objects[:half])
+                await self._add_objects(objects[half:])
+                return
+            with result_filled(objects[0].response.result):
+                raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
+            return
+        given = [new.arguments for new in objects]
+        try:
+            self._take_over(plan, *(('spawn_all', given) if half else ('spawn', *given[0])))
+        except Rejection as error:
+            for new in objects:
+                with result_filled(new.response.result):
+                    raise error
+            return
+        for new in objects:
+            new.response.entity_name = new.item.name
+
+    async def _add_robot(self, item: RequestedRobot, request: Any, response: Any, pose: Pose
+                         ) -> None:
         name = self._robots.free_name(request.name or item.name, request.allow_renaming)
-        if namespace not in ('', name):
+        if request.entity_namespace.strip('/') not in ('', name):
             raise Rejection(SpawnCode.NAMESPACE_INVALID, f'the namespace of a robot is its name, '
                             f'{quoted(name)}: leave entity_namespace empty')
-        return name, plan_with_robot(self._simulation, item.create(name, pose))
+        with _parsing():
+            plan = await in_background(self._context.node, lambda: plan_with_robot(
+                self._simulation, item.create(name, pose)))
+        self._robots.add(name, plan)
+        response.entity_name = name
 
-    def _free_name(self, requested: str, may_rename: bool) -> str:
+    def _free_name(self, requested: str, may_rename: bool, also_taken: set[str]) -> str:
         if may_rename:
             requested = _OTHER_CHARACTERS.sub('_', requested).lstrip('_0123456789') or UNNAMED
-        return free_name(requested, may_rename, self._simulation.entities.names,
+        return free_name(requested, may_rename, {*self._simulation.entities.names, *also_taken},
                          'there is an entity {} already', partial(check_object_name, where='name'))
 
     async def _delete(self, request: Any, _: Any) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.object_creation import object_from_text
-from manip_sim.models.object_model import check_object_name
+from manip_sim.models.object_model import check_object_name, ObjectModel
 from manip_sim.models.regular_files import OneText
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose, Twist
@@ -54,7 +54,7 @@ class Operations:
             'integral_gain': self._integral_gain, 'place': self._place, 'fault': self._fault,
             'direct_command': self._direct_command, 'target': self._target,
             'pull': self._pull, 'end_pull': self._end_pull, 'answer': lambda: None,
-            'spawn': self._spawn, 'delete': self._delete}
+            'spawn': self._spawn, 'spawn_all': self._spawn_all, 'delete': self._delete}
 
     def run(self, name: str, *arguments: Any, using: Any = None) -> Any:
         """
@@ -170,16 +170,14 @@ class Operations:
 
     def _spawn(self, name: str, text: str | None, position: list[float], quat_wxyz: list[float],
                plan: WorldPlan | None = None) -> None:
+        self._spawn_all([[name, text, position, quat_wxyz]], plan)
+
+    def _spawn_all(self, objects: list[list[Any]], plan: WorldPlan | None = None) -> None:
+        """Spawn objects, given by the arguments of :meth:`_spawn`, in one change of the world."""
         if plan is None:
-            if text is None:
-                raise ModelError(f'{quoted(name)} was spawned from a file')
-            item = object_from_text(OneText(text, 'resource_string'))[1]()
-            item.name = name
-            check_object_name(name, 'name')
-            item.place(position, quat_wxyz)
-            plan = plan_with(self._simulation.plan, item)
+            plan = plan_with(self._simulation.plan, *(_created(*item) for item in objects))
         self._simulation.change_objects(plan)
-        self._spawned[name] = [name, text, position, quat_wxyz]
+        self._spawned.update({item[0]: item for item in objects})
 
     def _delete(self, name: str, plan: WorldPlan | None = None) -> None:
         self._simulation.change_objects(plan or plan_without(self._simulation.plan, name))
@@ -201,12 +199,24 @@ class Operations:
         for name in self._simulation.plan.object_names:
             if name not in names:
                 self._delete(name)
-        for item in wanted:
-            if len(item) > 1:
-                self._spawn(*item)
+        missing = [item for item in wanted if len(item) > 1]
+        if missing:
+            self._spawn_all(missing)
 
     def _pull(self, body: str, point: list[float], target: list[float], number: int) -> None:
         self._simulation.pulls.pull(body, point, target, number)
 
     def _end_pull(self, body: str) -> None:
         self._simulation.pulls.end(body)
+
+
+def _created(name: str, text: str | None, position: list[float], quat_wxyz: list[float]
+             ) -> ObjectModel:
+    """Return the object that a text describes, with another name and pose."""
+    if text is None:
+        raise ModelError(f'{quoted(name)} was spawned from a file')
+    item = object_from_text(OneText(text, 'resource_string'))[1]()
+    item.name = name
+    check_object_name(name, 'name')
+    item.place(position, quat_wxyz)
+    return item

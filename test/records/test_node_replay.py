@@ -408,6 +408,8 @@ def test_objects_that_come_and_go_are_repeated(session, verify):
     node.begin()  # As for a new subscriber, with objects of both kinds.
     node.act(10)
     node.thread.change('delete', 'box')
+    node.thread.change('spawn_all', [
+        [name, YAML, [0.4, y, 1.1], turn] for name, y in (('left', 0.5), ('right', -0.5))])
     node.act(110)
     node.close()
     code, lines = verify()

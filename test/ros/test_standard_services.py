@@ -20,6 +20,7 @@ from std_msgs.msg import Header
 from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.regular_files import FilesBelow
+from manip_sim.physics import object_spawning
 from manip_sim.ros import spawning_services
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.feature import NodeContext
@@ -540,6 +541,32 @@ def test_several_entities_come_at_once_each_with_its_result(standard):
     assert [one.result.result for one in response.results] == [
         SpawnCode.NAME_NOT_UNIQUE, OK, SpawnCode.NO_RESOURCE, SpawnCode.INVALID_POSE]
     assert standard.entities().entities == ['robot0_base', 'cube', 'ball', 'can', 'ball_1']
+
+
+def test_many_objects_are_compiled_at_once_but_for_those_that_the_world_cannot_have(
+        standard, monkeypatch):
+    compiled = []
+
+    def plan_with(plan, *items):
+        compiled.append(len(items))
+        return object_spawning.plan_with(plan, *items)
+    monkeypatch.setattr(spawning_services, 'plan_with', plan_with)
+    many = [{'text': BALL, 'allow_renaming': True} for _ in range(20)]
+    response = standard.call('spawn_entities', spawn_requests=requests(*many))
+    assert response.result.result == OK and compiled == [20]
+    assert [one.entity_name for one in response.results] == [
+        'ball', *(f'ball_{number}' for number in range(1, 20))]
+    # The lid of the second one would have the name of the first one.
+    lid = MJCF.replace('</body>', '<body name="lid"><geom size="0.01"/></body></body>')
+    del compiled[:]
+    response = standard.call('spawn_entities', spawn_requests=requests(
+        {'text': MJCF, 'name': 'can_lid'}, {'text': lid}, *many[:6]))
+    assert [one.result.result for one in response.results] == [
+        OK, SpawnCode.RESOURCE_PARSE_ERROR] + [OK] * 6
+    assert "'can_lid'" in response.result.error_message
+    assert compiled == [8, 4, 2, 1, 1, 2, 4]
+    assert standard.entities().entities[-7:] == [
+        'can_lid', *(f'ball_{number}' for number in range(20, 26))]
 
 
 def load(standard, uri='', text=''):
