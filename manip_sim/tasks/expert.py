@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
+import logging
 from typing import Any, Protocol
 
 import mujoco
@@ -15,9 +16,13 @@ import numpy as np
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers import GripperModel
+from manip_sim.physics.contacts import pulling_bodies
+from manip_sim.quoting import quoted_names
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.episode_actions import ArmAction, PoseActions, STEP_M
-from manip_sim.tasks.grasping import bodies_of_gripper, pressure
+from manip_sim.tasks.grasping import bodies_of_gripper, pressure, touching
+
+_LOGGER = logging.getLogger(__name__)
 
 #: An end effector has arrived if it is within this of its goal [m], and turned so: the cosine.
 _ARRIVED_M, _TURNED = 0.006, 0.998
@@ -33,6 +38,8 @@ _WEIGHTS, _GRAVITY = 4.0, 9.81
 _STROKE = 2.0
 #: Way up of a gripper in a period while its fingers stand on something [m].
 _UP_M = 0.002
+#: Joints are beyond their range from this distance on [rad or m].
+_BEYOND = 0.02
 #: Distance of fingers without pads [m].
 _FAR_M = 1.0
 
@@ -80,6 +87,7 @@ class Expert(ABC):
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
         self._actions = PoseActions(simulation)
+        self._has_missed = False
         self.reset()
 
     def reset(self, seed: int = 0) -> None:
@@ -151,9 +159,14 @@ class Expert(ABC):
         """
         arm.closing = closing
         yield from self.wait(periods)
-        # Its speed is the share of half a stroke in a period; zero: it moves at once.
-        if not body or not 0.0 < _gripper(arm).speed * periods < _STROKE:
-            return
+        if body:
+            # Its speed is the share of half a stroke in a period; zero: it moves at once.
+            if 0.0 < _gripper(arm).speed * periods < _STROKE:
+                yield from self._press(arm, body)
+            self._report_miss(arm, body)
+
+    def _press(self, arm: Hold, body: str) -> Iterator[None]:
+        """Wait until a gripper that closes presses on an object."""
         gripper = bodies_of_gripper(self.simulation, arm.item.robot, arm.item.arm)
         weight_n = float(self.simulation.model.body(body).subtreemass[0]) * _GRAVITY
         for _ in range(_MOST_WAITED):
@@ -163,6 +176,28 @@ class Expert(ABC):
                 # What the fingers stand on keeps them from closing.
                 arm.position = arm.position + [0.0, 0.0, _UP_M]
             yield
+
+    def _report_miss(self, arm: Hold, body: str) -> None:
+        """Warn once of a gripper that has closed and does not hold an object, and say why."""
+        simulation, gripper = self.simulation, _gripper(arm)
+        model, data = simulation.model, simulation.data
+        touched = touching(simulation, body) & bodies_of_gripper(
+            simulation, arm.item.robot, arm.item.arm)
+        if len(touched) > 1 or touched & pulling_bodies(model, data) or self._has_missed:
+            return
+        self._has_missed = True
+        joints = [model.joint(name).id for name in gripper.joints]
+        at = {model.joint(joint).name: float(data.qpos[model.jnt_qposadr[joint]])
+              for joint in joints}
+        beyond = [model.joint(joint).name for joint in joints if model.jnt_limited[joint] and not (
+            model.jnt_range[joint, 0] - _BEYOND <= at[model.joint(joint).name]
+            <= model.jnt_range[joint, 1] + _BEYOND)]
+        _LOGGER.warning(
+            "the expert cannot grasp '%s': the gripper %s has closed, and %s of its bodies "
+            'touches that; joints: %s%s', body, gripper.name, len(touched) or 'none',
+            ', '.join(f'{name} {value:.3f}' for name, value in at.items()),
+            f'; beyond its range: {quoted_names(beyond)}, so the actuators are too strong for the '
+            'inertia of the fingers: give these joints armature' if beyond else '')
 
     def open_to(self, arm: Hold, width_m: float) -> Iterator[None]:
         """

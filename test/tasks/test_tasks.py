@@ -104,6 +104,27 @@ def test_the_pressure_on_a_cube_is_its_weight_until_fingers_press():
     assert pressure(simulation, fingers, {'cube'}) > 4.0 * 0.1 * 9.81
 
 
+def test_an_expert_says_why_a_gripper_of_a_user_does_not_hold_the_cube(tmp_path, caplog):
+    # Fingers of 50 g with 5 N m go through the cube within a step.
+    fingers = ''.join(
+        f'<body name="{name}" pos="{x} 0 0.04"><joint name="{name}" axis="0 {y} 0" '
+        'range="-0.4 0.6"/><geom type="box" size="0.006 0.012 0.05" pos="0 0 0.05" mass="0.05"/>'
+        '</body>' for name, x, y in (('left', -0.045, 1), ('right', 0.045, -1)))
+    servos = ''.join(f'<position joint="{name}" kp="20" kv="0.5" ctrlrange="-0.4 0.6" '
+                     'forcerange="-5 5"/>' for name in ('left', 'right'))
+    file = tmp_path / 'hinges.xml'
+    file.write_text(f"""<mujoco><compiler angle="radian"/><worldbody><body name="palm">
+        <geom type="box" size="0.05 0.03 0.02" pos="0 0 0.02" mass="0.3"/>
+        <site name="grip_site" pos="0 0 0.14"/>{fingers}</body></worldbody>
+        <actuator>{servos}</actuator></mujoco>""")
+    task = create_task('pick_cube', gripper=str(file))
+    episode = Episode(task, Simulation(task.world))
+    assert not episode.run(task.expert(episode.simulation), 0)
+    message, = [record.message for record in caplog.records if 'expert' in record.name]
+    assert "cannot grasp 'cube'" in message and 'none of its bodies touches' in message
+    assert 'too strong for the inertia of the fingers' in message
+
+
 def test_the_page_on_experts_has_enough_successes_of_each_task_and_robot():
     page = Path(__file__).parents[2] / 'docs' / 'reference' / 'experts.md'
     found = {(row[1].strip('` '), row[2].strip()): row[3].split() for row in (
