@@ -19,7 +19,7 @@ from manip_sim.arrays import FloatArray
 @dataclass(frozen=True)
 class FrictionLaw:
     """
-    How friction and torque limit of a joint depend on its velocity; infinite velocities: not.
+    Dependence of friction and torque limit of a joint on its velocity; none if infinite.
 
     Friction is ``coulomb + (static - coulomb) / (1 + (v / stribeck_velocity)^2)`` (D. P. Hess and
     A. Soom, Journal of Tribology 112(1), 1990). The torque limit in the direction of motion falls

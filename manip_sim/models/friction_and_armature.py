@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What motors and gears add to joints: friction, the torque that is left at speed, rotor inertia.
+Properties of motors and gears: friction, the torque that is left at speed, rotor inertia.
 
 The values of the catalogue are in the file ``actuators.yaml`` beside a robot's MJCF, each with its
 source. How friction and torque follow the velocity is computed by the simulation.

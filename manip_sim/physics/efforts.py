@@ -67,7 +67,7 @@ def _explicit_at_limits() -> tuple[bool, bool]:
 
 class _World(NamedTuple):
     """
-    What efforts depend on beside the last step, as views of the model and the data.
+    Quantities beside the last step that efforts depend on, as views of the model and the data.
 
     :ivar sizes: numbers of degrees of freedom, actuators and joints
     :ivar places: actuator and degree of freedom of each moment; None if they change

@@ -18,7 +18,7 @@ from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose, Twist
 
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
-#: What can be read of a gripper.
+#: Quantities that can be read of a gripper.
 READINGS = ('pose', 'twist', 'wrench', 'external_wrench')
 
 

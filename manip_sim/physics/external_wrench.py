@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the world exerts on a tool: the mean over a control period, filtered and tared.
+Wrench that the world exerts on a tool: the mean over a control period, filtered and tared.
 
 The tare of its noise is in :mod:`manip_sim.sensing.robot_sensing`.
 """
@@ -24,7 +24,7 @@ from manip_sim.physics.uncollected_forces import has_fluid, UncollectedForces
 from manip_sim.validation import positive_number
 
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
-#: How many steps are kept before they are summed up.
+#: Number of steps that are kept before they are summed up.
 _ROWS = 64
 #: Smaller wrenches are rounding, as of internal forces that cancel, and become zero [N or N m].
 _ROUNDING = 1e-9
@@ -255,7 +255,7 @@ class ExternalWrench:
 
     @property
     def settled(self) -> bool:
-        """Whether a period in which nothing touches the tool would change nothing."""
+        """True if a period in which nothing touches the tool would change nothing."""
         mean = self._compute_mean() if self._mean is None else self._mean
         return not (mean.any() or self.payload.mass or (
             self._filtered is not None and self._filtered.any()))
@@ -351,7 +351,7 @@ class TouchWatch:
 
     @property
     def touches(self) -> bool:
-        """Whether a tool touches something else, as of the last ``mj_forward``."""
+        """True if a tool touches something else, as of the last ``mj_forward``."""
         if not self._data.ncon:
             return False
         geoms = self._data.contact.geom

@@ -24,7 +24,7 @@ _ROUNDED = 1e-6
 @dataclass(frozen=True)
 class Payload:
     """
-    What an arm holds, beside its gripper.
+    Load that an arm holds, beside its gripper.
 
     :ivar mass: [kg]; 0 for nothing
     :ivar center_of_mass: in ``ft_frame``, the flange between wrist and gripper [m]

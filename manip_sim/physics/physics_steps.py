@@ -130,7 +130,7 @@ class PhysicsSteps:
         self._pushed, self._contacts, self._begin = False, 0, 0
         #: Holds the computed quantities while something is measured.
         self._aside: mujoco.MjData | None = None
-        #: Whether all is computed for a state, and for the present one: the first half of the next
+        #: True if all is computed for a state, and for the present one: the first half of the next
         #: step, and all but its integration.
         self._computed = self._resumes = self._integrates = False
 
@@ -240,7 +240,7 @@ class PhysicsSteps:
 
     @property
     def stays_untouched(self) -> bool:
-        """Whether nothing touches a tool, nor is likely to in the next period."""
+        """True if nothing touches a tool, nor is likely to in the next period."""
         if self.contacts_change or self._touch.pushed or self._laws or self.measuring:
             return False
         # Contacts do not come or go where nothing has changed since such a period.
@@ -289,7 +289,7 @@ class PhysicsSteps:
         seats = [seat for seat in self.seats if seat.of]
         if seats:
             step = partial(_step_with_laws, seats, mujoco.mj_step1)
-        # What depends on positions and velocities alone may have been computed already.
+        # All that depends on positions and velocities alone may have been computed already.
         next_step, self._resumes = (self._second_half(seats) if self._resumes else step), False
         for steps in self._interrupted(intervals) if self.measuring else intervals:
             for _ in range(steps):

@@ -20,7 +20,7 @@ from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import MAX_DISTANCE_M
 from manip_sim.quoting import quoted
 
-#: How long a pull lasts after it was last asked for, in simulation time [s].
+#: Duration of a pull after it was last asked for, in simulation time [s].
 PULL_S = 0.2
 #: Stiffness for each kilogram [N/m/kg], as in MuJoCo's viewer.
 _STIFFNESS = 100.0

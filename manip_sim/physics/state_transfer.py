@@ -28,10 +28,10 @@ _NAMED = {
     'ntex': 'tex', 'nmat': 'mat', 'npair': 'pair', 'nexclude': 'exclude', 'neq': 'eq',
     'ntendon': 'tendon', 'nsensor': 'sensor', 'nnumeric': 'numeric', 'ntext': 'text',
     'ntuple': 'tuple', 'nplugin': 'plugin'}
-#: How many positions and velocities a joint that is not scalar has.
+#: Numbers of positions and velocities of a joint that is not scalar.
 _QPOS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
 _DOFS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
-#: What equalities connect whose ``eq_objtype`` does not say it.
+#: Kinds of elements that equalities connect whose ``eq_objtype`` does not say it.
 _ENDS = {int(mujoco.mjtEq.mjEQ_JOINT): int(mujoco.mjtObj.mjOBJ_JOINT),
          int(mujoco.mjtEq.mjEQ_TENDON): int(mujoco.mjtObj.mjOBJ_TENDON)}
 #: Return where the rows of each element of a model begin, and how many there are.

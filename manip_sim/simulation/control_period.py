@@ -76,7 +76,7 @@ class ControlPeriods:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing but physics happens until the next command."""
+        """True if nothing but physics happens until the next command."""
         self._steps.physics.interrupt()
         return (self.diverged is None and not self._pulls
                 and self._steps.resumes() and self.resting
@@ -84,7 +84,7 @@ class ControlPeriods:
 
     @property
     def resting(self) -> bool:
-        """Whether control has nothing to do."""
+        """True if control has nothing to do."""
         self._steps.physics.interrupt()
         return not self._free_roots.is_needed and not self._awake()
 

@@ -47,7 +47,7 @@ class ControlState:
 
     def __init__(self, roots: Iterable[object], stateless: tuple[type, ...] = (),
                  passing: tuple[type, ...] = ()) -> None:
-        #: What a state refers to by its index here; the same in every simulation of a world.
+        #: Objects that a state refers to by index here; the same in every simulation of a world.
         self._fixed: list[object] = []
         self._stateful: list[object] = []
         #: Their ``format_action`` may have a state, in classes of users too.
@@ -99,7 +99,7 @@ class ControlState:
 
     @property
     def fixed(self) -> list[object]:
-        """What a state refers to by its index, the same in every simulation of a world."""
+        """The objects that a state refers to by index, the same in every simulation of a world."""
         return self._fixed
 
     @property
@@ -109,7 +109,7 @@ class ControlState:
 
     @property
     def layout(self) -> str:
-        """What a state refers to; another one where control consists of other parts."""
+        """Objects that a state refers to; others where control consists of other parts."""
         return ' '.join(type(item).__qualname__ for item in self._fixed)
 
     def save(self) -> bytes:
@@ -263,7 +263,7 @@ class _Encoder:
         elif isinstance(value, CommandHandle) and not value.is_active:
             yield b'ended'
         elif is_frozen(value, compares=True):
-            # Which of several equal objects it is makes no difference.
+            # Among several equal objects the choice makes no difference.
             yield from self.members(value)
         elif id(value) in self._number_of:
             yield b'#%d' % self._number_of[id(value)]

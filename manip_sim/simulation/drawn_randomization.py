@@ -41,10 +41,10 @@ _FIELDS: Mapping[tuple[str, str], tuple[str, int | None]] = {
     ('lights', 'ambient'): ('light_ambient', None),
     ('lights', 'specular'): ('light_specular', None), ('cameras', 'position'): ('cam_pos', None),
     ('cameras', 'orientation'): ('cam_quat', None)}
-#: What of a compiled model depends on sizes of geoms.
+#: Fields of a compiled model that depend on sizes of geoms.
 _OF_SIZES = ('geom_aabb', 'geom_rbound', 'bvh_aabb', 'bvh_child', 'bvh_depth', 'bvh_nodeid',
              'body_mass', 'body_inertia', 'body_ipos', 'body_iquat')
-#: How many numbers of ``geom_size`` a type of geom has.
+#: Count of numbers of ``geom_size`` of a type of geom.
 _NUMBERS = {'SPHERE': 1, 'CAPSULE': 2, 'CYLINDER': 2, 'ELLIPSOID': 3, 'BOX': 3}
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 #: Specs are not for several threads at once, and worlds that are reset together share one.
@@ -211,7 +211,7 @@ class Randomized:
 
     @property
     def draws(self) -> bool:
-        """Whether anything is drawn at resets."""
+        """True if anything is drawn at resets."""
         return self._given is not None
 
     def draw(self, seed: int) -> None:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the torque of a joint depends on besides the links, and the limits that control keeps to.
+Properties of a joint besides the links that its torque depends on, and the limits of control.
 
 A URDF has no place for most of it. With the links of ``robot_description`` it is everything
 that a controller needs to compute the torques of the simulation.

@@ -20,7 +20,7 @@ from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation.drawn_randomization import Randomized
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
-#: How long coupled joints are simulated so that they settle at their start [s].
+#: Duration of the simulation in which coupled joints settle at their start [s].
 _SETTLE_S = 0.5
 
 

@@ -15,7 +15,7 @@ from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.sensing.sensor_noise import InstrumentChannel
 from manip_sim.simulation.robot import SimulatedRobot
 
-#: What the names of the channels of instruments begin with.
+#: Begin of the names of the channels of instruments.
 _CHANNELS = 'sensors/'
 
 

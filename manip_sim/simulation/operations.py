@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What else than commands changes a simulation from outside, by name and with plain arguments."""
+"""Changes of a simulation from outside other than commands, by name and with plain arguments."""
 
 from __future__ import annotations
 

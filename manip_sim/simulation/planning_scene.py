@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a motion planner for one robot has to know of the world: solids, where they are, grasps."""
+"""The world as a motion planner for one robot sees it: solids, where they are, grasps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _GRASPED, _RELEASED = 2, 3
 #: Planners take shapes that touch for a collision, but robots stand against what does not move:
 #: this distance is kept there [m].
 _CLEARANCE_M = 0.001
-#: What stands for an infinite plane [m].
+#: Size of the box that stands for an infinite plane [m].
 _PLANE_WIDTH_M, _PLANE_THICKNESS_M = 20.0, 0.1
 _GEOM = mujoco.mjtGeom
 
@@ -84,7 +84,7 @@ class HeldObject:
 @dataclass(frozen=True)
 class Changes:
     """
-    What differs from the scene as it was at the look before.
+    Difference from the scene as it was at the look before.
 
     :ivar added: objects that are not held any more, and where they are in ``world``
     :ivar moved: objects that have moved, and where they are in ``world``

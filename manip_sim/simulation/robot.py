@@ -134,7 +134,7 @@ class SimulatedRobot:
 
     @property
     def moving(self) -> bool:
-        """Whether setpoints change, or may change, in the next interval."""
+        """True if setpoints change, or may change, in the next interval."""
         return self.joints.moving or self.grippers_move
 
     @property
@@ -144,7 +144,7 @@ class SimulatedRobot:
 
     @property
     def resting(self) -> bool:
-        """Whether the physics loop has nothing to do for it until the next command."""
+        """True if the physics loop has nothing to do for it until the next command."""
         return (self.joints.resting and not self.reflexes.armed and not self._late
                 and not self.faults.scheduled
                 and not self.grippers_move)

@@ -54,7 +54,7 @@ class RunRoom(NamedTuple):
 
 class RobotRun(NamedTuple):
     """
-    What a robot does in intervals that the compiled law runs.
+    Part of a robot in intervals that the compiled law runs.
 
     :ivar joints: its joints
     :ivar targets: of its end effectors

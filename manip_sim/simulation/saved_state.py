@@ -31,9 +31,9 @@ from manip_sim.simulation.control_state import Content, ControlState
 from manip_sim.simulation.episode_start import EpisodeStart
 from manip_sim.simulation.robot import SimulatedRobot
 
-#: What control changes in a model: gains of servos and of grippers.
+#: Numbers of a model that control changes: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
-#: What commands bring along: it is a part of states, and not there at construction.
+#: Attributes that come with commands: parts of states, and not there at construction.
 _PASSING = (PointStreams, PoseStream, SeatState, Target, VelocityStream)
 
 
@@ -85,7 +85,7 @@ class SimulationState:
 
 class SavedStates:
     """
-    What a simulation's states consist of besides commands that wait, and how they are compared.
+    Content of the states of a simulation besides commands that wait, and their comparison.
 
     :param physics: of the world
     :param clock: of the simulation

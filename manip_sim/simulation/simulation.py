@@ -214,7 +214,7 @@ class Simulation:
 
     @property
     def plan(self) -> WorldPlan:
-        """What the world was compiled from."""
+        """The plan that the world was compiled from."""
         return self.physics.plan
 
     @property
@@ -275,7 +275,7 @@ class Simulation:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing but physics happens until the next command."""
+        """True if nothing but physics happens until the next command."""
         return self.periods.idle
 
     def advance(self, steps: int) -> None:

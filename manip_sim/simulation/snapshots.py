@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a simulation looks like at an instant: copied quickly, and shown later in any thread."""
+"""The look of a simulation at an instant: copied quickly, and shown later in any thread."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ class ArmAction:
 
 class Actions(ABC):
     """
-    What the numbers of an action are, and how they take effect.
+    Meaning of the numbers of an action, and their effect.
 
     For each arm with a gripper, by robot and arm, these are its goals, then one number for its
     gripper in [-1, 1], +1 closes; a gripper in which nothing moves has none.

@@ -60,7 +60,7 @@ class Policy(Protocol):
 
 class Hold:
     """
-    What an expert wants of one arm: a pose of its end effector and whether the gripper closes.
+    Goal of an expert for one arm: a pose of its end effector, and whether the gripper closes.
 
     :param position: of ``grip_site`` in ``world`` [m], shape (3,)
     :param rotation: of ``grip_site`` in ``world``, shape (3, 3)
@@ -173,7 +173,7 @@ class Expert(ABC):
             if pressure(self.simulation, gripper, {body}) > _WEIGHTS * weight_n:
                 return
             if pressure(self.simulation, gripper, but={body}):
-                # What the fingers stand on keeps them from closing.
+                # The surface that the fingers stand on keeps them from closing.
                 arm.position = arm.position + [0.0, 0.0, _UP_M]
             yield
 

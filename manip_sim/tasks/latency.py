@@ -26,7 +26,7 @@ _KEYS = ('command', 'state', 'command_jitter', 'state_jitter')
 @dataclass(frozen=True)
 class Latency:
     """
-    How much later a command takes effect, and how old an observed state is.
+    Delay of commands, and age of observed states.
 
     :ivar command_s: from an observation's arrival at the policy to the effect of its action [s]
     :ivar state_s: from the instant of a state to its arrival at the policy [s]

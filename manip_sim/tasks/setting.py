@@ -31,7 +31,7 @@ from manip_sim.validation import fitting_timestep, steps_of
 @dataclass(frozen=True)
 class Setting:
     """
-    What episodes are made of.
+    Parts of which episodes are made.
 
     :ivar task: its name, or an instance
     :ivar robot: as for ``compose``; a task that is an instance has its own

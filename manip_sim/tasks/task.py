@@ -40,7 +40,7 @@ TOO_SHORT: Mapping[str, str] = MappingProxyType({
 
 class Task(ABC):
     """
-    What a robot should do, without how; a subclass registers itself by its :attr:`name`.
+    Aim of a robot, without the way; a subclass registers itself by its :attr:`name`.
 
     A task keeps nothing of an episode: everything that :meth:`start` draws and :meth:`end_period`
     changes is in the simulation (poses of objects and mocap bodies), so that saved states hold it

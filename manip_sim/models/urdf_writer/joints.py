@@ -36,7 +36,7 @@ _IMU = (*(f'orientation.{axis}' for axis in 'xyzw'), *(
 @dataclass(frozen=True)
 class Hardware:
     """
-    What the ``<ros2_control>`` tag says of the robot.
+    Content of the ``<ros2_control>`` tag of the robot.
 
     :ivar interfaces: ``position``, ``velocity`` or ``effort`` by name of the joint with commands
     :ivar states_topic: where the joint states come from
@@ -121,7 +121,7 @@ _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 @dataclass(frozen=True)
 class Mimic:
     """
-    How a joint follows another one.
+    Coupling of a joint to another one.
 
     :ivar leader: id of a joint that follows none
     """
