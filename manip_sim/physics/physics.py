@@ -151,7 +151,7 @@ def _nothing() -> None:
 
 class Physics:
     """
-    What MuJoCo simulates; nothing else keeps a model, because another one may replace it.
+    Holder of model and data; nothing else keeps them, because others may replace them.
 
     Robots come first in every model, those from the start before others, so ids and addresses
     change only if a robot before is deleted. They, what depends on the number of other elements,
