@@ -507,7 +507,7 @@ def wedged_hand(depth, sideways):
                 f'link="{name}"/><origin xyz="{xyz}"/><axis xyz="{axis}"/><limit lower="-0.6" '
                 'upper="0.6" effort="5" velocity="2"/></joint>')
     away = 0.015 - depth
-    posts = [('.02 .02 .06', f'{x} 0 .13') for x in (away, -away)]
+    posts = [('.02 .02 .06', f'{x} 0 .13') for x in (away, 1e-5 - away)]
     return ('<robot name="hand">' + link('palm', ('.08 .06 .04', '0 0 0'), *posts)
             + link('inner', ('.01 .02 .04', '0 0 .02')) + link('outer', ('.01 .02 .05', '0 0 .02'))
             + link('other', ('.01 .02 .08', '0 0 .04'))
@@ -516,8 +516,7 @@ def wedged_hand(depth, sideways):
             + joint('other', 'palm', '0 .05 .03', '1 0 0') + '</robot>')
 
 
-@pytest.mark.parametrize('sideways', [False, True])
-@pytest.mark.parametrize('depth', [4e-5, 3e-4, 8e-4])
+@pytest.mark.parametrize(('depth', 'sideways'), [(4e-5, False), (8e-4, True)])
 def test_a_hand_of_a_file_has_the_same_defects_alone_and_on_an_arm(depth, sideways, tmp_path):
     file = tmp_path / 'hand.urdf'
     file.write_text(wedged_hand(depth, sideways))
