@@ -157,7 +157,7 @@ def _room(world: WorldArrays, servo: Any, beside: float) -> tuple[float, float]:
             max(servo.high - carried, _LEAST_SHARE * servo.high) / servo.stiffness)
 
 
-@inner
+@inlined
 def _presses(world: WorldArrays, servo: Any, room: float) -> bool:
     """
     Return whether something resists a joint with much of the effort that its setpoint may use.
