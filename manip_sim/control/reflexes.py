@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from manip_sim.control.collisions import CollisionObserver, OFF, read_thresholds
 from manip_sim.control.commands import Command, JointSetpoint, NoCommand
 from manip_sim.control.discontinuities import Discontinuities
 from manip_sim.control.joint_controller import JointController
@@ -19,6 +21,8 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.parts import atomic_parts, Part
+from manip_sim.physics.physics import Physics
+from manip_sim.validation import positive_number
 
 #: States of a robot, from good to bad: it takes commands; a reflex has stopped some part; it comes
 #: to rest before it takes commands; all of it was stopped.
@@ -31,7 +35,7 @@ _EMERGENCY = 'emergency stop'
 @dataclass(frozen=True)
 class ReflexLimits:
     """
-    Limits beyond which a part is stopped; 0 for none.
+    Limits beyond which a part is stopped; 0, and the word ``none``, for none.
 
     :ivar velocity: of any joint, as a multiple of its velocity limit
     :ivar effort: of any joint, as a multiple of its effort limit
@@ -39,6 +43,8 @@ class ReflexLimits:
     :ivar torque: magnitude of the external torque on the tool [N m]
     :ivar discontinuity: velocity or acceleration that commands for positions demand of any joint,
         as a multiple of its limit
+    :ivar collision: torques that the world exerts at joints [N m or N], as
+        :func:`~manip_sim.control.collisions.read_thresholds` reads them
     """
 
     velocity: float = 0.0
@@ -46,11 +52,12 @@ class ReflexLimits:
     force: float = 0.0
     torque: float = 0.0
     discontinuity: float = 0.0
+    collision: str = OFF
 
     @property
     def any(self) -> bool:
         """Whether there is any limit."""
-        return any(getattr(self, field.name) for field in fields(self))
+        return self != ReflexLimits()
 
 
 class Reflexes:
@@ -59,10 +66,12 @@ class Reflexes:
 
     A part that was stopped refuses commands until :meth:`reset`.
 
+    :param physics: of the world
     :param parts: of the robot, by name
     :param joints: controller of their joints
     :param end_effectors: readers of the grippers, by arm
     :param efforts: of the actuators of the model
+    :ivar collisions: observes the torques that the world exerts, while any of them has a limit
     :ivar tripped: why each part was stopped that refuses commands
     :ivar is_emergency: whether the robot is in emergency stop
     :ivar is_recovering: whether it recovers, until all stopped joints rest
@@ -71,7 +80,7 @@ class Reflexes:
 
     not_in_digest = ('counts',)
 
-    def __init__(self, parts: Mapping[str, Part], joints: JointController,
+    def __init__(self, physics: Physics, parts: Mapping[str, Part], joints: JointController,
                  end_effectors: Mapping[str, EndEffectorReader], efforts: ActuatorEfforts) -> None:
         self._joints, self._efforts = joints, efforts
         self._limits = {part.name: ReflexLimits() for part in atomic_parts(parts)
@@ -84,20 +93,48 @@ class Reflexes:
         self.is_emergency = self.is_recovering = False
         self.armed: tuple[str, ...] = ()
         self._discontinuities = Discontinuities(joints)
+        self.collisions = CollisionObserver(physics, joints, end_effectors)
+        #: Of collisions [N m or N], by part that has any.
+        self._thresholds: dict[str, tuple[float, ...]] = {}
 
-    def set(self, part: str, quantity: str, limit: float) -> None:
+    def set(self, part: str, quantity: str, limit: Any) -> None:
         """
         Change a limit of a part, of each of those that it consists of.
 
         :param quantity: a field of :class:`ReflexLimits`
+        :param limit: 0 for none; of collisions see ``read_thresholds``
+        :raises CommandError: if the limit is not a positive finite number, or no such thresholds
         :raises UnknownNameError: if the quantity is unknown
         """
         known = [field.name for field in fields(ReflexLimits)]
         if quantity not in known:
             raise UnknownNameError('quantity of a reflex', quantity, known)
-        for name in self._joints.parts_of(self._joints.indices_of(part)):
+        names = self._joints.parts_of(self._joints.indices_of(part))
+        if quantity == 'collision':
+            limit = self._set_thresholds(names, limit)
+        else:
+            limit = positive_number(limit, 'a limit', CommandError, or_zero=True)
+        for name in names:
             self._limits[name] = replace(self._limits[name], **{quantity: limit})
         self.armed = tuple(name for name, limits in self._limits.items() if limits.any)
+
+    def _set_thresholds(self, names: Iterable[str], value: Any) -> str:
+        """Change the thresholds of collisions of parts, and return them as a text."""
+        joints = self._joints
+        found = {name: read_thresholds(value, joints.efforts_allowed(joints.indices_of(name)))
+                 for name in names}
+        kept = {name: found.get(name, self._thresholds.get(name)) for name in self._limits}
+        self._thresholds = {name: numbers for name, numbers in kept.items() if numbers}
+        if not self._thresholds:
+            self.collisions.restart()
+        if not any(found.values()):
+            return OFF
+        return value.strip() if isinstance(value, str) else str(np.asarray(value, float).tolist())
+
+    @property
+    def observes(self) -> bool:
+        """True if the torques that the world exerts at joints are observed."""
+        return bool(self._thresholds)
 
     @property
     def limits(self) -> Mapping[str, ReflexLimits]:
@@ -204,6 +241,7 @@ class Reflexes:
         """Run again, as after a reset of the simulation."""
         self.is_emergency = self.is_recovering = False
         self._discontinuities.clear()
+        self.collisions.restart()
         self._resume()
 
     def stop_all(self, data: mujoco.MjData) -> None:
@@ -242,7 +280,23 @@ class Reflexes:
                 worst = int(share.argmax())
                 return (f"the {quantity} of joint '{joints.names[indices[worst]]}' is "
                         f'{share[worst]:.3g} times its limit, allowed is {limit:g}')
-        return self._push(part, data)
+        return self._collision(part) or self._push(part, data)
+
+    def _collision(self, part: str) -> str | None:
+        """Return at which joint of a part the world exerts too much, in words, or None."""
+        if part not in self._thresholds:
+            return None
+        joints, thresholds = self._joints, np.array(self._thresholds[part])
+        indices = joints.indices_of(part)
+        torques, known = np.abs(self.collisions.residual[indices]), thresholds > 0.0
+        shares = np.divide(torques, thresholds, out=np.zeros(len(torques)), where=known)
+        worst = int(shares.argmax())
+        if shares[worst] <= 1.0:
+            return None
+        name = joints.names[indices[worst]]
+        unit = self.collisions.unit_of(name)
+        return (f"the world exerts {torques[worst]:.3g} {unit} at joint '{name}', "
+                f'allowed is {thresholds[worst]:g} {unit}')
 
     def _push(self, part: str, data: mujoco.MjData) -> str | None:
         """Return by how much the tool of a part is pushed too hard, in words, or None."""

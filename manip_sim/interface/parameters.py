@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings, FRAMES
+from manip_sim.control.collisions import DEFAULT, OFF
 from manip_sim.control.modes import default_mode, MODES
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.user_laws import LAWS
@@ -411,12 +412,16 @@ def reflex_parameters(scope: Scope, parts: Sequence[str], arms: Sequence[str]
     :param parts: the parts with driven joints, see :func:`commanded_parts`
     :param arms: those with a gripper, and so with an external wrench
     """
-    return [ParameterSpec(
-        f'reflex.{part}.{quantity}', 0.0, f'Stop if {condition}; the part then rejects commands '
-        'until ~/reset_reflex. 0 switches it off.', unit, live=True, minimum=0.0,
-        maximum=most).within(scope)
-        for part in parts for quantity, condition, unit, most in _REFLEXES
-        if not unit or part in arms or (part == 'arm' and len(arms) == 1)]
+    return [spec.within(scope) for part in parts for spec in (
+        *[ParameterSpec(f'reflex.{part}.{quantity}', 0.0, f'Stop if {condition}; the part then '
+                        'rejects commands until ~/reset_reflex. 0 switches it off.', unit,
+                        live=True, minimum=0.0, maximum=most)
+          for quantity, condition, unit, most in _REFLEXES
+          if not unit or part in arms or (part == 'arm' and len(arms) == 1)],
+        ParameterSpec(f'reflex.{part}.collision', OFF, 'The same if the world exerts more than '
+                      f"this torque at a joint [N m or N]: {OFF}, {DEFAULT} (a quarter of the "
+                      "effort limits), or a number for all joints or one for each such as "
+                      "'[20, 20, 18]'.", live=True))]
 
 
 def sensing_parameters(scope: Scope) -> list[ParameterSpec]:

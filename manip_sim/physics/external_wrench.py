@@ -11,29 +11,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import math
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
+from manip_sim.physics.body_forces import BodyForces, subtree_size, ZERO
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.uncollected_forces import has_fluid, UncollectedForces
 from manip_sim.validation import positive_number
 
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
-#: Number of steps that are kept before they are summed up.
-_ROWS = 64
-#: Smaller wrenches are rounding, as of internal forces that cancel, and become zero [N or N m].
+#: Smaller differences to the filtered wrench are rounding [N or N m].
 _ROUNDING = 1e-9
-_ZERO = np.zeros(6)
-_ZERO.flags.writeable = False
 _BETWEEN_BODIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
-class ExternalWrench:
+class ExternalWrench(BodyForces):
     """
     The wrench of the world on a tool, as an integrating force/torque sensor reads it.
 
@@ -46,98 +42,49 @@ class ExternalWrench:
     :param physics: of the world
     :param sensor: name of a sensor of its frame
     :ivar site: id of that frame
-    :ivar forces: on the bodies of the tool in the last step, a view
-    :ivar no_forces: the same where there is nothing to record, as bytes
-    :ivar uncollected: the forces that are not in :attr:`forces`
-    :ivar is_only_touched: whether contacts, or a fluid, alone exert forces on the tool
     :ivar payload: of the arm
     """
 
     def __init__(self, physics: Physics, sensor: str) -> None:
-        self._physics = physics
+        super().__init__(physics)
         self._sensor = sensor
-        #: Sum over the steps that are no longer in the rows.
-        self._sum = _ZERO
-        #: Forces on the bodies in each step, and the centre of mass of the tree, as bytes.
-        self._rows: list[bytes] = []
-        self._centres: list[bytes] = []
-        self._steps = 1
-        #: Force and torque about the origin in world axes; None until somebody needs them.
-        self._mean: FloatArray | None = _ZERO
-        self._tare = _ZERO
+        self._tare = ZERO
         self._cutoff_hz = 0.0
         self._filtered: FloatArray | None = None
         self.payload = Payload()
         #: Momentum and angular momentum of the payload when the last period ended, in the world.
-        self._momentum = _ZERO
+        self._momentum = ZERO
         physics.on_change(self._find_tool)
 
     @property
     def not_in_digest(self) -> tuple[str, ...]:
         """A name, the period that has passed, and a payload that is none."""
         # Nothing in the next period depends on the last one.
-        return ('_sensor', '_rows', '_centres', 'no_forces', '_no_rows', '_sum', '_mean',
-                '_steps', *(() if self.payload.mass else ('payload', '_momentum')))
+        return (*super().not_in_digest, '_sensor',
+                *(() if self.payload.mass else ('payload', '_momentum')))
 
-    def _find_tool(self) -> None:
-        model, data = self._physics.model, self._physics.data
-        if self._mean is None:
-            self._compute_mean()
+    def _find_bodies(self) -> slice:
+        model = self._physics.model
         self.site = int(model.sensor(self._sensor).objid[0])
         body = int(model.site_bodyid[self.site])
         #: The tool: bodies are in depth-first order.
-        self.bodies = slice(body, body + _subtree_size(model, body))
-        self.forces = data.cfrc_ext[self.bodies]
-        self._centre = data.subtree_com[model.body_rootid[body]]
-        self.uncollected = UncollectedForces.of(model, self.bodies)
-        self._no_rows = bytes(self.forces.nbytes)
-        self.is_only_touched = self.uncollected.is_empty and not self.uncollected.adhesions
-        # Adhesion pulls before there is a contact force, and those with flexes are not among them.
-        self.no_forces = self._no_rows
-        if self.uncollected.adhesions or self.uncollected.flexes is not None:
-            self.no_forces = b''
-
-    def begin_period(self) -> None:
-        """Begin a control period in which each step may be recorded."""
-        self._sum = _ZERO
-        if self._rows:
-            self._rows, self._centres = [], []
+        bodies = slice(body, body + subtree_size(model, body))
+        self.uncollected = UncollectedForces.of(model, bodies)
+        return bodies
 
     def record(self) -> None:
         """Record the forces of the last step, if they are not zero."""
         model, uncollected = self._physics.model, self.uncollected
         if not uncollected.is_empty or has_fluid(model.opt):
             self._sum = self._sum + uncollected.wrench(model, self._physics.data)
-        forces = self.forces.tobytes()
-        if forces != self._no_rows:
-            self._add(forces, self._centre.tobytes())
+        super().record()
 
-    def _add(self, forces: bytes, centre: bytes) -> None:
-        self._rows.append(forces)
-        self._centres.append(centre)
-        if len(self._rows) == _ROWS:
-            self._sum_up()
-
-    def record_rows(self, rows: FloatArray, centres: FloatArray) -> None:
-        """
-        Record the forces of several steps.
-
-        :param rows: forces that are not zero, shape (k, m, 6)
-        :param centres: where the centre of mass of the tree was [m], shape (k, 3)
-        """
-        for forces, centre in zip(rows, centres):
-            self._add(forces.tobytes(), centre.tobytes())
-
-    def _sum_up(self) -> None:
-        count = len(self._rows)
-        rows = np.frombuffer(b''.join(self._rows)).reshape(count, -1, 6)
-        centres = np.frombuffer(b''.join(self._centres)).reshape(count, 3)
+    def _summed(self, rows: FloatArray, centres: FloatArray) -> FloatArray:
         wrenches = np.add.reduce(rows, axis=1)
         torque, force = np.add.reduce(wrenches).reshape(2, 3)
         (_, xy, xz), (yx, _, yz), (zx, zy, _) = np.einsum(
             'ni,nj->ij', centres, wrenches[:, 3:]).tolist()
-        self._sum = self._sum + [*force, *(torque + [yz - zy, zx - xz, xy - yx])]
-        self._rows, self._centres = [], []
+        return np.array([*force, *(torque + [yz - zy, zx - xz, xy - yx])])
 
     def end_period(self, data: mujoco.MjData, steps: int, period_s: float) -> None:
         """
@@ -147,7 +94,7 @@ class ExternalWrench:
         :param steps: physics steps of the period
         :param period_s: its length [s]
         """
-        self.interrupt(steps)
+        super().end_period(data, steps, period_s)
         if self.payload.mass:
             self._momentum = self._present_momentum(data)
         if self._filtered is not None:
@@ -162,7 +109,7 @@ class ExternalWrench:
 
         :param steps: physics steps since the period began
         """
-        self._mean, self._steps = None, steps
+        super().interrupt(steps)
         if self.payload.mass:
             self._take_payload_away(steps)
 
@@ -196,14 +143,6 @@ class ExternalWrench:
         change[3:] += moment
         self._sum = self._sum + steps * change
 
-    def set_aside(self) -> tuple[Any, ...]:
-        """Return what :meth:`interrupt` and :meth:`read` change."""
-        return self._sum, self._rows, self._centres, self._mean, self._steps
-
-    def take_back(self, content: tuple[Any, ...]) -> None:
-        """Go on with what :meth:`set_aside` has returned."""
-        self._sum, self._rows, self._centres, self._mean, self._steps = content
-
     def weight(self, period_s: float) -> float:
         """
         Return the weight of a new mean in the filter; 1 if there is none.
@@ -214,25 +153,16 @@ class ExternalWrench:
             return 1.0
         return -math.expm1(-2.0 * math.pi * self._cutoff_hz * period_s)
 
-    def _compute_mean(self) -> FloatArray:
-        if self._rows:
-            self._sum_up()
-        mean = self._sum / self._steps
-        self._mean = mean if np.abs(mean).max() > _ROUNDING else _ZERO
-        return self._mean
-
     def restart(self, data: mujoco.MjData) -> None:
         """Take the forces of the last ``mj_forward`` for the mean, and forget the past."""
-        self.begin_period()
-        self.record()
         self._filtered = None
-        self._momentum = self._present_momentum(data) if self.payload.mass else _ZERO
-        self.end_period(data, 1, 0.0)
+        self._momentum = self._present_momentum(data) if self.payload.mass else ZERO
+        super().restart(data)
         self.set_cutoff(self._cutoff_hz, data)
 
     def reset(self, data: mujoco.MjData) -> None:
         """Forget the tare and the past."""
-        self._tare = _ZERO
+        self._tare = ZERO
         self.restart(data)
 
     def set_payload(self, payload: Payload) -> None:
@@ -241,7 +171,7 @@ class ExternalWrench:
             self._physics.interrupt()
             self.payload = payload
             self._momentum = (
-                self._present_momentum(self._physics.data) if payload.mass else _ZERO)
+                self._present_momentum(self._physics.data) if payload.mass else ZERO)
 
     @property
     def goes_on(self) -> bool:
@@ -249,15 +179,9 @@ class ExternalWrench:
         return self._filtered is not None or self.payload.mass > 0.0
 
     @property
-    def is_quiet(self) -> bool:
-        """True if nothing was recorded in the last period."""
-        return self._sum is _ZERO and not self._rows
-
-    @property
     def settled(self) -> bool:
         """True if a period in which nothing touches the tool would change nothing."""
-        mean = self._compute_mean() if self._mean is None else self._mean
-        return not (mean.any() or self.payload.mass or (
+        return not (self.mean.any() or self.payload.mass or (
             self._filtered is not None and self._filtered.any()))
 
     def read(self, data: mujoco.MjData) -> FloatArray:
@@ -298,8 +222,8 @@ class ExternalWrench:
         return self._in_frame(data) if self._filtered is None else self._filtered
 
     def _in_frame(self, data: mujoco.MjData) -> FloatArray:
-        mean = self._compute_mean() if self._mean is None else self._mean
-        if mean is _ZERO:
+        mean = self.mean
+        if mean is ZERO:
             return np.zeros(6)
         force, torque = mean[:3], mean[3:]
         moment, wrench = np.empty(3), np.empty(6)
@@ -317,11 +241,11 @@ class TouchWatch:
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: its ``mujoco.MjData``
-    :param tools: the wrenches of all tools
+    :param tools: the records of all tools; the last one of a body counts
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData,
-                 tools: Sequence[ExternalWrench]) -> None:
+                 tools: Sequence[BodyForces]) -> None:
         self._data = data
         of_body = np.zeros(model.nbody, dtype=np.int64)
         for number, tool in enumerate(tools, start=1):
@@ -372,10 +296,3 @@ def _ties(model: mujoco.MjModel, tool_of_body: np.ndarray) -> np.ndarray:
         if tool_of_body[ends[0]] != tool_of_body[ends[1]]:
             ties.append(number)
     return np.array(ties, dtype=np.int64)
-
-
-def _subtree_size(model: mujoco.MjModel, root: int) -> int:
-    last = root
-    while last + 1 < model.nbody and root <= int(model.body_parentid[last + 1]):
-        last += 1
-    return last + 1 - root

@@ -20,6 +20,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.derived import Derived
+from manip_sim.physics.body_forces import BodyForces, RobotForces
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
@@ -92,7 +93,8 @@ class PhysicsSteps:
         self.physics, self._edits = physics, tuple(edits)
         self._clock = clock
         self._efforts = efforts
-        self.tools, self._laws, self.seats = tuple(tools), tuple(laws), tuple(seats)
+        self.tools: tuple[BodyForces, ...] = tuple(tools)
+        self._laws, self.seats = tuple(laws), tuple(seats)
         self.measuring: Mapping[int, Callable[[], None]] = {}
         physics.on_change(self._look_at_model)
 
@@ -105,6 +107,12 @@ class PhysicsSteps:
                        seats: Sequence[StepLaws]) -> None:
         """Take over the tools and laws of the robots that there are now."""
         self.tools, self._laws, self.seats = tuple(tools), tuple(laws), tuple(seats)
+        self._look_at_tools()
+
+    def look_at_forces(self, forces: Sequence[RobotForces]) -> None:
+        """Record the forces on all bodies of these robots too, and of no others."""
+        # The record of a tool counts where it is one of these bodies too.
+        self.tools = (*forces, *[tool for tool in self.tools if isinstance(tool, ExternalWrench)])
         self._look_at_tools()
 
     def _look_at_tools(self) -> None:

@@ -73,6 +73,8 @@ class ControlPeriods:
     def look_at_robots(self) -> None:
         """Take over which robots there are now."""
         self._robots = tuple(self._robots_by_name.values())
+        #: Robots whose momentum is observed.
+        self._observed: tuple[SimulatedRobot, ...] = ()
 
     @property
     def idle(self) -> bool:
@@ -145,6 +147,10 @@ class ControlPeriods:
         """
         self._check_not_diverged()
         self._steps.physics.interrupt()
+        observed = tuple([robot for robot in self._robots if robot.reflexes.observes])
+        if observed != self._observed:
+            self._observed = observed
+            self._steps.look_at_forces([robot.reflexes.collisions.forces for robot in observed])
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         self._prepared, self._is_computed, self._is_good = None, False, False
@@ -228,6 +234,8 @@ class ControlPeriods:
         reason = None if self._is_good else watch.reason()
         if reason is None:
             self._steps.end_period(steps, steps * self._timestep_s)
+            for robot in self._observed:
+                robot.end_period(steps * self._timestep_s)
             for robot in self._robots:
                 if robot.sensing.settings.measures:
                     robot.reader.end_period(steps, steps * self._timestep_s)

@@ -141,7 +141,7 @@ class Operations:
         self._robot(robot).sensing.set(quantity, value)
         self._simulation.randomized.replace_parameter(robot, quantity, value)
 
-    def _reflex(self, robot: str, name: str, quantity: str, value: float) -> None:
+    def _reflex(self, robot: str, name: str, quantity: str, value: float | str) -> None:
         self._robot(robot).set_reflex(name, quantity, value)
 
     def _cartesian(self, robot: str, arm: str, setting: str, value: ArrayLike | str) -> None:

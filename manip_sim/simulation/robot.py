@@ -94,7 +94,7 @@ class SimulatedRobot:
         self.grippers = {part.name: GripperController(physics, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
         self.runs = RobotRuns(physics, self.joints, self.grippers, clock)
-        self.reflexes = Reflexes(self.parts, self.joints, self.end_effectors, efforts)
+        self.reflexes = Reflexes(physics, self.parts, self.joints, self.end_effectors, efforts)
         self.parse = CommandParser(robot, self.joints, self.grippers)
         self.parse_cartesian = CartesianParser(
             robot, self.joints, find_frames(model, robot, self.end_effectors))
@@ -518,6 +518,15 @@ class SimulatedRobot:
         self.joints.begin_period(
             self._physics.data, self._clock.control_s, period_s, interval_s)
 
+    def end_period(self, period_s: float) -> None:
+        """
+        End a control period: observe what the world has exerted in it.
+
+        :param period_s: its length [s]
+        """
+        if self.reflexes.observes:
+            self.reflexes.collisions.observe(self._physics.data, period_s)
+
     @property
     def has_latency(self) -> bool:
         """True if commands are on their way, or states are measured before they arrive."""
@@ -544,23 +553,36 @@ class SimulatedRobot:
         """The atomic parts that follow a trajectory, or will."""
         return self.joints.busy_parts | self._late.busy_parts
 
-    def set_reflex(self, part: str, quantity: str, limit: float) -> None:
+    def set_reflex(self, part: str, quantity: str, limit: float | ArrayLike | str) -> None:
         """
         Change what stops a part; it then refuses commands until :meth:`reset_reflexes`.
 
         :param part: such as ``arm``
         :param quantity: ``velocity`` or ``effort``, as multiples of the limits of the joints,
-            ``force`` [N] or ``torque`` [N m], of the external wrench on the tool of an arm, or
+            ``force`` [N] or ``torque`` [N m], of the external wrench on the tool of an arm,
             ``discontinuity``, of commands for positions, as a multiple of the limits of velocity
-            and acceleration
-        :param limit: 0 for none
+            and acceleration, or ``collision``, of the torques that the world exerts at joints
+        :param limit: 0 for none; of collisions ``none``, ``default`` (a quarter of the effort
+            limits), or a threshold for all joints or one for each [N m or N]
         :raises CommandError: if the part is a gripper, or the limit negative or not finite
         :raises UnknownNameError: if the part or quantity is unknown
         """
         self._check_no_gripper(part)
         self._physics.interrupt()
-        self.reflexes.set(
-            part, quantity, positive_number(limit, 'a limit', CommandError, or_zero=True))
+        self.reflexes.set(part, quantity, limit)
+
+    def external_efforts(self, part: str) -> FloatArray:
+        """
+        Return what the world exerts at the joints of a part, as the reflex on collisions sees it.
+
+        Zeros unless any part of the robot has that reflex.
+
+        :param part: such as ``arm``
+        :returns: the residual of the momentum observer [N m or N], shape (n,), a copy
+        :raises UnknownNameError: if the part is unknown, or it is a gripper
+        """
+        self._physics.interrupt()
+        return self.reflexes.collisions.residual[self.joints.indices_of(part)]
 
     def reset_reflexes(self) -> None:
         """
