@@ -56,7 +56,8 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
     for spec in specs:
         name = re.sub(r'\.(arm|base)$', '.<part>', spec.name)
         name = re.sub(r'^(cartesian|payload)\.right\.', r'\1.<arm>.', name)
-        name = re.sub(r'^reflex\.\w+\.(velocity|effort|discontinuity)', r'reflex.<part>.\1', name)
+        name = re.sub(r'^reflex\.\w+\.(velocity|effort|discontinuity|collision)',
+                      r'reflex.<part>.\1', name)
         name = name.replace('reflex.right.', 'reflex.<arm>.')
         name = re.sub(r'^(wrench_cutoff|cartesian_\w+|null_\w+)\.right', r'\1.<arm>', name)
         expected.add(name)

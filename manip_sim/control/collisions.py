@@ -1,19 +1,20 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Collisions of a robot, from the torques of its joints: a momentum observer and its thresholds."""
+"""Collisions of a robot, from the torques of its joints: a momentum observer, and thresholds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 import math
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.clamping import finite_command_numbers
+from manip_sim.clamping import command_numbers, finite_command_numbers
 from manip_sim.control.joint_controller import JointController
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError
@@ -21,6 +22,7 @@ from manip_sim.physics.body_forces import RobotForces, subtree_size
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.physics import Physics
 from manip_sim.quoting import shown
+from manip_sim.validation import positive_number
 
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 #: Words for thresholds: there are none, or those that every robot has.
@@ -105,11 +107,11 @@ class CollisionObserver:
         return dofs, moved
 
 
-def read_thresholds(value: object, limits: FloatArray) -> tuple[float, ...]:
+def read_thresholds(value: ArrayLike, limits: FloatArray) -> tuple[float, ...]:
     """
     Return thresholds of joints [N m or N], 0 where there is none.
 
-    :param value: :data:`OFF`, :data:`DEFAULT`, a number, or one for each joint, or the text of such
+    :param value: :data:`OFF`, :data:`DEFAULT`, a number, one for each joint, or the text of such
     :param limits: effort limits of the joints, shape (n,)
     :raises CommandError: if it is something else, or a number is negative or not finite
     """
@@ -120,13 +122,16 @@ def read_thresholds(value: object, limits: FloatArray) -> tuple[float, ...]:
         if value == DEFAULT:
             return tuple((_DEFAULT_SHARE * limits).tolist())
         value = _numbers_of(value)
-    numbers = value if isinstance(value, (Sequence, np.ndarray)) else [value]
-    count = len(limits) if len(numbers) != 1 else 1
-    thresholds = finite_command_numbers(numbers, count, 'thresholds of collisions')
+    if isinstance(value, (bool, int, float)):
+        value = [positive_number(value, 'a limit', CommandError, or_zero=True)]
+    numbers = command_numbers(value, 'thresholds of collisions')
+    if numbers.size == 1 and numbers.ndim < 2:
+        numbers = np.broadcast_to(numbers, len(limits))
+    thresholds = finite_command_numbers(numbers, len(limits), 'thresholds of collisions')
     if (thresholds < 0.0).any():
         raise CommandError(f'thresholds of collisions must be positive, or 0 for none, '
                            f'got {shown(value)}')
-    return tuple(np.broadcast_to(thresholds, len(limits)).tolist()) if thresholds.any() else ()
+    return tuple(thresholds.tolist()) if thresholds.any() else ()
 
 
 def _numbers_of(text: str) -> list[float]:

@@ -168,6 +168,10 @@ class BodyForces:
         self.record()
         self.end_period(data, 1, 0.0)
 
+    def reset(self, data: mujoco.MjData) -> None:
+        """Forget the past."""
+        self.restart(data)
+
     @property
     def goes_on(self) -> bool:
         """True if each period changes it, whether anything touches the bodies or not."""

@@ -163,7 +163,7 @@ class ExternalWrench(BodyForces):
     def reset(self, data: mujoco.MjData) -> None:
         """Forget the tare and the past."""
         self._tare = ZERO
-        self.restart(data)
+        super().reset(data)
 
     def set_payload(self, payload: Payload) -> None:
         """Take away the forces of another payload, from the next control period on."""

@@ -3,6 +3,7 @@
 
 """A part that does too much is stopped, and refuses commands until the reflex is reset."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from sampling import Driven, sampled
 from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models import compose
+from manip_sim.models.robots import create_robot
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
 
@@ -196,3 +198,158 @@ def test_one_arm_that_was_stopped_leaves_the_other_one_checked():
         simulation.advance(5)
         assert command.handle.status is Status.ABORTED
     assert robot.reflexes.tripped.keys() == {'right', 'left'}
+
+
+def observed(simulation, torques, gain):
+    """Yield the residual of the formula itself, from states and efforts of single steps."""
+    model, data = simulation.model, simulation.data
+    dofs = simulation.robot.joints.dofs(np.arange(7))
+
+    def inertia():
+        matrix = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, matrix)
+        return matrix
+    integral = residual = np.zeros(model.nv)
+    start = inertia() @ data.qvel
+    for torque in torques:
+        before, bias = inertia(), data.qfrc_bias.copy()
+        command, = simulation.robot.parse.joint_command(
+            simulation.robot.joints.names[:7], effort=torque)
+        simulation.robot.apply(command)
+        simulation.advance(1)
+        mass, dt = inertia(), simulation.timestep_s
+        # C^T v - g is the change of the inertia times the velocity less what MuJoCo calls bias.
+        known = (simulation.efforts.values - model.dof_damping * data.qvel
+                 + (mass - before) @ data.qvel / dt - bias)
+        integral = integral + dt * (known + residual)
+        residual = gain * (mass @ data.qvel - start - integral)
+        yield residual[dofs]
+
+
+def test_the_residual_of_collisions_is_that_of_the_momentum_by_its_formula():
+    simulation = Simulation(compose('Panda'))
+    robot = simulation.robot
+    robot.set_control_mode('arm', 'effort')
+    robot.set_reflex('arm', 'collision', 500.0)
+    swings = 3.0 * np.sin(0.04 * np.arange(400)[:, None] + np.arange(7)) * [4, 4, 3, 3, 1, 1, 1]
+    gain = -np.expm1(-100.0 * 0.002) / 0.002  # Of sums that are as fast as an integral with 100.
+    for number, residual in enumerate(observed(simulation, swings, gain)):
+        seen = robot.external_efforts('arm')
+        if number > 150:
+            simulation.data.body('robot0_link4').xfrc_applied[:3] = [20.0, 10.0, 0.0]
+            simulation.data.body('gripper0_right_right_gripper').xfrc_applied[1:3] = [10.0, -5.0]
+        else:
+            np.testing.assert_array_equal(seen, 0.0)
+        np.testing.assert_allclose(seen, residual, atol=0.02 * max(1.0, np.abs(seen).max()))
+    assert np.abs(seen).max() > 3.0 and np.abs(simulation.data.qvel[:7]).max() > 0.5
+
+
+@pytest.mark.parametrize(('name', 'body'), [
+    ('Panda', 'robot0_link4'), ('UR5e', 'robot0_forearm_link'), ('PandaOmron', 'robot0_link4')])
+@pytest.mark.parametrize('friction', [None, 'catalogue'])
+def test_a_push_of_twice_the_threshold_at_a_link_is_found_within_20_ms(name, body, friction):
+    robot = create_robot(name)
+    if friction is not None:
+        robot.set_actuation('arm', friction=friction)
+    simulation = Simulation(compose(robot))
+    robot = simulation.robot
+    robot.set_reflex('arm', 'collision', 'default')
+    simulation.advance(5)
+    assert not robot.reflexes.tripped and not robot.external_efforts('arm').any()
+    jacobian, model = np.zeros((3, simulation.model.nv)), simulation.model
+    mujoco.mj_jacBodyCom(model, simulation.data, jacobian, None, model.body(body).id)
+    indices = robot.joints.indices_of('arm')
+    torques = jacobian[1, robot.joints.dofs(indices)]  # Of 1 N along y.
+    shares = np.abs(torques) / (0.25 * robot.joints.efforts_allowed(indices))
+    push = simulation.data.body(body).xfrc_applied
+    push[1] = 0.9 / shares.max()
+    simulation.advance(50)
+    np.testing.assert_allclose(robot.external_efforts('arm'), push[1] * torques, atol=0.01 * 20)
+    simulation.advance(5)
+    assert not robot.reflexes.tripped
+    push[1] = 0.0
+    simulation.advance(200)
+    push[1] = 2.0 / shares.max()
+    for _ in range(10):
+        simulation.advance(1)
+    simulation.advance(1)  # It is looked at when a period begins.
+    assert f"at joint '{robot.joints.names[indices[shares.argmax()]]}', allowed is" in (
+        robot.reflexes.tripped['arm'])
+
+
+@pytest.mark.parametrize('name', ['Panda', 'PandaOmron', 'Baxter'])
+def test_motion_at_the_limits_with_friction_is_no_collision(name, operator_of):
+    model = create_robot(name)
+    model.set_actuation('arm', friction='catalogue' if name != 'Baxter' else {'coulomb': 2.0})
+    op = operator_of(model)
+    robot = op.simulation.robot
+    for part in robot.reflexes.limits:
+        robot.set_reflex(part, 'collision', 1e-9)
+    names = op.joints_of('right')[:4]
+    for sign in (1.0, -1.0):
+        op.go(dict(zip(names, op.where(*names) + sign * np.array([0.8, 0.3, 0.8, 0.3]))))
+        op.run(0.25)
+        assert np.abs(op.simulation.data.qvel).max() > 0.8
+        op.run(0.45)
+    assert not robot.reflexes.tripped
+
+
+@pytest.mark.parametrize(('value', 'text'), [
+    ('none', 'none'), (0, 'none'), (' default', 'default'), ('20', '20'), (20, '20.0'),
+    ([20, 20, 18, 18, 16, 14, 12.0], '[20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0]'),
+    ('[20, 0, 0, 0, 0, 0, 0]', '[20, 0, 0, 0, 0, 0, 0]')])
+def test_thresholds_of_collisions_are_words_or_numbers(value, text, panda_sim):
+    robot = panda_sim.robot
+    robot.set_reflex('right', 'collision', value)
+    acting = robot.settings['reflex.arm.collision']
+    assert acting == text and robot.reflexes.observes is (text != 'none')
+    robot.set_reflex('arm', 'collision', acting)
+    assert robot.settings['reflex.arm.collision'] == text
+    robot.set_reflex('arm', 'collision', 'none')
+    assert not robot.reflexes.armed and not robot.reflexes.observes
+
+
+@pytest.mark.parametrize(('value', 'message'), [
+    ('always', "must be 'none', 'default', a number or one for each joint"), ('', 'must be'),
+    ([20.0] * 6, 'must have 7 numbers, got 6'), ('[1, 2]', 'must have 7 numbers, got 2'),
+    (-1.0, 'must be positive and finite, or 0'), ('[nan]', 'must be finite'),
+    ([-1.0], 'must be positive, or 0 for none'), (True, 'must be'),
+    (float('inf'), 'must be positive'), (None, 'must be'), ({}, 'must'), ([[1.0]], 'must have')])
+def test_other_thresholds_of_collisions_are_rejected_and_change_nothing(value, message, panda_sim):
+    robot = panda_sim.robot
+    robot.set_reflex('arm', 'collision', 'default')
+    digest = panda_sim.digest()
+    with pytest.raises(CommandError, match=message):
+        robot.set_reflex('arm', 'collision', value)
+    assert panda_sim.digest() == digest
+
+
+def test_a_residual_is_a_part_of_states_and_worlds_stop_where_they_are_pushed():
+    with Worlds(compose('Panda'), 2) as worlds:
+        for simulation in worlds.simulations:
+            simulation.robot.set_reflex('arm', 'collision', '[20, 20, 18, 18, 16, 14, 12]')
+        pushed = worlds.simulations[1]
+        pushed.data.body('robot0_link4').xfrc_applied[1] = 100.0
+        worlds.advance(5)
+        alone, saved = Simulation(compose('Panda')), pushed.save()
+        alone.restore(saved)
+        alone.data.xfrc_applied[:] = pushed.data.xfrc_applied
+        for _ in range(3):
+            worlds.advance(5)
+            alone.advance(5)
+        assert alone.digest() == pushed.digest()
+        assert [bool(s.robot.reflexes.tripped) for s in worlds.simulations] == [False, True]
+        alone.reset()
+        assert not alone.robot.external_efforts('arm').any()
+
+
+def test_a_robot_without_a_gripper_feels_collisions_too():
+    simulation = Simulation(compose('Panda', gripper='none'))
+    robot, data = simulation.robot, simulation.data
+    robot.set_reflex('arm', 'collision', 'default')
+    simulation.advance(5)
+    data.body('robot0_link4').xfrc_applied[1] = 100.0
+    simulation.advance(50)
+    push = robot.external_efforts('arm')[0]
+    lever = data.body('robot0_link4').xipos[0] - data.body('robot0_link1').xpos[0]
+    assert push == pytest.approx(100.0 * lever, rel=0.01)

@@ -34,6 +34,8 @@ def another(spec, number):
         return [choice for choice in spec.choices if choice != spec.default][number % 2]
     if isinstance(spec.default, bool):
         return not spec.default
+    if spec.name.endswith('.collision'):
+        return ('default', '[20]')[number]
     low, high = spec.minimum or 0.0, min(spec.maximum, 3.0)
     value = low + (high - low) * (0.3 + 0.1 * number)
     if spec.name.endswith('.inertia'):  # Of a ball.

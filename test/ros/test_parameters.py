@@ -123,7 +123,8 @@ def test_every_parameter_is_described(serve, client):
             'integral_gain.arm', 'integral_gain.right',
             'stream_interval.arm', 'stream_interval.right', 'stream_hold.arm', 'stream_hold.right',
             *(f'reflex.{part}.{quantity}' for part in ('arm', 'right')
-              for quantity in ('velocity', 'effort', 'force', 'torque', 'discontinuity')),
+              for quantity in ('velocity', 'effort', 'force', 'torque', 'discontinuity',
+                               'collision')),
             *(f'cartesian.right.{name}' for name in (
                 'stiffness', 'damping_ratio', 'linear_velocity', 'angular_velocity',
                 'twist_timeout')),

@@ -113,6 +113,29 @@ def center_of(simulation):
         simulation.data.body('cube').xpos - simulation.data.site_xpos[site])
 
 
+def test_a_cube_that_is_held_in_fast_motion_is_no_collision():
+    simulation = holding('Panda')
+    robot, most = simulation.robot, []
+    robot.set_reflex('arm', 'collision', 'default')
+    limits = 0.25 * robot.joints.efforts_allowed(robot.joints.indices_of('arm'))
+    for declared in (False, True):
+        if declared:
+            robot.set_payload('right', 0.5, center_of(simulation), [0.5 * 0.04**2 / 6.0] * 6 * (
+                np.array([1, 0, 0, 1, 0, 1])))
+            simulation.advance(100)
+        shares = []
+        for sign in (1.0, -1.0):
+            goal = robot.joints.setpoints.position[:4] + sign * np.array([0.6, 0.2, 0.6, 0.3])
+            robot.apply(*robot.parse.joint_command(robot.joints.names[:4], position=goal))
+            for _ in range(60):
+                simulation.advance(5)
+                shares.append(np.abs(robot.external_efforts('arm') / limits).max())
+        most.append(max(shares))
+    assert not robot.reflexes.tripped
+    assert 0.1 < most[0] < 0.6 and most[1] < 0.1, most
+
+
+
 @pytest.mark.parametrize('name', [
     'Panda', *(pytest.param(name, marks=pytest.mark.full) for name in ('UR5e', 'IIWA'))])
 def test_a_held_cube_is_estimated_and_then_neither_bends_the_arm_nor_is_read(name, run):

@@ -374,7 +374,7 @@ SETTINGS = [
         ('stiffness', 99.0), ('damping_ratio', 0.7), ('linear_velocity', 0.4),
         ('angular_velocity', 0.5), ('twist_timeout', 1.0))),
     *(('reflex', 'robot0', 'arm', name, 0.7) for name in (
-        'velocity', 'effort', 'force', 'torque', 'discontinuity')),
+        'velocity', 'effort', 'force', 'torque', 'discontinuity', 'collision')),
     ('timeout', 'robot0', 'arm', 0.7, True), ('timeout', 'robot0', 'arm', 0.7, False),
     ('stream_interval', 'robot0', 'arm', 0.3), ('stream_hold', 'robot0', 'arm', 0.3),
     ('payload', 'robot0', 'right', 'mass', 0.7), ('integral_gain', 'robot0', 'arm', 3.0),
