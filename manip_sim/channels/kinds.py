@@ -22,7 +22,7 @@ from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, TOKEN, Topic
 from manip_sim.interface.world_topics import (
     topics_of, topics_of_instruments, topics_of_lidars, topics_of_objects, topics_of_surroundings)
 from manip_sim.models.cameras import LidarModel
-from manip_sim.physics.frame_tree import OdometryReader
+from manip_sim.sensing.robot_sensing import ODOM
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: By the name in a row of the table: message and length of a reading of an arm.
@@ -99,28 +99,19 @@ def controller_numbers(state: ControllerState) -> FloatArray:
         position - state.position, velocity - state.velocity])
 
 
-def odometry_channel(simulation: Simulation, robot: SimulatedRobot, scope: Scope,
-                     reader: OdometryReader, frame: str, base: str) -> Channel:
+def odometry_channel(robot: SimulatedRobot, scope: Scope, frame: str, base: str) -> Channel:
     """
     Return the pose of a base in the frame of its odometry, and its twist in its own axes.
 
-    They have no noise, but the latency of the robot.
-
     :param scope: namespace of the topic
-    :param reader: of the odometry
     :param frame: name of the frame of the odometry
     :param base: name of the frame of the base
     """
-    def exact() -> FloatArray:
-        state = reader.read(simulation.model, simulation.data)
-        return np.concatenate([state.position, state.quat_xyzw, state.linear, state.angular])
-
-    robot.sensing.add('odom', exact)
     row, sensing = BY_NAME['odom'], robot.sensing
     return Channel(
-        replace(row, name=scope.topic(row.name)), _reading(sensing.measured, 'odom'),
+        replace(row, name=scope.topic(row.name)), _reading(sensing.measured, ODOM),
         contents.odometry(base), 13, frame).beside(
-            _reading(sensing.exact, 'odom'), row, scope, sensing)
+            _reading(sensing.exact, ODOM), row, scope, sensing)
 
 
 def object_channels(simulation: Simulation, prefix: str = '') -> list[Channel]:

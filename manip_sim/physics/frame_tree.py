@@ -11,7 +11,7 @@ one; and those that the caller places in the root, ``world``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -69,6 +69,19 @@ class OdometryReader:
         self._quat_wxyz = data.xquat[body].copy()
         self.origin = Pose(self._position, wxyz_to_xyzw(self._quat_wxyz))
 
+    def frame_moved_by(self, x: float, y: float, heading: float) -> FloatArray:
+        """
+        Return the pose in ``world`` of a frame that has moved from that of the odometry, (7,).
+
+        :param x: in the axes of that frame [m], as ``y``
+        :param heading: about its z axis [rad]
+        """
+        shift, turn, quat_wxyz = np.empty(3), np.empty(4), np.empty(4)
+        mujoco.mju_rotVecQuat(shift, np.array([x, y, 0.0]), self._quat_wxyz)
+        mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), heading)
+        mujoco.mju_mulQuat(quat_wxyz, self._quat_wxyz, turn)
+        return _row(self._position + shift, quat_wxyz)
+
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> Odometry:
         """
         Return the state of the base at the instant of the last ``mj_forward``.
@@ -111,17 +124,17 @@ class FrameTree:
 
     :param model: the compiled ``mujoco.MjModel``
     :param sites: names of sites that are frames too
-    :param placed: poses of further frames in ``world``, by names that :meth:`FrameNames.placed`
-        returned
+    :param placed: functions that return the present poses of further frames in ``world``, by names
+        that :meth:`FrameNames.placed` returned
     :ivar model: the model
     :ivar moving: frames that move in their parent: bodies with joints and mocap bodies, frames
-        of joints between bodies, and cameras that follow something
+        of joints between bodies, cameras that follow something, and further frames
     :ivar static: frames that do not move in their parent
     :ivar static_poses: of :attr:`static` in their parents, shape (n, 7)
     """
 
     def __init__(self, model: mujoco.MjModel, sites: Iterable[str] = (),
-                 placed: Mapping[str, Pose] = MappingProxyType({})) -> None:
+                 placed: Mapping[str, Callable[[], FloatArray]] = MappingProxyType({})) -> None:
         self.model = model
         self.static: list[TreeFrame] = []
         static_poses: list[FloatArray] = []
@@ -142,13 +155,12 @@ class FrameTree:
         self._bodies = np.array(list(bodies.values()), dtype=np.int64)
         self._parents: Any = model.body_parentid[self._bodies]
         self._joints, self._cameras = list(joints.values()), list(followers.values())
-        self.moving: list[TreeFrame] = [*bodies, *joints, *followers]
+        self._placed = dict(placed)
+        self.moving: list[TreeFrame] = [
+            *bodies, *joints, *followers, *[TreeFrame(name, ROOT) for name in placed]]
         for frame, camera in followers.items():
             self.static.append(TreeFrame(names.opticals[camera], frame.name))
             static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
-        for name, pose in placed.items():
-            self.static.append(TreeFrame(name, ROOT))
-            static_poses.append(np.concatenate([pose.position, pose.quat_xyzw]))
         self.static_poses = np.array(static_poses).reshape(-1, 7)
 
     def moving_poses(self, data: mujoco.MjData) -> FloatArray:
@@ -170,6 +182,8 @@ class FrameTree:
                    for camera in self._cameras]
         for row, (position, quat_wxyz) in enumerate(others, start=count):
             poses[row] = _row(position, quat_wxyz)
+        for row, pose in enumerate(self._placed.values(), start=count + len(others)):
+            poses[row] = pose()
         return poses
 
     def _moved(self, joint: Joint, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:

@@ -25,7 +25,6 @@ from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.physics.contacts import read_contacts
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.frame_tree import FrameTree, OdometryReader, TreeFrame
-from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted
 from manip_sim.ros import messages
 from manip_sim.ros.channel_publishers import ChannelPublishers
@@ -219,12 +218,12 @@ class OdometryPublishers(ChannelPublishers):
     """
     The publishers of the odometry of mobile bases.
 
-    :ivar placed: poses of the frames of odometry in ``world``, by name
+    :ivar placed: functions that return the poses of the frames of odometry in ``world``, by name
     """
 
     def __init__(self, context: NodeContext) -> None:
         self._context = context
-        self.placed: dict[str, Pose] = {}
+        self.placed: dict[str, Callable[[], FloatArray]] = {}
         self._of: dict[Scope, Channel] = {}
         for scope, robot in context.robots.items():
             self._add(scope, robot)
@@ -241,9 +240,9 @@ class OdometryPublishers(ChannelPublishers):
         names = FrameNames(simulation.model, self.placed)
         frame = names.placed(prefix + ODOM)
         reader = OdometryReader(simulation.model, robot.twist_joints)
-        self.placed[frame] = reader.origin
+        self.placed[frame] = partial(_pose_of_odometry, reader, robot)
         base = names.bodies[simulation.model.body(reader.base).id]
-        self._of[scope] = odometry_channel(simulation, robot, scope, reader, *(
+        self._of[scope] = odometry_channel(robot, scope, *(
             self._context.frame_prefix + name for name in (frame, base)))
 
     def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
@@ -256,14 +255,25 @@ class OdometryPublishers(ChannelPublishers):
             del self.placed[self._of.pop(scope).frame.removeprefix(self._context.frame_prefix)]
 
 
+def _pose_of_odometry(reader: OdometryReader, robot: SimulatedRobot) -> FloatArray:
+    """
+    Return the pose in ``world`` of the frame of an odometry, shape (7,).
+
+    It moves where the odometry drifts, so that the base is where it truly is in ``world``.
+    """
+    drift = robot.sensing.odometry
+    return reader.frame_moved_by(*((0.0, 0.0, 0.0) if drift is None else drift.frame))
+
+
 class SceneTopics(Feature):
     """
     Frames, markers and planning scenes at their rates.
 
-    :param placed: poses of further frames in ``world``, by name
+    :param placed: functions that return the poses of further frames in ``world``, by name
     """
 
-    def __init__(self, context: NodeContext, placed: Mapping[str, Pose]) -> None:
+    def __init__(self, context: NodeContext, placed: Mapping[str, Callable[[], FloatArray]]
+                 ) -> None:
         self._context, self._thread, value = context, context.thread, context.parameters.value
         self._end_effectors: dict[str, EndEffectorReader] = {}
         self._placed = placed

@@ -13,11 +13,12 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.sensing.delays import Delay, Measurements
+from manip_sim.sensing.odometry_drift import OdometryChannel
 from manip_sim.sensing.sensor_noise import Channel, WrenchChannel
 from manip_sim.sensing.settings import SensingSettings
 
-#: Name of the channel of all joints of a robot.
-JOINTS = 'joints'
+#: Names of the channels of all joints of a robot, and of the odometry of its base.
+JOINTS, ODOM = 'joints', 'odom'
 #: Returns exact numbers of the present instant, a copy.
 Read = Callable[[], FloatArray]
 
@@ -152,6 +153,12 @@ class RobotSensing:
         elif not self._history:
             self.record()
 
+    @property
+    def odometry(self) -> OdometryChannel | None:
+        """The drift of the odometry of the base, if the robot has one that moves."""
+        channel, _ = self._channels.get(ODOM, (None, None))
+        return channel if isinstance(channel, OdometryChannel) else None
+
     # ------------------------------------------------------------------ values
 
     @property
@@ -211,6 +218,8 @@ class RobotSensing:
         """
         for name, channel in self._external.items():
             channel.end_period(self._steps.control_steps, self._timestep_s, weights[name])
+        if self.odometry is not None and self.odometry.drifts:
+            self.odometry.end_period(self.exact(ODOM), self._steps.control_steps)
         if self.steps_to_measuring(steps) == steps:
             self.record()
 
@@ -250,6 +259,8 @@ class RobotSensing:
             self._draw()
         for channel in self._external.values():
             channel.filtered, channel.tare = None, np.zeros(6)
+        if self.odometry is not None:
+            self.odometry.poses = None
         self.restart()
 
     def restart(self) -> None:
@@ -265,6 +276,7 @@ class RobotSensing:
         return {'seed': self.seed, 'settings': self.settings.as_dict(),
                 'external': {name: (channel.filtered, channel.tare)
                              for name, channel in self._external.items()},
+                'odometry': None if self.odometry is None else self.odometry.poses,
                 'history': [(count, arrival, dict(values))
                             for arrival, (count, values) in self._history]}
 
@@ -275,6 +287,8 @@ class RobotSensing:
         self.settings.replace(state['settings'])
         for name, (filtered, tare) in state['external'].items():
             self._external[name].filtered, self._external[name].tare = filtered, tare
+        if self.odometry is not None:
+            self.odometry.poses = state['odometry']
         self._history.clear()
         for count, arrival, values in state['history']:
             self._history.send((count, values), arrival)
@@ -293,6 +307,8 @@ class RobotSensing:
         for channel in self._external.values():
             parts += [b'-' if channel.filtered is None else channel.filtered.tobytes(),
                       channel.tare.tobytes()]
+        if self.odometry is not None:
+            parts.append(repr(self.odometry.poses).encode())
         noisy = {name for name, (channel, _) in self._channels.items() if channel is not None}
         if self._history:  # What nobody wants again must not count, read or not.
             self._history.newest(self.count)

@@ -65,6 +65,14 @@ QUANTITIES: Mapping[str, SensingQuantity] = MappingProxyType({
         f'{_SD} each colour of each pixel of images, of 255.', '', 255.0),
     'noise.depth': SensingQuantity(
         f'{_SD} depth images at 1 m; it grows with the square of the depth.', '1/m', 10.0),
+    'noise.odom_slip': SensingQuantity(
+        'Standard deviation of the share, drawn from the seed, by which wheels measure more than '
+        'a base moves along x, along y and in its heading.', '', 1.0),
+    'noise.odom_drift': SensingQuantity(
+        'Standard deviation along x and along y of the random walk of the odometry of a base '
+        'after wheels have rolled 1 m.', 'm/sqrt(m)', 1.0),
+    'noise.odom_heading_drift': SensingQuantity(
+        'Standard deviation of the heading in that random walk.', 'rad/sqrt(m)', 1.0),
     'noise.files': SensingQuantity(
         'Factor for the attribute noise, a standard deviation, that sensors have in the files; '
         'it is added to that of their kind.', '', 1000.0),

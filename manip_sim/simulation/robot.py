@@ -100,6 +100,8 @@ class SimulatedRobot:
             robot, self.joints, find_frames(model, robot, self.end_effectors))
         physics.on_change(self._find_frames)
         self._late = DelayedCommands()
+        if self.twist_joints:
+            self.reader.add_odometry(self.name, self.twist_joints)
 
     def _find_frames(self) -> None:
         self.parse_cartesian.look_at_model(self._physics.model)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 
 import mujoco
@@ -16,9 +16,11 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import end_effector, EndEffectorReader, READINGS
+from manip_sim.physics.frame_tree import OdometryReader
 from manip_sim.physics.parts import atomic_parts, find_places, Part
 from manip_sim.physics.physics import Physics
-from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, JOINTS, RobotSensing
+from manip_sim.sensing.odometry_drift import OdometryChannel
+from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, JOINTS, ODOM, RobotSensing
 from manip_sim.sensing.sensor_noise import JointChannel, WrenchChannel
 from manip_sim.simulation.robot_state import State
 
@@ -112,6 +114,21 @@ class RobotReader:
             time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
             end_effectors={arm: end_effector(*map(read, _channels_of(arm)))
                            for arm in self.end_effectors})
+
+    def add_odometry(self, name: str, joints: Sequence[str]) -> None:
+        """
+        Measure the odometry of a base.
+
+        :param name: of the robot
+        :param joints: x, y and yaw
+        """
+        self._odometry = OdometryReader(self._physics.model, joints)
+        self.sensing.add(ODOM, self._read_odometry, OdometryChannel(f'{name} odom'))
+
+    def _read_odometry(self) -> FloatArray:
+        """Return pose and twist of the base in the frame of its odometry, exactly, (13,)."""
+        state = self._odometry.read(self._physics.model, self._physics.data)
+        return np.concatenate([state.position, state.quat_xyzw, state.linear, state.angular])
 
     def end_period(self, steps: int, period_s: float) -> None:
         """

@@ -24,6 +24,7 @@ from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.errors import ModelError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.frame_tree import OdometryReader
 from manip_sim.physics.physics import Physics, PHYSICS
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.resources import package_version
@@ -108,7 +109,8 @@ class SavedStates:
 
     def _find_control(self) -> ControlState:
         return ControlState([self._efforts, *self._robots.values()],
-                            (Clock, Physics, CartesianParser, CommandParser), _PASSING)
+                            (Clock, Physics, CartesianParser, CommandParser, OdometryReader),
+                            _PASSING)
 
     @property
     def control(self) -> ControlState:

@@ -99,7 +99,8 @@ def test_the_messages_make_one_tree_in_which_all_bodies_are_where_they_are(
         serve, client, records):
     node = serve(robot='PandaOmron', arena='table', start_paused=True,
                  control_mode__base='position', position=[0.5, 0.2, 0.0],
-                 orientation=[0.0, 0.0, 0.7])
+                 orientation=[0.0, 0.0, 0.7], noise__odom_slip=0.1, noise__odom_drift=0.01)
+    odometry, truth = (client.listen(Odometry, topic) for topic in ('odom', 'truth/odom'))
     goals = {'mobilebase0_joint_mobile_forward': 0.3, 'mobilebase0_joint_mobile_yaw': 0.5,
              'robot0_joint2': 0.4, 'mobilebase0_joint_torso_height': 0.1}
     robot, sim = node.simulation.robot, node.simulation
@@ -119,9 +120,19 @@ def test_the_messages_make_one_tree_in_which_all_bodies_are_where_they_are(
     assert_bodies_are_there(sim.model, sim.data, found)
     for site in ('gripper0_right_ft_frame', 'gripper0_right_grip_site'):
         np.testing.assert_allclose(found[site][0], sim.data.site(site).xpos, atol=1e-9)
-    # The frame odom stays where the base was put.
-    np.testing.assert_allclose(found['odom'][0][:2], [0.5, 0.2], atol=1e-9)
-    np.testing.assert_allclose(found['odom'][1].as_rotvec(), [0.0, 0.0, 0.7], atol=1e-9)
+    # Where the base was put is where odom was. Now it is where the base seems to be as measured.
+    start, turn = np.array([0.5, 0.2]), Rotation.from_rotvec([0.0, 0.0, 0.7])
+    place, axes = found['mobilebase0_base']
+    for messages, frame in ((truth, (start, turn)), (odometry, found['odom'])):
+        client.spin_until(lambda: messages[-1:] and nanoseconds_of(
+            messages[-1].header.stamp) == sim.time_ns)
+        seen = messages[-1].pose.pose
+        np.testing.assert_allclose(
+            frame[1].apply([seen.position.x, seen.position.y, 0.0])[:2] + frame[0][:2],
+            place[:2], atol=1e-9)
+        to_base = frame[1] * Rotation.from_quat([getattr(seen.orientation, x) for x in 'xyzw'])
+        assert (to_base.inv() * axes).magnitude() < 1e-9
+    assert 0.005 < np.linalg.norm(found['odom'][0][:2] - start) < 0.2
     assert {'robot0_eye_in_hand_optical_frame', 'cube', 'table'} < found.keys()
 
 
@@ -299,4 +310,4 @@ def test_an_object_that_comes_does_not_rename_the_frame_of_the_odometry(serve, c
     client.spin_until(lambda: len(moving.messages) > count)
     found = in_world(moving.messages[-1], static.messages[-1])
     np.testing.assert_allclose(found['odom_body'][0], BALL['position'], atol=0.01)
-    assert 'odom' in static.latest and 'odom_frame' not in found
+    assert 'odom' in found and 'odom_frame' not in found
