@@ -13,7 +13,6 @@ from manip_sim.models import compose, create_arena
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import robot_tree
 from manip_sim.physics.frame_tree import FrameTree
-from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.simulation import Simulation
 
 CAMERAS = """<mujoco>

@@ -124,7 +124,7 @@ def test_the_messages_make_one_tree_in_which_all_bodies_are_where_they_are(
     start, turn = np.array([0.5, 0.2]), Rotation.from_rotvec([0.0, 0.0, 0.7])
     place, axes = found['mobilebase0_base']
     for messages, frame in ((truth, (start, turn)), (odometry, found['odom'])):
-        client.spin_until(lambda: messages[-1:] and nanoseconds_of(
+        client.spin_until(lambda messages=messages: messages[-1:] and nanoseconds_of(
             messages[-1].header.stamp) == sim.time_ns)
         seen = messages[-1].pose.pose
         np.testing.assert_allclose(
