@@ -609,7 +609,8 @@ class JointController(ControlledJoints):
         others = [c for c in self.commands.running if type(c) is not JointSetpoint]
         for command in others:
             if isinstance(command, CartesianCommand):
-                self.cartesian.follow(command, now_s, duration_s, self._effort)
+                self.cartesian.follow(
+                    command, now_s, duration_s, self.payloads.loads, self._effort)
             elif isinstance(command, BaseTwist):
                 self._base.follow(command, now_s + duration_s, duration_s)
         setpoints.advance(duration_s)

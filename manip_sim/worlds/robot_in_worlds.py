@@ -17,6 +17,7 @@ from manip_sim.control.seats import LawParameters
 from manip_sim.control.user_laws import Law, law_of
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.physics.end_effectors import EndEffector
+from manip_sim.physics.payload import Payload
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
 from manip_sim.worlds.commands import CartesianCommands, Commands
@@ -126,6 +127,39 @@ class RobotInWorlds:
         if len(names) > 1:
             raise ModelError(f'{part} is not moved by the same law in all worlds')
         return LawParametersInWorlds(parameters, self._each)
+
+    def set_payload(self, arm: str, mass: ArrayLike, center_of_mass: ArrayLike = (0.0,) * 3,
+                    inertia: ArrayLike = (0.0,) * 6, where: ArrayLike | None = None) -> None:
+        """
+        Declare what an arm holds, as :meth:`SimulatedRobot.set_payload` does.
+
+        :param arm: such as ``right``
+        :param mass: [kg], a number or one for each world, shape (count,); 0 for nothing
+        :param center_of_mass: [m], shape (3,) or (count, 3)
+        :param inertia: [kg m^2], shape (6,) or (count, 6)
+        :param where: in which worlds, shape (count,); None for all
+        :raises CommandError: as of :meth:`SimulatedRobot.set_payload`, or if an array has another
+            shape; no world has changed then
+        :raises UnknownNameError: if the arm is unknown or has no gripper
+        """
+        worlds = np.flatnonzero(chosen(where, len(self))).tolist()
+        masses = self._each('mass', mass)
+        places, turns = (self._each_of(name, values, length) for name, values, length in (
+            ('center_of_mass', center_of_mass, 3), ('inertia', inertia, 6)))
+        payloads = [Payload.checked(masses[world], places[world], turns[world])
+                    for world in worlds]
+        for world, payload in zip(worlds, payloads):
+            self._robots[world].joints.set_payload(arm, payload)
+
+    def _each_of(self, name: str, values: ArrayLike, length: int) -> FloatArray:
+        """Return some numbers for each world, shape (count, length)."""
+        numbers = command_numbers(values, name)
+        if numbers.shape == (length,):
+            numbers = np.broadcast_to(numbers, (len(self), length))
+        if numbers.shape != (len(self), length):
+            raise CommandError(f'{name} must have the shape ({length},) or ({len(self)}, {length})'
+                               f', got {numbers.shape}')
+        return numbers
 
     def _each(self, name: str, values: ArrayLike) -> list[float]:
         """Return a number for each world."""

@@ -164,6 +164,8 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
     draw = np.random.default_rng(0)
     data.qvel[:] = 0.3 * draw.normal(size=model.nv)
     mujoco.mj_forward(model, data)
+    center, turn = np.array([0.02, 0.03, 0.08]), [0.03, 0.002, 0.001, 0.02, 0.003, 0.015]
+    robot.set_payload('right', 1.5, center, turn)
     arms = robot.joints.cartesian._arms
     for name, chain in robot.joints.cartesian._chains.items():
         indices = robot.joints.indices_of(name)
@@ -175,7 +177,7 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
         position, rotation = chain.tip.pose(data)
         efforts = []
         for along in (np.zeros(6), 0.02 * draw.normal(size=6)):
-            exert(robot._physics.arrays, arm, position, rotation,
+            exert(robot._physics.arrays, robot.joints.payloads.loads, arm, position, rotation,
                   Goal(position, rotation, np.zeros(3), np.eye(3), along),
                   robot.joints.cartesian.posture, Spring(150.0, 24.0, 9.0, 9.0), False, motion)
             efforts.append(motion.efforts.copy())
@@ -184,6 +186,13 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
         # Efforts for a velocity of the end effector: damping times it, by Newton's second law.
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, inertia)
+        if name == 'right':  # The arm that holds something.
+            site, jacobians = data.site(robot.end_effectors[name].ft_frame), np.zeros((6, model.nv))
+            mujoco.mj_jac(model, data, jacobians[:3], jacobians[3:], site.xpos + site.xmat.reshape(
+                3, 3) @ center, model.site_bodyid[site.id])
+            turned = site.xmat.reshape(3, 3).T @ jacobians[3:]
+            inertia += 1.5 * jacobians[:3].T @ jacobians[:3] + (
+                turned.T @ robot.payload('right').inertia_matrix @ turned)
         own = inertia[np.ix_(joints['dof'], joints['dof'])]
         gained = jacobian @ np.linalg.solve(own, efforts[1] - efforts[0])
         np.testing.assert_allclose(gained, 24.0 * along, atol=1e-3 * 24.0 * np.abs(along).max())

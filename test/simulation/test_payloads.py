@@ -135,6 +135,36 @@ def test_a_cube_that_is_held_in_fast_motion_is_no_collision():
     assert 0.1 < most[0] < 0.6 and most[1] < 0.1, most
 
 
+def moved_by_osc(simulation, declares):
+    """Return where an end effector goes that OSC is to move by 0.1 m to the side and up [m]."""
+    robot = simulation.robot
+    if declares:
+        robot.set_payload('right', 1.0, center_of(simulation), np.array(
+            [1, 0, 0, 1, 0, 1]) * 0.04**2 / 6.0)
+    robot.set_control_mode('arm', 'effort')
+    robot.joints.cartesian.set('right', 'stiffness', 300.0)
+    start, path = robot.state().end_effectors['right'].pose, []
+    for way, periods in ((0.0, 30), (0.1, 50)):
+        robot.apply(robot.parse_cartesian.pose(
+            'right', start.position + [0.0, way, way], start.quat_xyzw))
+        for _ in range(periods):
+            simulation.advance(5)
+            path.append(robot.state().end_effectors['right'].pose.position)
+    return np.array(path[30:]) - path[29]
+
+
+def test_osc_moves_a_declared_cube_as_if_the_arm_held_nothing():
+    free = Simulation(compose('Panda'))
+    free.robot.apply(free.robot.parse.action('right/gripper', np.ones(1)))
+    for _ in range(250):
+        free.advance(5)
+    alone = moved_by_osc(free, False)
+    off, unknown = (np.abs(moved_by_osc(holding('Panda', 1.0), declares) - alone)
+                    for declares in (True, False))
+    assert off[-1].max() < 1e-4 < 5e-4 < unknown[-1].max() and off.max() < 0.6 * unknown.max()
+
+
+
 
 @pytest.mark.parametrize('name', [
     'Panda', *(pytest.param(name, marks=pytest.mark.full) for name in ('UR5e', 'IIWA'))])
@@ -249,8 +279,9 @@ def test_a_payload_that_cannot_be_is_rejected_and_nothing_changes(panda, numbers
 def test_payloads_of_worlds_are_their_own_and_survive_a_reset(panda):
     worlds = Worlds(World([panda]), 3)
     alone = Simulation(World([panda]))
+    worlds.robot.set_payload('right', [5.0, MASS, 7.0], CENTER, where=[False, True, False])
+    alone.robot.set_payload('right', MASS, CENTER)
     for own in (worlds.robot[1], alone.robot):
-        own.set_payload('right', MASS, CENTER)
         own.set_integral_gain('arm', 2.0)
     goals, names = np.full((3, 7), 0.3), alone.robot.joints.names
     worlds.robot.command.joint_command(names, position=goals)
@@ -262,6 +293,22 @@ def test_payloads_of_worlds_are_their_own_and_survive_a_reset(panda):
     assert digests[1] == alone.digest() != digests[0] == digests[2]
     alone.reset()
     assert alone.robot.payload('right') == Payload(MASS, tuple(CENTER.tolist()))
+    digests = worlds.digest()
+    for numbers, match in (({'mass': [1.0, 2.0]}, 'mass must have a leading axis of 3'),
+                           ({'mass': [1.0, 2.0, -1.0]}, 'the mass of a payload must be positive'),
+                           ({'mass': 1.0, 'center_of_mass': np.zeros((2, 3))}, 'center_of_mass'),
+                           ({'mass': 1.0, 'inertia': [1.0] * 5}, 'must have the shape'),
+                           ({'mass': float('nan')}, 'must be positive'),
+                           ({'mass': 1.0, 'where': [1, 0, 1]}, 'where must be 3 truth values')):
+        with pytest.raises(CommandError, match=match):
+            worlds.robot.set_payload('right', **numbers)
+    with pytest.raises(UnknownNameError, match="'left'"):
+        worlds.robot.set_payload('left', 1.0)
+    assert worlds.digest() == digests
+    worlds.robot.set_payload('right', [0.1, 0.2, 0.3], np.eye(3), np.diag([1.0] * 6)[[0, 3, 5]] + [
+        1, 0, 0, 1, 0, 1])
+    assert [robot.payload('right').mass for robot in worlds.robot] == [0.1, 0.2, 0.3]
+    assert worlds.robot[1].payload('right').center_of_mass == (0.0, 1.0, 0.0)
 
 
 def test_a_law_of_a_user_feels_no_declared_payload(panda):

@@ -521,13 +521,14 @@ class CartesianController:
         target.rests, target.solve_s = bool(task['rests']), float(task['solve_s'])
         target.start = targets.starts[number].copy() if task['begun'] else None
 
-    def follow(self, command: CartesianCommand, now_s: float, duration_s: float,
+    def follow(self, command: CartesianCommand, now_s: float, duration_s: float, loads: Any,
                efforts: FloatArray) -> None:
         """
         Set velocities of setpoints, or efforts, for the next interval.
 
         :param now_s: simulation time [s]
         :param duration_s: length of the interval [s]
+        :param loads: payloads, see :class:`~manip_sim.control.law.loads.Loads`
         :param efforts: of all joints, changed in place [N m], shape (n,)
         """
         from manip_sim.control.law.leading import lead, press_on, put_ahead  # It imports numba.
@@ -536,7 +537,7 @@ class CartesianController:
             [command], now_s, np.array([duration_s]), lambda: np.array([now_s]))
         task = targets.tasks[0]
         if task['acts'] == EXERTS:
-            press_on(world, efforts, self.posture, targets, 0, 0, now_s, duration_s)
+            press_on(world, loads, efforts, self.posture, targets, 0, 0, now_s, duration_s)
         elif not task['settled'] and now_s >= task['solve_s'] - 1e-9:
             scratch, joints = self._physics.scratch, self._setpoints.joints
             put_ahead(world, scratch.kinematics, joints, targets, 0)

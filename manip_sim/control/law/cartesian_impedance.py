@@ -23,6 +23,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.control.law.arm_records import Arm, Goal, Motion
 from manip_sim.control.law.compiling import inner
 from manip_sim.control.law.displacement import way_to_posture
+from manip_sim.control.law.loads import find_inertia, Loads
 from manip_sim.control.law.operational_space import find_error, find_jacobian
 from manip_sim.control.law.small_matrices import (
     clip, diagonalize, dot, factorize, multiply, multiply_transposed, solve)
@@ -61,12 +62,13 @@ class Springs(NamedTuple):
 
 
 @inner
-def impede(world: WorldArrays, arm: Arm, place: FloatArray, turned: FloatArray, reference: Goal,
-           acceleration: FloatArray, postures: FloatArray, springs: Springs, duration: float,
-           motion: Motion) -> None:
+def impede(world: WorldArrays, loads: Loads, arm: Arm, place: FloatArray, turned: FloatArray,
+           reference: Goal, acceleration: FloatArray, postures: FloatArray, springs: Springs,
+           duration: float, motion: Motion) -> None:
     """
     Write the efforts of the joints, within their limits.
 
+    :param loads: payloads, whose weight is carried beside
     :param place: position of the end effector in the world [m], shape (3,)
     :param turned: its rotation in the world, shape (3, 3)
     :param reference: pose to which the springs pull, and its velocity
@@ -84,8 +86,7 @@ def impede(world: WorldArrays, arm: Arm, place: FloatArray, turned: FloatArray, 
         velocity[i] = world.velocities[joint.dof]
         position = world.kinematics.positions[joint.qpos] + velocity[i] * duration / 2.0
         away[i] = way_to_posture(postures[joint.joint] - position, joint.turn)
-        for j in range(count):
-            root[i, j] = world.inertia[arm.places[i, j]] if arm.places[i, j] >= 0 else 0.0
+    find_inertia(world, loads, arm, root)
     factorize(root, 0.0, count, root)
     multiply(jacobian, velocity, motion.twist)
     column = np.empty(count)

@@ -17,6 +17,7 @@ from manip_sim.control.law.arm_records import (
     Velocities)
 from manip_sim.control.law.cartesian_impedance import impede, Springs
 from manip_sim.control.law.compiling import compiled, inlined, inner
+from manip_sim.control.law.loads import Loads
 from manip_sim.control.law.operational_space import exert, find_error, find_jacobian
 from manip_sim.control.law.setpoint_changes import ramp_to
 from manip_sim.control.law.small_matrices import (
@@ -307,11 +308,12 @@ def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobia
 
 
 @compiled
-def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targets: Targets,
-             number: int, k: int, now: float, duration: float) -> None:
+def press_on(world: WorldArrays, loads: Loads, efforts: FloatArray, postures: FloatArray,
+             targets: Targets, number: int, k: int, now: float, duration: float) -> None:
     """
     Write the efforts that bring an end effector nearer to its target; note them if that is due.
 
+    :param loads: payloads
     :param efforts: of the joints of the robot [N m], shape (n,), written
     :param postures: of the joints of the robot [rad], shape (n,)
     :param number: of the target
@@ -335,13 +337,13 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
     goal = goal_of(world.kinematics, targets, number, k)
     rests = singular = slowed = False
     if task.impedes:
-        _impede(world, postures, targets, number, goal, along, lost, duration, motion)
+        _impede(world, loads, postures, targets, number, goal, along, lost, duration, motion)
     else:
         for i in range(6):
             goal.along[i] = along[i] + lost[i]
         spring = Spring(task.stiffness, task.damping, task.linear_velocity, task.angular_velocity)
-        rests, singular, slowed = exert(world, arm, place, turned, goal, postures, spring,
-                                        task.rests != 0, motion)
+        rests, singular, slowed = exert(world, loads, arm, place, turned, goal, postures,
+                                        spring, task.rests != 0, motion)
     for i in range(count):
         efforts[arm.joints[i].joint] = motion.efforts[i]
     task.rests = int(rests)
@@ -367,8 +369,9 @@ def press_on(world: WorldArrays, efforts: FloatArray, postures: FloatArray, targ
 
 
 @inlined
-def _impede(world: WorldArrays, postures: FloatArray, targets: Targets, number: int, goal: Goal,
-            along: FloatArray, acceleration: FloatArray, duration: float, motion: Motion) -> None:
+def _impede(world: WorldArrays, loads: Loads, postures: FloatArray, targets: Targets, number: int,
+            goal: Goal, along: FloatArray, acceleration: FloatArray, duration: float,
+            motion: Motion) -> None:
     """
     Write the efforts of an impedance, whose reference goes to a goal no faster than its limits.
 
@@ -386,8 +389,8 @@ def _impede(world: WorldArrays, postures: FloatArray, targets: Targets, number: 
                      along)
     springs = Springs(targets.springs[number], targets.brakes[number], axes, task.damping_ratio,
                       task.null_stiffness, push)
-    impede(world, targets.arms[number], place, turned, reference, acceleration, postures, springs,
-           duration, motion)
+    impede(world, loads, targets.arms[number], place, turned, reference, acceleration, postures,
+           springs, duration, motion)
 
 
 @inner

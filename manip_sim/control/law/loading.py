@@ -66,7 +66,7 @@ def load_laws() -> None:
     targets = targets_of(_COUNT)._replace(arms=(arm, arm))
     act(world.kinematics, 0, 1, 0, 1, none, none.copy(), np.eye(3))
     put_ahead(world, world.kinematics, joints, targets, 0)
-    press_on(world, none.copy(), none, targets, 0, 0, 0.0, 1.0)
+    press_on(world, no_loads(), none.copy(), none, targets, 0, 0, 0.0, 1.0)
     lead(world, world.kinematics, joints, none, targets, 0, 0.0)
     move_fingers(world, no_gripper(), 0.0, 0.1)
     if may_step(data):

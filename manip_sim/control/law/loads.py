@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.control.law.arm_records import Arm
 from manip_sim.control.law.compiling import inner
 from manip_sim.control.law.joint_records import readable
 from manip_sim.physics.physics import WorldArrays
@@ -114,6 +115,45 @@ def _add_inertia(mass: float, inertia: FloatArray, axes: FloatArray, lever: Floa
             change[3 + i] + change[one] * lever[two] - change[two] * lever[one]
             + twist[one] * speed[two] - twist[two] * speed[one])
         reaction[3 + i] += twist[one] * momentum[two] - twist[two] * momentum[one]
+
+
+@inner
+def find_inertia(world: WorldArrays, loads: Loads, arm: Arm, inertia: FloatArray) -> None:
+    """
+    Write the inertia of an arm with what it holds.
+
+    :param inertia: of the joints of the arm [kg m^2, kg m or kg], shape (n, n), written
+    """
+    count, turned = len(arm.joints), np.zeros(3)
+    for i in range(count):
+        for j in range(count):
+            inertia[i, j] = world.inertia[arm.places[i, j]] if arm.places[i, j] >= 0 else 0.0
+    motions, place, reaction = np.zeros((count, 6)), np.empty(3), np.empty(6)
+    for k in range(len(loads.loads)):
+        load = loads.loads[k]
+        find_reaction(world, loads, k, loads.accelerations, False, place, reaction)
+        axes, center = world.kinematics.body_axes[load.body], world.kinematics.centers[load.root]
+        for n in range(count):
+            joint, moves = arm.joints[n], loads.moved_by[k, arm.joints[n].joint]
+            motion = world.kinematics.motions[joint.dof]
+            for i in range(3):
+                one, two = (i + 1) % 3, (i + 2) % 3
+                motions[n, i] = motions[n, 3 + i] = 0.0
+                if moves:
+                    motions[n, i] = motion[3 + i] + (
+                        motion[one] * (place[two] - center[two])
+                        - motion[two] * (place[one] - center[one]))
+                    for j in range(3):
+                        motions[n, 3 + i] += axes[j, i] * motion[j]
+        for n in range(count):
+            for i in range(3):
+                turned[i] = 0.0
+                for j in range(3):
+                    turned[i] += loads.inertias[k, i, j] * motions[n, 3 + j]
+            for m in range(count):
+                for i in range(3):
+                    inertia[n, m] += (load.mass * motions[n, i] * motions[m, i]
+                                      + turned[i] * motions[m, 3 + i])
 
 
 @inner

@@ -20,6 +20,7 @@ from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.law.arm_records import Arm, Goal, Motion, Spring
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.displacement import displace, project_free, way_to_posture
+from manip_sim.control.law.loads import find_inertia, Loads
 from manip_sim.control.law.small_matrices import (
     clip, multiply, multiply_matrices, norm3, rotation_vector)
 from manip_sim.physics.physics import Kinematics, WorldArrays
@@ -32,12 +33,13 @@ _LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
 
 
 @compiled
-def exert(world: WorldArrays, arm: Arm, place: FloatArray, turned: FloatArray, goal: Goal,
-          postures: FloatArray, spring: Spring, rested: bool, motion: Motion
+def exert(world: WorldArrays, loads: Loads, arm: Arm, place: FloatArray, turned: FloatArray,
+          goal: Goal, postures: FloatArray, spring: Spring, rested: bool, motion: Motion
           ) -> tuple[bool, bool, bool]:
     """
     Write the efforts that move an end effector to its goal, within the limits of the joints.
 
+    :param loads: payloads, whose weight is carried beside
     :param place: position of the end effector in the world [m], shape (3,)
     :param turned: its rotation in the world, shape (3, 3)
     :param postures: positions that redundant arms are drawn to, of all joints [rad]
@@ -59,14 +61,15 @@ def exert(world: WorldArrays, arm: Arm, place: FloatArray, turned: FloatArray, g
     multiply(jacobian, velocity, motion.twist)
     flags = accelerate(jacobian, motion.error, goal.along, spring, most, low, high, away,
                        velocity, rested, motion.held, accelerations)
+    inertia = np.empty((count, count))
+    find_inertia(world, loads, arm, inertia)
     for i in range(count):
         joint = arm.joints[i]
         # Gravity that is compensated needs no effort here.
         effort = (world.bias[joint.dof] - world.carried[joint.dof]
                   + joint.damping * velocity[i])
         for j in range(count):
-            if arm.places[i, j] >= 0:
-                effort += world.inertia[arm.places[i, j]] * accelerations[j]
+            effort += inertia[i, j] * accelerations[j]
         motion.efforts[i] = clip(effort, joint.weakest, joint.strongest)
     return flags
 

@@ -162,7 +162,8 @@ def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, jo
     for number in range(2):
         task = targets.tasks[number]
         if task.acts == EXERTS:
-            press_on(world, joints.efforts, joints.postures, targets, number, k, now, duration)
+            press_on(world, joints.loads, joints.efforts, joints.postures, targets, number, k, now,
+                     duration)
             acts = True
         elif task.acts == LEADS and task.settled == 0:
             if now >= task.solve_s - 1e-9:
