@@ -187,7 +187,8 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, inertia)
         if name == 'right':  # The arm that holds something.
-            site, jacobians = data.site(robot.end_effectors[name].ft_frame), np.zeros((6, model.nv))
+            site = data.site(robot.end_effectors[name].ft_frame)
+            jacobians = np.zeros((6, model.nv))
             mujoco.mj_jac(model, data, jacobians[:3], jacobians[3:], site.xpos + site.xmat.reshape(
                 3, 3) @ center, model.site_bodyid[site.id])
             turned = site.xmat.reshape(3, 3).T @ jacobians[3:]

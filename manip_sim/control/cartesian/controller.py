@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import math
+from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
