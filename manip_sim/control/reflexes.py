@@ -266,6 +266,8 @@ class Reflexes:
         tripped, self.tripped = self.tripped, {}
         for part in tripped:
             self._joints.resume(part)
+            # What pushed it before it rested is no collision of now.
+            self.collisions.forget(self._joints.indices_of(part))
 
     def _excess(self, part: str, data: mujoco.MjData) -> str | None:
         """Return what a part does too much, in words, or None."""

@@ -275,6 +275,15 @@ def test_a_push_of_twice_the_threshold_at_a_link_is_found_within_20_ms(name, bod
     simulation.advance(1)  # It is looked at when a period begins.
     assert f"at joint '{robot.joints.names[indices[shares.argmax()]]}', allowed is" in (
         robot.reflexes.tripped['arm'])
+    robot.reset_reflexes()
+    simulation.advance(50)
+    assert robot.reflexes.counts['arm'] == 1  # What persists is seen when that period has ended.
+    simulation.advance(5)
+    assert robot.reflexes.counts['arm'] == 2
+    push[1] = 0.0
+    robot.reset_reflexes()
+    simulation.advance(5)
+    assert not robot.reflexes.tripped
 
 
 @pytest.mark.parametrize('name', ['Panda', 'PandaOmron', 'Baxter'])
