@@ -150,6 +150,7 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
             ('payload', name, 'right', 'mass', 0.3), ('integral_gain', name, 'arm', 2.0),
             ('set_payload', name, 'right', 0.2, [0.0, 0.0, 0.1], [0.0] * 6),
             ('reflex', name, 'arm', 'velocity', 0.9), ('stream_hold', name, 'arm', 0.1),
+            ('reflex', name, 'arm', 'collision', 'default'),
             ('place', 'cube', [[0.5, 0.1, 1.0], [0.0, 0.0, 0.0, 1.0]], None),
             ('fault', {'what': 'limp', 'part': 'arm', 'until': 0.03}),
             ('fault', {'what': 'lost_commands', 'part': 'arm', 'value': 0.5, 'until': 0.2})):

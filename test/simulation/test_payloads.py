@@ -164,8 +164,6 @@ def test_osc_moves_a_declared_cube_as_if_the_arm_held_nothing():
     assert off[-1].max() < 1e-4 < 5e-4 < unknown[-1].max() and off.max() < 0.6 * unknown.max()
 
 
-
-
 @pytest.mark.parametrize('name', [
     'Panda', *(pytest.param(name, marks=pytest.mark.full) for name in ('UR5e', 'IIWA'))])
 def test_a_held_cube_is_estimated_and_then_neither_bends_the_arm_nor_is_read(name, run):
