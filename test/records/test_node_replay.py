@@ -171,7 +171,7 @@ def test_goals_operations_and_restored_states_are_repeated(session, verify):
     node.close()
     code, lines = verify()
     assert (code, lines[-1]) == (0, '1 of 1 equal')
-    assert lines[0].startswith('183 control periods repeated, with ')
+    assert lines[0].startswith('188 control periods repeated, with ')
 
 
 @pytest.mark.full
