@@ -61,11 +61,6 @@ class CollisionObserver:
         """Forget all forces."""
         self.residual = np.zeros(len(self.residual))
 
-    def forget(self, indices: IntArray) -> None:
-        """Forget what was exerted at joints so far."""
-        self.residual = self.residual.copy()
-        self.residual[indices] = 0.0
-
     def unit_of(self, joint: str) -> str:
         """Return the unit of the torque at a joint."""
         return 'N' if int(self._physics.model.joint(joint).type[0]) == _SLIDE else 'N m'

@@ -241,7 +241,6 @@ class Reflexes:
         """Run again, as after a reset of the simulation."""
         self.is_emergency = self.is_recovering = False
         self._discontinuities.clear()
-        self.collisions.restart()
         self._resume()
 
     def stop_all(self, data: mujoco.MjData) -> None:
@@ -264,10 +263,9 @@ class Reflexes:
 
     def _resume(self) -> None:
         tripped, self.tripped = self.tripped, {}
+        self.collisions.restart()  # What has pushed before is no collision of now.
         for part in tripped:
             self._joints.resume(part)
-            # What pushed it before it rested is no collision of now.
-            self.collisions.forget(self._joints.indices_of(part))
 
     def _excess(self, part: str, data: mujoco.MjData) -> str | None:
         """Return what a part does too much, in words, or None."""
