@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
-import os
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 from manip_sim.cli.output import write_whole
 from manip_sim.cli.rendering import picture_of_part, picture_of_state, picture_of_world, View
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
-from manip_sim.rendering.gl import cannot_render
+from manip_sim.startup import import_mujoco
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -44,9 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     :returns: exit code; 1 if a name is unknown or nothing can be rendered
     """
     options = _parser().parse_args(arguments)
-    if sys.platform == 'linux':
-        # MuJoCo reads this when it is imported, hence the imports inside functions.
-        os.environ.setdefault('MUJOCO_GL', 'egl')
+    import_mujoco()
     try:
         make_gallery(options.output, options.name)
     except ManipSimError as error:
@@ -104,10 +101,6 @@ def make_gallery(output: Path, names: Sequence[str] = ()) -> list[Path]:
 
 
 def _known_names() -> dict[str, list[str]]:
-    try:
-        import mujoco  # noqa: F401
-    except Exception as error:  # The import loads what MUJOCO_GL names.
-        raise cannot_render(error) from error
     from manip_sim.models.bases import base_names
     from manip_sim.models.grippers import gripper_names
     from manip_sim.models.robots import robot_names

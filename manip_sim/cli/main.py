@@ -69,10 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _choose_renderer(command: str) -> None:
     # MuJoCo reads this variable when it is imported.
-    if command == 'render':
-        if sys.platform == 'linux':
-            os.environ.setdefault('MUJOCO_GL', 'egl')
-    elif command not in ('run', 'compare') and 'mujoco' not in sys.modules:
+    if command not in ('render', 'run', 'compare') and 'mujoco' not in sys.modules:
         os.environ['MUJOCO_GL'] = 'disable'
 
 

@@ -13,7 +13,7 @@ from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.cli.rendering import (
     picture_of_part, picture_of_world, TWO_SIDES, TWO_SIDES_OF_ARENAS, View)
 from manip_sim.errors import ManipSimError
-from manip_sim.rendering.gl import cannot_render
+from manip_sim.startup import import_mujoco
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -26,10 +26,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     if file.suffix.lower() not in _ENDINGS:
         raise ManipSimError(f'{file}: the name must end with .png or .jpg')
     check_folder(file)
-    try:
-        import mujoco  # noqa: F401
-    except Exception as error:  # MuJoCo loads what MUJOCO_GL selects.
-        raise cannot_render(error) from error
+    import_mujoco()
     picture = _picture(options)
     write_whole(file, picture.save)
     return str(file), 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import contextlib
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -232,6 +233,8 @@ def picture_of_state(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int
     import mujoco
     from PIL import Image
 
+    from manip_sim.rendering.offscreen import OffscreenRenderer
+
     corners = _visible_corners(model, data)
     if not len(corners):
         if not else_shown:
@@ -241,22 +244,17 @@ def picture_of_state(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int
     if in_studio:
         prepare_studio(model)
     seen_by = cameras(views, model, corners, width / height)
-    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
-    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
-    shown = mujoco.MjvOption()
-    shown.geomgroup[3:] = 0
-    shown.sitegroup[:] = 0
     picture = Image.new('RGB', size)
     try:
-        with mujoco.Renderer(model, height, width) as renderer:
-            for index, camera in enumerate(seen_by):
-                renderer.update_scene(data, camera, shown)
-                if in_studio:
-                    light_studio(renderer.scene, views[index].azimuth)
-                view = Image.fromarray(renderer.render())
-                picture.paste(view, (index * size[0] // len(views), 0))
-    except Exception as error:  # Each OpenGL backend has exceptions of its own.
+        renderer = OffscreenRenderer(model, width, height, effects=True)
+    except mujoco.FatalError as error:
         raise cannot_render(error) from error
+    with contextlib.closing(renderer):
+        for index, camera in enumerate(seen_by):
+            light = partial(light_studio, azimuth=views[index].azimuth)
+            seen = renderer.render(data, camera, width, height, depth=False,
+                                   prepare=light if in_studio else None)
+            picture.paste(Image.fromarray(seen.rgb), (index * size[0] // len(views), 0))
     return picture
 
 

@@ -20,7 +20,6 @@ from manip_sim.models.archive import load_archive
 from manip_sim.quoting import one_line
 from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import STATE_PARTS
-from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.rendering.offscreen import OffscreenRenderer
 
 _VIDEO_MB = 200
@@ -88,7 +87,7 @@ _TITLE_LENGTH = 50
 
 class _Shown:
     """
-    An episode whose instants are drawn, with an OpenGL context of its own.
+    An episode whose instants are drawn.
 
     :param episode: with states
     :param camera: of its model
@@ -105,13 +104,10 @@ class _Shown:
         if not len(self.states) or self.states.shape[1] != size:
             raise RecordError(f'seed {episode.seed} has no states of its model')
         self._data = mujoco.MjData(self._model)
-        self._context = create_context(choose_gl(), *_SIZE)
-        self._context.make_current()
         self._renderer = OffscreenRenderer(self._model, *_SIZE)
 
     def image(self, period: int) -> NDArray[np.uint8]:
         """Draw an instant, or the last one; shape (height, width, 3)."""
-        self._context.make_current()
         state: FloatArray = self.states[min(period, len(self.states) - 1)]
         mujoco.mj_setState(self._model, self._data, state, STATE_PARTS)
         mujoco.mj_kinematics(self._model, self._data)
@@ -125,9 +121,7 @@ class _Shown:
 
     def close(self) -> None:
         """Free the OpenGL resources."""
-        self._context.make_current()
         self._renderer.close()
-        self._context.free()
 
 
 def write_side_by_side(file: Path, episodes: Sequence[RecordedEpisode], titles: Sequence[str],

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.errors import ModelError
+from manip_sim.rendering.gl import choose_gl, create_context
 
 
 @dataclass(frozen=True)
@@ -102,48 +104,77 @@ class Picture:
 
 class OffscreenRenderer:
     """
-    A renderer without shadows, reflections and multisampling, for the thread that creates it.
-
-    An OpenGL context must be current in that thread.
+    A renderer with an OpenGL context of its own, for the thread that creates it.
 
     :param model: the ``mujoco.MjModel``; the settings of its offscreen buffer are changed
     :param width: of the largest image [pixels], as ``height``
+    :param way: as :func:`choose_gl` returns it; None: that one
+    :param effects: render shadows, reflections and several samples per pixel, which take most of
+        the time without a graphics card
+    :raises ManipSimError: if nothing can be rendered
     """
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, way: str | None = None,
+                 effects: bool = False) -> None:
+        self._size, self._effects = (width, height), effects
+        self._gl = create_context(way or choose_gl(), width, height)
+        self._shown = mujoco.MjvOption()
+        self._shown.geomgroup[3:] = 0
+        self._shown.sitegroup[:] = 0
+        try:
+            self._use(model)
+        except BaseException:
+            self._gl.free()
+            raise
+
+    def replace_model(self, model: mujoco.MjModel) -> None:
+        """
+        Render another model from now on.
+
+        :param model: the ``mujoco.MjModel``; the settings of its offscreen buffer are changed
+        """
+        self._gl.make_current()
+        self._context.free()
+        self._use(model)
+
+    def _use(self, model: mujoco.MjModel) -> None:
         self._model = model
-        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-        model.vis.quality.offsamples = 0
+        model.vis.global_.offwidth, model.vis.global_.offheight = self._size
+        if not self._effects:
+            model.vis.quality.offsamples = 0
         self._context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_50))
         mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._scene = mujoco.MjvScene(model, model.ngeom + _MORE_SHAPES)
-        for flag in _LEFT_OUT:
+        for flag in () if self._effects else _LEFT_OUT:
             self._scene.flags[int(flag)] = 0
-        self._shown = mujoco.MjvOption()
-        self._shown.geomgroup[3:] = 0
-        self._shown.sitegroup[:] = 0
         near, far = (limit * model.stat.extent for limit in (
             model.vis.map.znear, model.vis.map.zfar))
         #: One divided by depth is linear in what OpenGL stores.
         self._slope, self._offset = np.float32(1.0 / near - 1.0 / far), np.float32(1.0 / far)
 
-    def render(self, data: mujoco.MjData, camera: str, width: int, height: int, rgb: bool = True,
-               depth: bool = True, labels: bool = False) -> Picture:
+    def render(self, data: mujoco.MjData, camera: str | mujoco.MjvCamera, width: int, height: int,
+               rgb: bool = True, depth: bool = True, labels: bool = False, *,
+               prepare: Callable[[mujoco.MjvScene], None] | None = None) -> Picture:
         """
         Render what a camera sees.
 
         :param data: a ``mujoco.MjData`` of the model, after ``mj_camlight``
+        :param camera: name of one of the model, or a free one
         :param width: of the image [pixels], as ``height``, at most this renderer's
+        :param prepare: changes the scene before it is rendered
         """
+        self._gl.make_current()
         area = mujoco.MjrRect(0, 0, width, height)
         colours = np.empty((height, width, 3), np.uint8) if rgb else None
         stored = np.empty((height, width), np.float32) if depth else None
-        view = fixed_camera(self._model, camera)
+        view = fixed_camera(self._model, camera) if isinstance(camera, str) else camera
         # MuJoCo puts infinite planes around the camera, which is otherwise the one before.
         mujoco.mjv_updateCamera(self._model, data, view, self._scene)
         mujoco.mjv_updateScene(self._model, data, self._shown, None, view,
                                int(mujoco.mjtCatBit.mjCAT_ALL), self._scene)
+        if prepare is not None:
+            prepare(self._scene)
         if rgb or depth:
             mujoco.mjr_render(area, self._scene, self._context)
             mujoco.mjr_readPixels(colours, stored, area, self._context)
@@ -177,5 +208,7 @@ class OffscreenRenderer:
         return metres
 
     def close(self) -> None:
-        """Free the OpenGL resources of the model; the context must be current."""
+        """Free the OpenGL resources."""
+        self._gl.make_current()
         self._context.free()
+        self._gl.free()

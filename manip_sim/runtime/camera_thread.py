@@ -10,10 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 import threading
 import time
-from typing import Any
 
 from manip_sim.errors import ManipSimError
-from manip_sim.rendering.gl import cannot_render, create_context
+from manip_sim.rendering.gl import cannot_render
 from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
 from manip_sim.sensing.images import ImageNoise
 from manip_sim.simulation.snapshots import Snapshot, VisibleWorld
@@ -153,9 +152,7 @@ class CameraThread:
     # ------------------------------------------------------------------ in the thread
 
     def _run(self) -> None:
-        context = None
         try:
-            context = create_context(self._way, *self._size)
             self._serve()
         except Exception as error:  # OpenGL and MuJoCo raise many types.
             self.failed = error if isinstance(error, ManipSimError) else cannot_render(error)
@@ -164,11 +161,9 @@ class CameraThread:
         finally:
             self._ready.set()
             self._shots.clear()
-            if context is not None:
-                context.free()
 
     def _serve(self) -> None:
-        renderer = OffscreenRenderer(self._world.model, *self._size)
+        renderer = OffscreenRenderer(self._world.model, *self._size, self._way)
         try:
             self._ready.set()
             while True:
@@ -177,8 +172,7 @@ class CameraThread:
                         return
                     if order.snapshot.plan is not self._world.plan:
                         self._world = VisibleWorld(order.snapshot.plan)
-                        renderer.close()
-                        renderer = OffscreenRenderer(self._world.model, *self._size)
+                        renderer.replace_model(self._world.model)
                     self._meet(order, renderer)
                 if self._stopping:
                     return
@@ -192,7 +186,7 @@ class CameraThread:
             orders, self._orders = self._orders, {}
         return list(orders.values())
 
-    def _meet(self, order: _Order, renderer: Any) -> None:
+    def _meet(self, order: _Order, renderer: OffscreenRenderer) -> None:
         if order.view.camera not in self._world.cameras:  # Deleted with its object.
             return
         last = next(filter(order.is_met_by, self._shots.values()), None)

@@ -20,7 +20,6 @@ from manip_sim.errors import ModelError, SimulationEnded, UnknownNameError
 from manip_sim.models.camera_choice import chosen_cameras, described_cameras
 from manip_sim.models.cameras import MAX_PIXELS
 from manip_sim.models.world import World
-from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
@@ -32,9 +31,9 @@ R = TypeVar('R')
 _CLOSED = 'these pictures are closed'
 #: Kinds of images: colours, depth along the view [m], and ids of bodies.
 KINDS = ('rgb', 'depth', 'labels')
-#: Thread, context and renderer of pictures that nobody closed. To free a renderer deletes the
-#: objects of its numbers in the current context, so it waits until nothing is being rendered.
-_LOST: list[tuple[int, Any, OffscreenRenderer]] = []
+#: Thread and renderer of pictures that nobody closed. To free a renderer deletes the objects of
+#: its numbers in the current context, so it waits until nothing is being rendered.
+_LOST: list[tuple[int, OffscreenRenderer]] = []
 
 
 class Pictures:
@@ -51,18 +50,16 @@ class Pictures:
     def __init__(self, simulation: Simulation, views: Mapping[str, tuple[int, int]],
                  kinds: Sequence[str] = ('rgb',)) -> None:
         self._views = dict(views)
-        self._kinds = {kind: kind in kinds for kind in KINDS}
+        self._kinds = [kind in kinds for kind in KINDS]
         self._world = VisibleWorld(simulation.plan)
         for camera in views:
             if camera not in self._world.cameras:
                 raise UnknownNameError('camera', camera, self._world.cameras)
         width, height = np.max(list(views.values()), axis=0).tolist()
         _free_lost()
-        self._context = create_context(choose_gl(), width, height)
         renderer = OffscreenRenderer(self._world.model, width, height)
         self._renderer: OffscreenRenderer | None = renderer
-        self._lose = weakref.finalize(
-            self, _LOST.append, (threading.get_ident(), self._context, renderer))
+        self._lose = weakref.finalize(self, _LOST.append, (threading.get_ident(), renderer))
         self._lose.atexit = False
 
     @property
@@ -81,7 +78,6 @@ class Pictures:
         if self._renderer is None:
             raise SimulationEnded(_CLOSED)
         _free_lost()
-        self._context.make_current()
         pictures: dict[str, Picture] = {}
         present, shown = take_snapshot(simulation), None
         for camera, (width, height) in self._views.items():
@@ -89,7 +85,7 @@ class Pictures:
                 shown = scenes.get(camera, present)
                 self._world.show(shown)
             pictures[camera] = self._renderer.render(
-                self._world.data, camera, width, height, **self._kinds)
+                self._world.data, camera, width, height, *self._kinds)
         return pictures
 
     def each(self, render: Callable[[Pictures, T], R], items: Sequence[T]) -> list[R]:
@@ -100,7 +96,7 @@ class Pictures:
         """Free the OpenGL resources; nothing happens the second time."""
         if self._renderer is not None:
             self._lose.detach()
-            _free(self._context, self._renderer)
+            self._renderer.close()
             self._renderer = None
 
 
@@ -159,13 +155,7 @@ def _free_lost() -> None:
     """Free the lost renderers of this thread; another context is current afterwards."""
     for lost in [lost for lost in _LOST if lost[0] == threading.get_ident()]:
         _LOST.remove(lost)
-        _free(*lost[1:])
-
-
-def _free(context: Any, renderer: OffscreenRenderer) -> None:
-    context.make_current()
-    renderer.close()
-    context.free()
+        lost[1].close()
 
 
 def descriptions(given: Iterable[CameraLike]) -> list[dict[str, Any]]:

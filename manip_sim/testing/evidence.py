@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-import os
 from pathlib import Path
 import subprocess
 import sys
@@ -204,7 +203,7 @@ def _picture(folder: Path) -> None:
     try:
         done = subprocess.run(
             [sys.executable, '-m', __name__, str(folder)], capture_output=True, text=True,
-            check=False, env={'MUJOCO_GL': 'egl', **os.environ}, timeout=_RENDERING_S)
+            check=False, timeout=_RENDERING_S)
     except subprocess.TimeoutExpired as error:
         raise ManipSimError(f'rendering took more than {_RENDERING_S:g} s') from error
     if done.returncode:

@@ -181,12 +181,14 @@ def test_the_default_is_a_way_that_needs_no_screen(monkeypatch):
 
 @pytest.mark.skipif(not Path('/proc/self/task').is_dir(), reason='needs the /proc of Linux')
 def test_threads_of_the_driver_are_nice_and_the_one_that_renders_is_not(gl):
+    renderer = OffscreenRenderer(a_model('fovy="50"'), 64, 48)
     nice = {Path(f'/proc/self/task/{task}/comm').read_text().strip():
             os.getpriority(os.PRIO_PROCESS, int(task)) for task in os.listdir('/proc/self/task')}
     usual = os.getpriority(os.PRIO_PROCESS, os.getpid())
     assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == usual
     for name, niceness in nice.items():
         assert not name.startswith('llvmpipe') or niceness == min(usual + 10, 19)
+    renderer.close()
 
 
 def test_what_a_driver_says_is_told(monkeypatch):
