@@ -42,7 +42,7 @@ THREADS = (
 #: The module or function of each station.
 COMMAND = (
     ('DDS', 'joint_command'), ('ros/command_inbox.py', 'waits, takes the bytes'),
-    ('ros/serialization.py', 'bounds, then reads the message'),
+    ('ros/messages.py', 'bounds, then reads the message'),
     ('ros/command_subscribers.py', 'names, stamps, counts'),
     ('control/joint_command_parser.py', 'validates, clamps: a Command'),
     ('runtime/pending_commands.py', 'until the next control period'),
@@ -51,10 +51,10 @@ COMMAND = (
     ('mj_step', 'the physics'))
 STATE = (
     ('mj_step, mj_forward', 'the physics'), ('simulation/simulation.py', 'the end of a period'),
-    ('runtime/observers.py', 'who has to be called'),
+    ('runtime/simulation_thread.py', 'who has to be called'),
     ('ros/channel_publishers.py', 'whoever has a reader'),
     ('channels/kinds.py', 'joints, poses, wrenches'),
-    ('ros/serialization.py', 'numbers into bytes'),
+    ('ros/messages.py', 'numbers into bytes'),
     ('DDS', 'joint_states'))
 _STYLE = ('<style>text{font:13px sans-serif;fill:#1b2733}.b{font-weight:bold}.s{font-size:11.5px}'
           'rect{fill:#eef3f8;stroke:#4a6785;rx:5}.w{fill:#fff}'

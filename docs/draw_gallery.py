@@ -12,7 +12,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from manip_sim.cli.output import write_whole
-from manip_sim.cli.rendering import picture_of_part, picture_of_state, picture_of_world, View
+from manip_sim.cli.render import picture_of_part, picture_of_state, picture_of_world, View
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.startup import import_mujoco
 

@@ -14,9 +14,6 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 
-#: Smaller numbers on the diagonal of a matrix are taken for this when it is factorized.
-LEAST_PIVOT = 1e-18
-
 
 def product(one: FloatArray, other: FloatArray) -> FloatArray:
     """
@@ -50,42 +47,6 @@ def transposed_product(one: FloatArray, other: FloatArray) -> FloatArray:
         result = np.empty((one.shape[1], other.shape[1]))
         mujoco.mju_mulMatTMat(result, one, other)
     return result
-
-
-def factorized(matrix: FloatArray, added: float) -> FloatArray:
-    """
-    Return the Cholesky factor of a symmetric matrix with a number added to its diagonal.
-
-    :param matrix: without negative eigenvalues, shape (n, n)
-    :param added: above 0
-    """
-    factor = with_diagonal(matrix, added)
-    mujoco.mju_cholFactor(factor, LEAST_PIVOT)
-    return factor
-
-
-def with_diagonal(matrix: FloatArray, added: float) -> FloatArray:
-    """Return a matrix with a number added to its diagonal, shape (n, n)."""
-    result = matrix.copy()
-    result.reshape(-1)[::len(result) + 1] += added
-    return result
-
-
-def solved(factor: FloatArray, vector: FloatArray) -> FloatArray:
-    """
-    Return the solution of a system of equations.
-
-    :param factor: of its matrix, from :func:`factorized`, shape (n, n)
-    :param vector: shape (n,)
-    """
-    result = np.empty(len(vector))
-    mujoco.mju_cholSolve(result, factor, vector)
-    return result
-
-
-def dot(one: FloatArray, other: FloatArray) -> float:
-    """Return the scalar product of two vectors."""
-    return float(mujoco.mju_dot(one, other))
 
 
 def length(vector: FloatArray) -> float:

@@ -39,7 +39,7 @@ class PatchedBytes:
         self._doubles = np.frombuffer(aligned, np.float64, len(aligned) // 8)
         bits = self._doubles.view(np.uint64)
         self._places = np.flatnonzero(np.isin(bits, marks))
-        #: Which number belongs to each place.
+        #: Index of the number of each place.
         self._sources = (bits[self._places] - np.uint64(_MARKED_BITS)).astype(np.int64)
         self._in_order = np.array_equal(self._sources, np.arange(count))
         seconds, nanoseconds = divmod(_MARKED_NS, 1_000_000_000)

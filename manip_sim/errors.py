@@ -18,7 +18,7 @@ from manip_sim.quoting import quoted
 
 #: Least similarity of a suggested name, from 0 to 1.
 _ALIKE = 0.5
-#: How much of a requested name is compared; a longer one resembles none of ours.
+#: Number of characters of a requested name that are compared; a longer one resembles none.
 _COMPARED_CHARACTERS = 100
 #: Longest suggestions, and longest suggestions and list of names together [characters].
 _MAX_HINT, _MAX_CHOICES = 120, 240

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the data files of the package and its cache are, and which version they declare."""
+"""Places of the data files of the package and of its cache, and the version of the package."""
 
 from __future__ import annotations
 

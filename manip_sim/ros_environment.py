@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a program needs before it imports rclpy: environment variables of ROS, and packages."""
+"""Needs of a program before it imports rclpy: environment variables of ROS, and packages."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.quoting import counted, shown
 
-#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
+#: Greatest difference of the square of a quaternion's norm from one, as in tf2's ``BufferCore``.
 _NORM_TOLERANCE = 1e-2
 
 

@@ -115,7 +115,7 @@ def test_robots_are_shown_with_open_hands(monkeypatch):
     monkeypatch.syspath_prepend(SOURCE / 'docs')
     from draw_gallery import _pictures
     shown = []
-    monkeypatch.setattr('manip_sim.cli.rendering.picture_of_state',
+    monkeypatch.setattr('manip_sim.cli.render.picture_of_state',
                         lambda model, data, *_: shown.append(data))
     list(_pictures('robots', ['Jaco', 'Panda'], optional=False))
     jaco, panda = shown

@@ -264,7 +264,7 @@ def _add_check(commands: Any) -> None:
 
 def _add_record(commands: Any) -> None:
     parser = _command(
-        commands, 'record', 'record', 'record topics of a running node',
+        commands, 'record', 'records:record', 'record topics of a running node',
         'Writes an MCAP file as rosbag2 does, with the model, the parameters and the definitions '
         'of all types inside. Ctrl-C ends it and completes the file. It needs ROS.',
         'examples: manip_sim record all.mcap\n'
@@ -281,7 +281,8 @@ def _add_record(commands: Any) -> None:
 
 def _add_replay(commands: Any) -> None:
     parser = _command(
-        commands, 'replay', 'replay', 'repeat recorded episodes or nodes in a fresh simulation',
+        commands, 'replay', 'records:replay',
+        'repeat recorded episodes or nodes in a fresh simulation',
         'Reports how many episodes succeed. With --verify it compares the state of each control '
         'period and the digests with those of the record, and reports in which period it first '
         'differs, or what cannot be repeated.',
@@ -295,7 +296,8 @@ def _add_replay(commands: Any) -> None:
 
 def _add_convert(commands: Any) -> None:
     parser = _command(
-        commands, 'convert', 'convert', 'convert recorded episodes to a data set for learning',
+        commands, 'convert', 'records:convert',
+        'convert recorded episodes to a data set for learning',
         'Writes a data set of LeRobot 3.0 (a folder with Parquet and video files), or of '
         'robomimic (an HDF5 file). Actions stay as they were applied, to the last bit.',
         'examples: manip_sim convert records/ --to lerobot pick_cube\n'

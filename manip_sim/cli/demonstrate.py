@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from manip_sim.cli.output import ProgressBar
 from manip_sim.errors import ManipSimError
-from manip_sim.experiments.devices import open_device
+from manip_sim.experiments.demonstrations import open_device
 from manip_sim.quoting import counted
 from manip_sim.tasks import Setting
 

@@ -55,9 +55,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _choose_renderer(words[0] if words else '')
     try:
         options = parse(arguments)
-        command = options.verb or importlib.import_module(f'manip_sim.cli.{options.module}')
+        module, _, function = options.module.partition(':')
+        command = options.verb or importlib.import_module(f'manip_sim.cli.{module}')
         gc.enable()
-        text, code = command.run(options)
+        text, code = getattr(command, function or 'run')(options)
     except UsageError as error:
         return _fail(str(error), WRONG_USE)
     except ManipSimError as error:

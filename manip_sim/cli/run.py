@@ -194,7 +194,7 @@ def run_seeds(experiment: Experiment, out: Path, seeds: Sequence[int],
     :returns: the summary, or None after an interruption
     """
     ros = experiment.policy.startswith(ROS)
-    # What cannot be used is said here, before anything is written.
+    # Values that cannot be used are reported here, before anything is written.
     folder_before = Path.cwd()
     try:
         worker = Worker(experiment)

@@ -28,13 +28,13 @@ _LARGEST_ERROR = 0.1
 _TOLERANCE = 1e-5
 #: Average speed of the fastest joint of a motion [rad/s], and the shortest motion [s].
 _SPEED, _SHORTEST_S = 0.9, 0.8
-#: How near its goal each joint must come [rad], and how much later than planned at most [s].
+#: Distance to its goal that each joint must reach [rad], and greatest delay [s].
 _NEAR, _LATE_S = 0.01, 3.0
 #: Fingers are still if they move less than this [rad or m], or than a share of the way that they
 #: have come, for a duration [s] and a number of states: a program that gets little processor time
 #: sees few states. A held object may creep.
 _STILL, _STILL_SHARE, _STILL_S, _STILL_STATES = 5e-4, 0.01, 0.3, 20
-#: How long to wait for fingers to start moving, in both simulation and wall time [s].
+#: Time for fingers to start moving, in both simulation and wall time [s].
 _UNMOVED_S = 2.0
 #: The topics that are followed, by name below the robot's.
 _ALL, _ARM, _FINGERS, _WRENCH = (
@@ -157,7 +157,7 @@ class Arm:
 
     @property
     def is_seen(self) -> bool:
-        """Whether a message has come on every topic."""
+        """True if a message has come on every topic."""
         return all(self._space + topic in self._task.latest for topic in _FOLLOWED)
 
     def connect(self, model: mujoco.MjModel) -> None:

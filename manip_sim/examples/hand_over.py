@@ -24,11 +24,11 @@ from manip_sim.resources import share_directory
 
 #: The topic of the cube's pose.
 CUBE = 'objects/cube/pose'
-#: Where ``left`` and then ``middle`` give the cube to the next arm, in ``world`` [m].
+#: Points where ``left`` and then ``middle`` give the cube to the next arm, in ``world`` [m].
 LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
-#: Where the cube should stand in the end, in ``world`` [m], and the tolerance [m].
+#: Place of the cube in the end, in ``world`` [m], and the tolerance [m].
 GOAL, NEAR_GOAL_M = np.array([-0.05, -0.5, 0.825]), 0.03
-#: How far from the cube a gripper waits [m], and how far from the cube's centre it grips [m].
+#: Distance from the cube of a gripper that waits [m], and of a grip from its centre [m].
 _AWAY_M, _OFF_MIDDLE_M = 0.12, 0.008
 #: A cube that is held moves in the gripper by less than this [m].
 _SLIP_M = 0.01

@@ -20,7 +20,7 @@ from manip_sim.examples.arm import Arm
 from manip_sim.examples.demonstration import run, Demonstration, TaskFailed
 
 GRAVITY = 9.81
-#: How high the cube is lifted, and how high by arms that do not point down there [m].
+#: Height to which the cube is lifted, also by arms that do not point down there [m].
 _LIFT_M, _LOW_LIFT_M = 0.10, 0.05
 _HOLD_S = 2.0
 _SETTLE_S = 1.0

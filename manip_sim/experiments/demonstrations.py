@@ -1,25 +1,301 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Demonstrations of a task with a device: recorded, and each repeated at once."""
+"""
+Demonstrations of a task with a device: recorded, and each repeated at once.
+
+Devices are the keyboard, a gamepad, a SpaceMouse, and a file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+import csv
 from dataclasses import dataclass
+import os
 from pathlib import Path
+import select
+import sys
 import time
 from typing import Any
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.experiments.devices import Device, DISCARD, QUIT
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.quoting import quoted
 from manip_sim.records import EpisodeRecorder
 from manip_sim.records.recorded import Record
 from manip_sim.records.repeating import Repetition, Replay
 from manip_sim.tasks import Episode
 from manip_sim.tasks.episode_actions import STEP_M, TURN_RAD
+
+#: Words beside a motion: the task is done, drop this demonstration, no more of them.
+EVENTS = DONE, DISCARD, QUIT = ('done', 'discard', 'quit')
+_FILE = 'file:'
+#: An axis that is not deflected further than this rests.
+_DEAD = 0.1
+
+
+@dataclass
+class Reading:
+    """
+    Input of a device in a control period.
+
+    :ivar motion: deflections along and about x, y, z of ``world``, from -1 to 1, shape (6,); of
+        a file whole actions, of any length
+    :ivar toggles: whether the gripper is to open or close
+    :ivar event: one of :data:`EVENTS`, or empty
+    """
+
+    motion: FloatArray
+    toggles: bool = False
+    event: str = ''
+
+
+class Device(ABC):
+    """
+    A device.
+
+    :cvar is_live: whether a person moves it, in real time
+    :cvar help: which key or button does what
+    """
+
+    is_live = True
+    help = ''
+
+    @abstractmethod
+    def read(self) -> Reading:
+        """
+        Return what it says at present.
+
+        :raises CommandError: if it is gone, or says what cannot be used
+        """
+
+    def end(self) -> None:  # noqa: B027
+        """Be told that a demonstration has ended without an event."""
+
+    def close(self) -> None:  # noqa: B027
+        """Release it."""
+
+
+class ActionFile(Device):
+    """
+    Actions of a CSV file: a column for each number, named as in a header, and one ``event``.
+
+    :param path: of the file
+    :param names: of the numbers of an action
+    :raises ModelError: if the file cannot be used
+    """
+
+    is_live = False
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        try:
+            with path.open(newline='') as file:
+                header, *rows = [row for row in csv.reader(file) if row] or [[]]
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise ModelError(f'{path}: {getattr(error, "strerror", None) or error}') from error
+        wanted = [*names, 'event'] if 'event' in header else [*names]
+        for name in header:
+            if name not in wanted:
+                raise UnknownNameError(f'column of {path}', name, [*names, 'event'])
+        if len(header) != len(wanted):
+            missing = next(name for name in wanted if name not in header)
+            raise ModelError(f'{path} has no column {quoted(missing)}' if missing not in header
+                             else f'{path} has a column twice')
+        self._rest = iter([_of_row(f'{path}: row {number}', header, row, names)
+                           for number, row in enumerate(rows, 2)])
+
+    def read(self) -> Reading:
+        """Return the next row; after the last one, that there are no more."""
+        return next(self._rest, Reading(np.zeros(0), event=QUIT))
+
+    def end(self) -> None:
+        """Skip what is left of a demonstration, up to its event."""
+        for reading in self._rest:
+            if reading.event:
+                break
+
+
+def _of_row(where: str, header: Sequence[str], row: Sequence[str], names: Sequence[str]
+            ) -> Reading:
+    if len(row) != len(header):
+        raise ModelError(f'{where} has {len(row)} cells, and the header has {len(header)}')
+    cells = dict(zip(header, row))
+    event = cells.get('event', '').strip()
+    if event and event not in EVENTS:
+        raise UnknownNameError(f'event in {where}', event, EVENTS)
+    try:
+        motion = np.array([float(cells[name]) for name in names])
+    except ValueError as error:
+        raise ModelError(f'{where}: {error}') from error
+    if not np.isfinite(motion).all():
+        raise ModelError(f'{where} has a number that is not finite')
+    return Reading(motion, event=event)
+
+
+class Keyboard(Device):
+    """
+    The terminal, whose keys move by a step and, while they repeat, go on.
+
+    :raises ModelError: without a terminal
+    """
+
+    help = ('w s: x, a d: y, r f: z, i k: pitch, j l: yaw, u o: roll, space: gripper, return: '
+            'done, backspace: discard, q: quit')
+    _AXES = {key: (axis, sign) for axis, keys in enumerate(('ws', 'ad', 'rf', 'uo', 'ik', 'jl'))
+             for key, sign in zip(keys, (1.0, -1.0))}
+    _EVENTS = {'\r': DONE, '\n': DONE, '\x7f': DISCARD, '\x08': DISCARD, 'q': QUIT, '': QUIT}
+    #: Time for which a key counts after it came: repeats come every 30 to 50 ms [s].
+    _HELD_S = 0.15
+
+    def __init__(self) -> None:
+        if not sys.stdin.isatty():
+            raise ModelError('the keyboard needs a terminal as its input; file:ACTIONS.csv needs '
+                             'none')
+        import termios
+        import tty
+        self._terminal, self._until = sys.stdin.fileno(), np.zeros((6, 2))
+        self._before = termios.tcgetattr(self._terminal)
+        # Keys that were typed before count.
+        tty.setcbreak(self._terminal, termios.TCSADRAIN)
+
+    def read(self) -> Reading:
+        """Return the motion of the keys that are held, and what the others say."""
+        found, now = Reading(np.zeros(6)), time.monotonic()
+        while select.select([self._terminal], [], [], 0.0)[0]:
+            text = os.read(self._terminal, 64).decode(errors='replace')
+            for key in text or ['']:
+                if key in self._EVENTS:
+                    found.event = found.event or self._EVENTS[key]
+                elif key == ' ':
+                    found.toggles = not found.toggles
+                elif key in self._AXES:
+                    axis, sign = self._AXES[key]
+                    self._until[axis] = 0.0
+                    self._until[axis, int(sign < 0.0)] = now + self._HELD_S
+            if not text:
+                break
+        held = self._until > now
+        found.motion = held[:, 0].astype(float) - held[:, 1]
+        return found
+
+    def close(self) -> None:
+        """Give the terminal back as it was."""
+        import termios
+        termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
+
+
+class EventDevice(Device):
+    """
+    A gamepad or a SpaceMouse, which the Linux kernel reports as an input device (evdev).
+
+    :param kind: ``gamepad`` or ``spacemouse``
+    :param device: an ``evdev.InputDevice``; None for the first one that has its axes
+    :raises ModelError: if there is none, or evdev is not installed
+    """
+
+    help = ('gamepad: sticks and hat, A: gripper, start: done, select: discard, B: quit; '
+            'spacemouse: cap, left button: gripper, right button: done')
+    #: Types of events: end of a report, button, relative and absolute axis.
+    _REPORT, _BUTTON, _RELATIVE, _ABSOLUTE = range(4)
+    #: By kind: codes of the axes of the six motions, and their signs.
+    _AXES = {'spacemouse': ((1, -1.0), (0, -1.0), (2, -1.0), (4, -1.0), (3, -1.0), (5, -1.0)),
+             'gamepad': ((1, -1.0), (0, -1.0), (4, -1.0), (16, 1.0), (17, 1.0), (3, -1.0))}
+    _BUTTONS = {'spacemouse': {256: 'grip', 257: DONE},
+                'gamepad': {304: 'grip', 305: QUIT, 314: DISCARD, 315: DONE}}
+    #: Counts of a cap that is deflected completely, and after what time without any it rests [s].
+    _FULL, _RESTS_S = 350.0, 0.15
+
+    def __init__(self, kind: str, device: Any = None) -> None:
+        self._axes = {code: (number, sign)
+                      for number, (code, sign) in enumerate(self._AXES[kind])}
+        self._buttons = self._BUTTONS[kind]
+        self._device = _input_device(kind, set(self._axes)) if device is None else device
+        self._values, self._last_s = np.zeros(6), 0.0
+        self._moved: set[int] = set()
+
+    def read(self) -> Reading:
+        """Return the present deflections, and what the buttons say."""
+        found = Reading(self._values)
+        for event in self._events():
+            if event.type == self._REPORT and self._moved:
+                # A relative axis that rests is not reported.
+                self._values[[n for n in range(6) if n not in self._moved]] = 0.0
+                self._moved.clear()
+            elif event.type in (self._RELATIVE, self._ABSOLUTE) and event.code in self._axes:
+                self._move(event)
+            elif event.type == self._BUTTON and event.value == 1 and event.code in self._buttons:
+                meaning = self._buttons[event.code]
+                found.toggles ^= meaning == 'grip'
+                found.event = found.event or ('' if meaning == 'grip' else meaning)
+        if self._last_s and time.monotonic() - self._last_s > self._RESTS_S:
+            self._values[:] = 0.0
+        found.motion = self._values.copy()
+        return found
+
+    def _move(self, event: Any) -> None:
+        number, sign = self._axes[event.code]
+        middle, half = 0.0, self._FULL
+        if event.type == self._ABSOLUTE:
+            info = self._device.absinfo(event.code)
+            middle, half = 0.5 * (info.min + info.max), max(0.5 * (info.max - info.min), 1.0)
+        else:
+            self._moved.add(number)
+            self._last_s = time.monotonic()
+        share = sign * (event.value - middle) / half
+        self._values[number] = 0.0 if abs(share) < _DEAD else min(max(share, -1.0), 1.0)
+
+    def _events(self) -> Iterator[Any]:
+        try:
+            yield from self._device.read()
+        except BlockingIOError:  # Nothing has happened.
+            return
+        except OSError as error:
+            raise CommandError(f'the device is gone: {error.strerror or error}') from error
+
+    def close(self) -> None:
+        """Release it."""
+        self._device.close()
+
+
+def _input_device(kind: str, axes: set[int]) -> Any:
+    """Return the first device of the kernel that has all axes."""
+    try:
+        import evdev
+    except ImportError as error:
+        raise ModelError(f'a {kind} needs evdev: pip install evdev') from error
+    for path in evdev.list_devices():
+        device = evdev.InputDevice(path)
+        found = device.capabilities(absinfo=False)
+        is_cap = 'space' in device.name.lower()
+        if is_cap == (kind == 'spacemouse') and any(
+                axes <= set(found.get(of_type, ())) for of_type in (2, 3)):
+            return device
+        device.close()
+    raise ModelError(f'no {kind} is connected, or /dev/input may not be read: join the group '
+                     'input')
+
+
+def open_device(name: str, actions: Sequence[str]) -> Device:
+    """
+    Return a device by its name.
+
+    :param name: ``keyboard``, ``gamepad``, ``spacemouse`` or ``file:ACTIONS.csv``
+    :param actions: names of the numbers of an action
+    :raises ModelError: if it is not there, or cannot be used
+    :raises UnknownNameError: if the device is unknown
+    """
+    if name.startswith(_FILE):
+        return ActionFile(Path(name.removeprefix(_FILE)), actions)
+    if name == 'keyboard':
+        return Keyboard()
+    if name in EventDevice._AXES:
+        return EventDevice(name)
+    raise UnknownNameError('device', name, ['keyboard', *EventDevice._AXES, f'{_FILE}ACTIONS.csv'])
+
 
 #: Speed of an end effector at full deflection [m/s, rad/s].
 _SPEED, _TURN = 0.25, 1.0

@@ -168,7 +168,7 @@ class Shard:
         file.seek(0)
         there = {seed: row for seed, row in read_rows(file).items()
                  if not (retry_errors and row.error)}
-        # What a process that was killed has left of a line is cut off.
+        # The remainder of a line of a process that was killed is cut off.
         file.seek(0)
         whole = file.read().rpartition('\n')
         file.seek(0)

@@ -5,18 +5,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass
 import math
 from pathlib import Path
+import sqlite3
 from typing import Any
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices, RecordError, UnknownNameError
-from manip_sim.quoting import counted, quoted, quoted_names
-from manip_sim.records.bags import bag_messages
+from manip_sim.models.regular_files import opened
+from manip_sim.quoting import counted, one_line, quoted, quoted_names
+from manip_sim.records.record_file import decoder, full_name
+from manip_sim.records.recorded import Record
+from manip_sim.records.untrusted_records import check_topic, MAX_BYTES, MESSAGE_BYTES
 
 _KIND = 'sensor_msgs/JointState'
 _NAME = '/joint_states'
@@ -47,7 +52,7 @@ class Stretch:
 @dataclass(frozen=True)
 class RecordedMotion:
     """
-    What a record has of the joints of a robot.
+    Joint states of a robot in a record.
 
     :ivar topic: that it was read from
     :ivar stretches: in the order of time
@@ -196,3 +201,59 @@ def _stretches(times: FloatArray, positions: Mapping[str, FloatArray],
               for of in (kept, {name: values[keep] for name, values in efforts.items()})]
         found.append(Stretch(interval, *at))
     return found
+
+
+_SUFFIXES = ('.mcap', '.db3')
+_MESSAGES = ('SELECT topics.name, messages.timestamp, messages.data FROM messages '
+             'JOIN topics ON messages.topic_id = topics.id '
+             'WHERE topics.type = ? ORDER BY messages.timestamp, messages.id')
+
+
+def bag_messages(path: Path, type_name: str) -> Iterator[tuple[str, int, Any]]:
+    """
+    Yield topic, time of recording [ns] and message of all messages of a type.
+
+    :param path: of an MCAP file, a file of SQLite of rosbag2, or a folder with such files
+    :param type_name: such as ``std_msgs/Bool``
+    :raises RecordError: if the bag is missing, damaged or too large
+    """
+    decode, size = decoder(type_name), 0
+    for file in _files(path):
+        read = _read_sqlite if file.suffix == '.db3' else _read_mcap
+        for topic, time_ns, content in read(file, type_name):
+            size += len(content) + MESSAGE_BYTES
+            if size > MAX_BYTES:
+                raise RecordError(f'{path}: it has more than {MAX_BYTES} bytes of {type_name}')
+            try:
+                message = decode(content)
+            except Exception as error:  # The reader raises whatever its operations do.
+                raise RecordError(f'{file}: a message of {topic} cannot be read: '
+                                  f'{one_line(str(error))}') from error
+            yield topic, time_ns, message
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    found = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES)
+    if not found:
+        raise RecordError(f'{path}: this folder has no *.mcap and no *.db3 file')
+    return found
+
+
+def _read_mcap(file: Path, type_name: str) -> Iterator[tuple[str, int, bytes]]:
+    return Record(file).messages(type_name)
+
+
+def _read_sqlite(file: Path, type_name: str) -> Iterator[tuple[str, int, bytes]]:
+    try:
+        # SQLite would say only that it cannot open it.
+        with open(opened(file), 'rb'), contextlib.closing(sqlite3.connect(
+                f'{file.absolute().as_uri()}?mode=ro', uri=True)) as bag:
+            for topic, time_ns, content in bag.execute(_MESSAGES, [full_name(type_name)]):
+                yield check_topic(topic), int(time_ns), bytes(content)
+    except OSError as error:
+        raise RecordError(f'{file}: {error.strerror or error}') from error
+    except (sqlite3.Error, TypeError, ValueError, RecordError) as error:
+        raise RecordError(f'{file}: no bag of rosbag2, or damaged: {one_line(str(error))}'
+                          ) from error

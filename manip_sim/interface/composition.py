@@ -24,8 +24,8 @@ from manip_sim.interface.parameters import (
 from manip_sim.interface.topics import Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
-from manip_sim.models.camera_choice import chosen_cameras, described_cameras, described_lidars
-from manip_sim.models.cameras import ImageSettings
+from manip_sim.models.cameras import (
+    chosen_cameras, described_cameras, described_lidars, ImageSettings)
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
@@ -69,7 +69,7 @@ def compose_world(parameters: ParameterSource) -> Composition:
     """
     Declare the parameters of the composition, and compose the world that they describe.
 
-    What depends on the parts of the robots is left to :func:`declare_parts`.
+    Parameters of the parts of the robots are left to :func:`declare_parts`.
 
     :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
     """
@@ -210,7 +210,7 @@ def declare_cameras(parameters: ParameterSource, world: World, model: mujoco.MjM
     :param model: its ``mujoco.MjModel``
     :raises ManipSimError: if a camera cannot be chosen, or a value cannot be used
     """
-    chosen = chosen_cameras(parameters.value('cameras'), world, model)
+    chosen = chosen_cameras(parameters.value('cameras'), world.cameras, model)
     for name, images in chosen.items():
         parameters.declare(camera_parameters(name, images))
         width, height, rate_hz, depth = (

@@ -18,13 +18,14 @@ from manip_sim.interface.topics import Scope
 from manip_sim.models.arenas import arena_names, arena_parameters
 from manip_sim.models.arenas.arena import ArenaParameter
 from manip_sim.models.bases import base_names
-from manip_sim.models.cameras import ImageSettings, MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ
+from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.placements import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.physics.parts import Part
 from manip_sim.physics.payload import Payload
+from manip_sim.sensing.images import MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.validation import fitting_timestep, nearest_rates, steps_of
 

@@ -1,31 +1,28 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cameras and lidars that are added to a world; rendering is elsewhere."""
+"""Cameras and lidars that are added to a world, and the choice of cameras by name."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TYPE_CHECKING, Union
+import re
+from typing import Any, Union
 
 import mujoco
 import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import ModelError
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.spec_edits import body_for
+from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quaternion import NO_TURN
-from manip_sim.sensing.lidars import Rays
+from manip_sim.quoting import quoted
+from manip_sim.sensing.images import MAX_PIXELS
+from manip_sim.sensing.lidars import MAX_RAYS, Rays
 
-if TYPE_CHECKING:
-    from manip_sim.models.placed_descriptions import CameraDescription
-
-
-#: Rays of one lidar at most, as many as the densest ones on the market have: 128 rings of 2048.
-MAX_RAYS = 128 * 2048
-MAX_RINGS, MAX_RANGE_M, MAX_NOISE_M = 128, 1000.0, 10.0
 #: Of the site that marks the lidar [m].
 _SITE_SIZE_M = 0.01
 #: No viewer shows sites of this group by default.
@@ -92,10 +89,6 @@ def create_lidar(description: LidarLike) -> LidarModel:
                       np.array(NO_TURN) if quat_wxyz is None else quat_wxyz, rays, parsed.rate,
                       parsed.noise)
 
-
-MAX_PIXELS = 4096
-MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 10_000.0
-MIN_FOVY_DEG, MAX_FOVY_DEG = 1.0, 170.0
 
 #: From a frame that looks along x with z up to MuJoCo's camera, which looks along -z with y up.
 _TO_MUJOCO = np.array([0.5, 0.5, -0.5, -0.5])
@@ -164,19 +157,19 @@ def create_camera(description: Camera) -> CameraModel:
                               'rate_hz': parsed.rate, 'depth': parsed.depth}
     position = np.array(parsed.position or [0.0, 0.0, 0.0], dtype=float)
     quat_wxyz = np.empty(4)
-    mujoco.mju_mulQuat(quat_wxyz, _looks_along(parsed, position), _TO_MUJOCO)
+    looks_along = (_toward(parsed.look_at, position) if parsed.quat_wxyz is None
+                   else parsed.quat_wxyz)
+    mujoco.mju_mulQuat(quat_wxyz, looks_along, _TO_MUJOCO)
     return CameraModel(
         parsed.name, parsed.body or 'world', position, quat_wxyz, parsed.fovy,
         replace(ImageSettings(), **{k: value for k, value in values.items() if value is not None}))
 
 
-def _looks_along(description: CameraDescription, position: FloatArray) -> FloatArray:
-    """Return the orientation w, x, y, z of the frame that looks along x, with z up."""
-    if description.quat_wxyz is not None:
-        return description.quat_wxyz
-    if description.look_at is None:
+def _toward(point: Sequence[float] | None, position: FloatArray) -> FloatArray:
+    """Return the orientation w, x, y, z of the frame whose x points to a point, with z up."""
+    if point is None:
         return np.array(NO_TURN)
-    forward = np.array(description.look_at) - position
+    forward = np.array(point) - position
     forward /= length(forward)
     left = np.cross([0.0, 0.0, 1.0], forward)
     if length(left) < _PARALLEL:
@@ -191,3 +184,71 @@ def _looks_along(description: CameraDescription, position: FloatArray) -> FloatA
 def camera_names(model: mujoco.MjModel) -> list[str]:
     """Return the names of the cameras of a ``mujoco.MjModel``."""
     return [model.camera(index).name for index in range(model.ncam)]
+
+
+#: A token of a topic's name.
+_TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
+
+
+def described_cameras(given: Sequence[str]) -> list[dict[str, Any]]:
+    """
+    Return the descriptions among some texts: those that begin with a brace, as YAML.
+
+    :raises ModelError: if one is not YAML
+    """
+    return [parse_yaml(text, "one of 'cameras'") for text in given if _is_description(text)]
+
+
+def described_lidars(given: Sequence[str]) -> list[dict[str, Any]]:
+    """
+    Return the descriptions of lidars, as YAML; empty texts are ignored.
+
+    :raises ModelError: if one is not YAML
+    """
+    for text in filter(None, given):
+        if not _is_description(text):
+            raise ModelError(f"one of 'lidars' must be a description such as {{name: scan, "
+                             f'position: [0.5, 0.0, 0.2]}}, got {quoted(text)}')
+    return [parse_yaml(text, "one of 'lidars'") for text in filter(None, given)]
+
+
+def _is_description(text: str) -> bool:
+    return text.lstrip().startswith('{')
+
+
+def chosen_cameras(given: Sequence[str], added: Sequence[CameraModel], model: mujoco.MjModel
+                   ) -> dict[str, ImageSettings]:
+    """
+    Return the chosen cameras, in order, and the default settings of their images.
+
+    :param given: names of cameras and descriptions; empty texts are ignored
+    :param added: the cameras of the descriptions, as a world has them
+    :param model: the ``mujoco.MjModel`` of that world
+    :raises UnknownNameError: if the camera is unknown
+    :raises ModelError: if a camera is chosen twice or its name cannot name a topic
+    """
+    described = iter(added)
+    chosen: dict[str, ImageSettings] = {}
+    for text in filter(None, given):
+        if _is_description(text):
+            camera = next(described)
+            name, images = camera.name, camera.images
+        else:
+            name, images = text, _images_of(model, text)
+        if name in chosen:
+            raise ModelError(f'the camera {quoted(name)} is chosen twice')
+        chosen[name] = images
+    return chosen
+
+
+def _images_of(model: mujoco.MjModel, name: str) -> ImageSettings:
+    if name not in camera_names(model):
+        raise UnknownNameError('camera', name, camera_names(model))
+    if not _TOKEN.fullmatch(name):
+        raise ModelError(f'the camera {quoted(name)} cannot have a topic: its name must consist '
+                         'of letters, digits and underscores, and not begin with a digit')
+    width, height = model.cam_resolution[model.camera(name).id].tolist()
+    # MuJoCo's default resolution is 1 x 1.
+    if (width, height) == (1, 1):
+        return ImageSettings()
+    return replace(ImageSettings(), width=min(width, MAX_PIXELS), height=min(height, MAX_PIXELS))

@@ -40,7 +40,7 @@ class CatalogueModel(MujocoXMLModel):
     :param idn: number or word in the prefix
     """
 
-    #: Where its folder is: ``robots``, ``grippers`` or ``bases``, and the folder.
+    #: Place of its folder: ``robots``, ``grippers`` or ``bases``, and the folder.
     _kind: ClassVar[str]
     _folder: ClassVar[str] = ''
     #: Content of ``part.yaml``, of each class once it is read.

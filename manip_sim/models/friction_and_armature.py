@@ -79,7 +79,7 @@ class TorqueSpeed(Strict):
 class _OfSubsystem(Strict):
     friction: Friction | None = None
     torque_speed: TorqueSpeed | None = None
-    #: Where the numbers are from, by what they are.
+    #: Sources of the numbers, by their names.
     sources: dict[str, str]
 
 

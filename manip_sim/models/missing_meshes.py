@@ -5,21 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.quoting import counted, quoted
-
-if TYPE_CHECKING:
-    from manip_sim.models.robots import RobotModel
-    from manip_sim.models.world import World
-
 
 #: First line of a file in a clone of a repository whose large files were not fetched.
 _POINTER = b'version https://git-lfs'
@@ -96,35 +91,12 @@ def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
     return sentences
 
 
-def inferred_by_model(world: World, robot: RobotModel | None = None
-                      ) -> Iterator[tuple[str, list[str]]]:
-    """
-    Yield the name of each model of a world, and sentences on the inferences about it.
-
-    :param robot: whose models are meant; None: the whole world
-    """
-    robots = world.robots if robot is None else [robot]
-    models: list[Any] = [*([world.arena, *world.objects] if robot is None else ()), *robots]
-    for model in (*models, *(part for robot in robots for part in robot.models)):
-        yield model.name, getattr(model, 'inferred', None) or []
-
-
-def lost_shapes(world: World, robot: RobotModel | None = None) -> list[str]:
-    """
-    Return which shapes the models of a world lack because their files cannot be read.
-
-    :param robot: whose models are meant; None: the whole world
-    """
-    return [f'{name}: {sentence}' for name, sentences in inferred_by_model(world, robot)
-            for sentence in sentences if isinstance(sentence, LostShape)]
-
-
 #: Of a link whose shape is missing: density [kg/m^3], thickness over length, the range of its
 #: length, and its length where nothing is known of it [m].
 _DENSITY, _SLENDERNESS, _LENGTHS_M, _LENGTH_M = 1000.0, 0.25, (0.01, 1.0), 0.1
 _NAMED_MASSES = 3
 
-#: Why files are missing, by kind of the file and name of the element that names it.
+#: Causes of missing files, by kind of the file and name of the element that names it.
 Missing = Mapping[tuple[str, str], MissingMeshError]
 
 

@@ -14,15 +14,15 @@ import numpy as np
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices
-from manip_sim.models.cameras import (
-    MAX_FOVY_DEG, MAX_NOISE_M, MAX_PIXELS, MAX_RANGE_M, MAX_RATE_HZ, MAX_RAYS, MAX_RINGS,
-    MIN_FOVY_DEG, MIN_RATE_HZ)
 from manip_sim.models.object_model import check_object_name, MAX_MASS_KG, MIN_MASS_KG, SIZES
 from manip_sim.models.strict_descriptions import (
     BeforeValidator, checked, ConfigDict, Field, model_validator, Number, Strict, StrictBool,
     StrictInt)
 from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.quoting import counted, quoted, shown
+from manip_sim.sensing.images import (
+    MAX_FOVY_DEG, MAX_PIXELS, MAX_RATE_HZ, MIN_FOVY_DEG, MIN_RATE_HZ)
+from manip_sim.sensing.lidars import MAX_NOISE_M, MAX_RANGE_M, MAX_RAYS, MAX_RINGS
 from manip_sim.validation import norm_of_unit_quaternion
 
 #: Greatest distance of an object or camera from the origin along an axis [m].

@@ -45,7 +45,7 @@ class Registry(Generic[T]):
         self._takes = takes
         self._key = key
         self._classes: dict[str, type[T]] = {}
-        #: Why a class cannot be created by name, once that was asked; empty if it can.
+        #: Reason why a class cannot be created by name, once that was asked; empty if it can.
         self._missing: dict[type[T], str] = {}
         #: By offer, the class, or the error of its import.
         self._loaded: dict[Offer, type[T] | ModelError] = {}

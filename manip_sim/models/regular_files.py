@@ -135,7 +135,7 @@ class FilesBelow(Files):
         """
         Return the content of a file, as :func:`read_file` does.
 
-        What a file outside the folders is, and whether it is there, makes no difference.
+        A file outside the folders is treated as one that does not exist.
         """
         with _explained(file, kind):
             self.check(file, kind)

@@ -206,7 +206,7 @@ def try_to_do(name: str, function: Callable[..., Any], *arguments: Any,
     """
     Call a function in another process; return if that can be done here, too.
 
-    What passed once is not tried again.
+    Work that passed once is not tried again.
 
     :param function: of a module; imports nothing when it is called
     :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`

@@ -1,7 +1,13 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""An arena with robots and objects: one ``mujoco.MjModel`` and the start of its joints."""
+"""
+An arena with robots and objects: one ``mujoco.MjModel`` and the start of its joints.
+
+MuJoCo's ``gravcomp`` compensates the weight of a body at all joints between it and the world, so
+also at a free joint: the robot would float. So the actuators of arms, torso and head of a robot
+with a free root carry the parts beyond them, and the root and the legs carry that weight.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +22,8 @@ from manip_sim.models.archive import pack, to_binary
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.cameras import Camera, create_camera, create_lidar, LidarLike
 from manip_sim.models.faults import FaultPlan, FaultsLike
-from manip_sim.models.gravity_compensation import compensate_mounted_robots
 from manip_sim.models.loading import compile_spec
+from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_creation import (
     check_object_names, create_objects, Description, ObjectModel)
@@ -347,3 +353,77 @@ class World:
             ranges = {name: range_ for name, range_ in robot.joint_ranges.items() if name in start}
             noisy = noise.added([start[name] for name in ranges], list(ranges.values()), number)
             start.update(zip(ranges, noisy.tolist()))
+
+
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+#: Subsystems with gravity compensation; what carries a robot, such as legs, has none.
+_CARRIED = ('arm', 'torso', 'head')
+
+
+def compensate_mounted_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) -> None:
+    """
+    Let actuators of robots without a free root carry their links, and parts mounted on them.
+
+    :param spec: the ``mujoco.MjSpec`` of a world, changed in place
+    :param robots: the robots in it
+    """
+    for _, bodies in _robots(spec, robots, free=False):
+        for body in bodies:
+            if body.gravcomp:  # Not the actuators carry it, but what the file stands for.
+                continue
+            body.gravcomp = 1.0
+            for joint in body.joints:
+                joint.actgravcomp = True
+
+
+def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) -> None:
+    """
+    Let actuators of robots with a free root carry the parts beyond them.
+
+    :param spec: the ``mujoco.MjSpec`` of a world, changed in place; its model needs
+        ``FreeRoots`` in each step
+    :param robots: the robots in it
+    """
+    driven = {actuator.target for actuator in spec.actuators}
+    for robot, bodies in _robots(spec, robots, free=True):
+        carried = {name for subsystem in _CARRIED for name in robot.joints_of(subsystem)} & driven
+        for body in bodies:
+            if any(joint.name in carried for joint in body.joints):
+                for hanging in (body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)):
+                    hanging.gravcomp = 1.0
+                    for joint in hanging.joints:
+                        joint.actgravcomp = True
+
+
+def _robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel], free: bool
+            ) -> Iterator[tuple[RobotModel, list[mujoco.MjsBody]]]:
+    """Yield robots with a free root, or without, and all bodies below their roots."""
+    for robot in robots:
+        root = spec.body(robot.root_body)
+        # Also bodies that composing added.
+        bodies = [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]
+        if any(int(joint.type) == _FREE for body in bodies for joint in body.joints) == free:
+            yield robot, bodies
+
+
+def inferred_by_model(world: World, robot: RobotModel | None = None
+                      ) -> Iterator[tuple[str, list[str]]]:
+    """
+    Yield the name of each model of a world, and sentences on the inferences about it.
+
+    :param robot: whose models are meant; None: the whole world
+    """
+    robots = world.robots if robot is None else [robot]
+    models: list[Any] = [*([world.arena, *world.objects] if robot is None else ()), *robots]
+    for model in (*models, *(part for robot in robots for part in robot.models)):
+        yield model.name, getattr(model, 'inferred', None) or []
+
+
+def lost_shapes(world: World, robot: RobotModel | None = None) -> list[str]:
+    """
+    Return which shapes the models of a world lack because their files cannot be read.
+
+    :param robot: whose models are meant; None: the whole world
+    """
+    return [f'{name}: {sentence}' for name, sentences in inferred_by_model(world, robot)
+            for sentence in sentences if isinstance(sentence, LostShape)]

@@ -46,7 +46,7 @@ _MAX_MESH_PARAMETER = 500
 @dataclass(frozen=True)
 class Limits:
     """
-    What all files of a model together may use.
+    Limits of all files of a model together.
 
     :ivar files: that it is loaded from; one that is used twice counts twice
     :ivar depth: to which files may load each other
@@ -70,7 +70,7 @@ class Limits:
 @dataclass
 class Budget:
     """
-    What all files of a model together may still use; below zero it is spent.
+    Remainder of the limits of a model; below zero it is spent.
 
     :ivar limits: what it was at the start
     """

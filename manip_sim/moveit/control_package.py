@@ -17,9 +17,9 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import choose_robot, Hardware, OWN_PLUGIN
-from manip_sim.moveit.package import Controlling, describe, GRIPPER_COMMANDS, TRAJECTORIES
-from manip_sim.moveit.ros_package import (
-    as_yaml, build_files, check_folder, robot_in, Settings, write_files)
+from manip_sim.moveit.package import (
+    as_yaml, build_files, check_folder, Controlling, describe, GRIPPER_COMMANDS, robot_in,
+    Settings, TRAJECTORIES, write_files)
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: Types of ros2_controllers, branch jazzy.

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where bodies touch, and with what force."""
+"""Contacts of bodies, and their forces."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ def carry_over(live: LiveWorld, plan: WorldPlan, both: ElementMap | None = None)
     """
     Return the world of another plan in the state of a running one.
 
-    What both have stays bit for bit the same: positions, velocities, activations, controls,
+    The state of common elements stays bit for bit: positions, velocities, activations, controls,
     applied forces, warm start, time, and all numbers of the model and its options that were
     changed after compiling. New objects are at their start. All of the data belongs to the same
     instant, as after ``mj_forward``.

@@ -34,7 +34,7 @@ from manip_sim.records.recorder import MODEL, NODE
 from manip_sim.resources import package_version
 from manip_sim.startup import EndSignals
 
-#: How often the topics of the node are looked up, how long is waited for the node, for topics that
+#: Period of looking up the topics of the node, time to wait for the node, for topics that
 #: were asked for, and for parameters [s].
 _LOOK_S, _NODE_S, _TOPICS_S, _PARAMETERS_S = 0.5, 10.0, 3.0, 5.0
 #: Messages that may wait, of images and of others.
@@ -185,7 +185,7 @@ class _NodeRecorder:
             self._notes.append(f'{topic} was left out: {kind} is not installed ({error})')
             return None
         offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(topic)]
-        # What the least of all publishers offers, so that each matches.
+        # The offer of the least of all publishers, so that each matches.
         qos = QoSProfile(
             depth=_IMAGE_DEPTH if 'image' in kind.lower() else _DEPTH,
             reliability=_common(offered, 'reliability', QoSReliabilityPolicy.RELIABLE,

@@ -109,7 +109,7 @@ class RecordedEpisode(Recorded):
 
     @property
     def number(self) -> int:
-        """Which episode of the record it is, from 0."""
+        """Number of the episode in the record, from 0."""
         return int(self.about['number'])
 
     @property
@@ -233,7 +233,7 @@ class Record:
     @property
     def of_node(self) -> bool:
         """
-        Whether it is the record of a node.
+        True if it is the record of a node.
 
         :raises RecordError: if it cannot be read up to what it is of
         """

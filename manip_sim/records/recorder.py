@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from manip_sim.arrays import FloatArray
 from manip_sim.cdr_patching import PatchedBytes
 from manip_sim.channels.channel import Channel, Fields, stamp_fields
-from manip_sim.channels.contents import multi_array
-from manip_sim.channels.images import compressed_image
+from manip_sim.channels.contents import compressed_image, multi_array
 from manip_sim.channels.kinds import clock_channel, object_channel, offered_channel, robot_channels
 from manip_sim.errors import ManipSimError, RecordError
 from manip_sim.frame_names import FrameNames, OPTICAL
@@ -50,7 +49,7 @@ ACTION, STATE, GOAL, REWARD, SUCCESS, DIGEST, ANSWER = (
                                     'answer_time'))
 #: The number of steps until the effect of an action, and the action; before its control period.
 TAKEN = '/episode/taken'
-#: What :data:`STATE` holds, one after the other: what it takes to draw all bodies.
+#: Parts of :data:`STATE`, one after the other: they suffice to draw all bodies.
 STATE_PARTS = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
                   | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 

@@ -34,7 +34,7 @@ from manip_sim.tasks import create_task, Episode, start
 @dataclass(frozen=True)
 class Repetition:
     """
-    What came of repeating an episode.
+    Result of repeating an episode.
 
     :ivar recorded: the episode
     :ivar periods: control periods that were repeated

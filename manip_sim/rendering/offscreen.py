@@ -1,19 +1,97 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Render what cameras see: colour, metric depth and labels; and their intrinsics."""
+"""
+Render the views of cameras: colour, metric depth and labels; and their intrinsics.
+
+OpenGL is chosen by ``MUJOCO_GL`` when something is rendered, not when MuJoCo is imported. So a
+process can import MuJoCo without OpenGL and render later, and one that cannot render learns why.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
+import importlib
+import os
+import sys
+import threading
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from manip_sim.errors import ModelError
-from manip_sim.rendering.gl import choose_gl, create_context
+from manip_sim.errors import ManipSimError, ModelError
+
+_VARIABLE = 'MUJOCO_GL'
+#: Niceness of rendering: on few processors it takes what the physics leaves.
+_NICENESS = 10
+_OFF = ('disable', 'disabled', 'off', 'false', '0')
+_DEFAULT = ('', 'enable', 'enabled', 'on', 'true', '1')
+#: The modules of MuJoCo that create contexts, by platform and value of ``MUJOCO_GL``.
+_MODULES = {
+    'linux': {'egl': 'egl', 'osmesa': 'osmesa', 'glfw': 'glfw', 'glx': 'glfw'},
+    'darwin': {'cgl': 'cgl', 'glfw': 'glfw'},
+    'win32': {'glfw': 'glfw', 'wgl': 'glfw'}}
+
+
+def cannot_render(error: object) -> ManipSimError:
+    """Return the error to raise for one of OpenGL or MuJoCo's renderer."""
+    way = os.environ.get(_VARIABLE, 'the default')
+    return ManipSimError(f'cannot render with {_VARIABLE}={way}: {error}')
+
+
+def choose_gl() -> str:
+    """
+    Return the OpenGL backend that ``MUJOCO_GL`` selects, and write it there for MuJoCo.
+
+    By default it is EGL on Linux, which needs no screen. Call this before threads start: it sets
+    the environment variable.
+
+    :raises ManipSimError: if rendering is switched off or the value is none of MuJoCo's
+    """
+    ways = _MODULES.get(sys.platform, {'glfw': 'glfw'})
+    asked = os.environ.get(_VARIABLE, '').lower().strip()
+    if asked in _OFF:
+        raise cannot_render('this value switches rendering off')
+    way = next(iter(ways)) if asked in _DEFAULT else asked
+    if way not in ways:
+        raise cannot_render(f'it must be one of {", ".join(ways)}')
+    os.environ[_VARIABLE] = way
+    return way
+
+
+def create_context(way: str, width: int, height: int) -> Any:
+    """
+    Return an OpenGL context, current in this thread, with methods ``make_current`` and ``free``.
+
+    Without a graphics card, the driver renders in threads that it starts with the context. On
+    Linux they get a lower priority, this thread does not: it would hold Python's lock while it
+    waits for a processor.
+
+    :param way: as :func:`choose_gl` returns it
+    :param width: of the largest image [pixels], as ``height``
+    :raises ManipSimError: if it cannot be created, with the cause
+    """
+    module = _MODULES.get(sys.platform, {}).get(way, way)
+    made: Future[Any] = Future()
+
+    def make() -> None:
+        try:
+            if sys.platform == 'linux':  # There niceness is per thread, and inherited.
+                os.nice(_NICENESS)
+            made.set_result(importlib.import_module(f'mujoco.{module}').GLContext(width, height))
+        except BaseException as error:  # The thread that waits has to learn of it.
+            made.set_exception(error)
+    threading.Thread(target=make, name='OpenGL', daemon=True).start()
+    try:
+        context = made.result()
+        context.make_current()
+    except Exception as error:  # Each backend has exceptions of its own.
+        raise cannot_render(error) from error
+    return context
 
 
 @dataclass(frozen=True)
@@ -78,7 +156,7 @@ _Flag = mujoco.mjtRndFlag
 _LEFT_OUT = (_Flag.mjRND_SHADOW, _Flag.mjRND_REFLECTION, _Flag.mjRND_HAZE)
 #: The label of pixels without a body.
 BACKGROUND = -1
-#: What lets colours be the numbers of shapes in the scene.
+#: Flags that let colours be the numbers of shapes in the scene.
 _SEGMENTS = (_Flag.mjRND_SEGMENT, _Flag.mjRND_IDCOLOR)
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 #: Room in a scene for what MuJoCo adds to the shapes of a model, such as skins.
@@ -88,7 +166,7 @@ _MORE_SHAPES = 1000
 @dataclass(frozen=True, eq=False)
 class Picture:
     """
-    What a camera sees; rows go from the top to the bottom.
+    View of a camera; rows go from the top to the bottom.
 
     :ivar rgb: shape (height, width, 3), or None
     :ivar depth: along the view [m], +Inf where there is nothing or it is too far, shape (height,

@@ -16,15 +16,14 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from manip_sim.channels.channel import Fields, stamp_fields
-from manip_sim.channels.images import image_channels, ImageChannel
+from manip_sim.channels.contents import image_channels, ImageChannel
 from manip_sim.errors import ManipSimError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_image
 from manip_sim.interface.topics import BY_NAME, Topic
 from manip_sim.interface.world_topics import truths
 from manip_sim.models.cameras import ImageSettings
-from manip_sim.rendering.gl import choose_gl
-from manip_sim.rendering.offscreen import BACKGROUND, Intrinsics, intrinsics_of, Picture
+from manip_sim.rendering.offscreen import BACKGROUND, choose_gl, Intrinsics, intrinsics_of, Picture
 from manip_sim.ros.feature import create_publisher, Feature, NodeContext, Output
 from manip_sim.ros.messages import message_of
 from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
@@ -32,7 +31,7 @@ from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
-#: How long the start waits for OpenGL [s].
+#: Time that the start waits for OpenGL [s].
 _READY_S = 10.0
 
 

@@ -25,8 +25,7 @@ from manip_sim.models.cameras import LidarModel
 from manip_sim.quoting import one_line
 from manip_sim.ros.feature import create_output, Feature, NodeContext
 from manip_sim.ros.messages import (
-    checked, CONTROLLER_TYPE, message_class, message_of, nanoseconds_of)
-from manip_sim.ros.serialization import SerializedMessage
+    checked, CONTROLLER_TYPE, message_class, message_of, nanoseconds_of, SerializedMessage)
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: Robots by the scope of their topics.

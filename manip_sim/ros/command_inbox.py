@@ -29,9 +29,9 @@ from manip_sim.runtime.inbox import Inbox
 
 #: Period at which events are looked at [s].
 _EVENTS_S = 0.2
-#: How long to pause when there is nothing to wait for, as while the context is shut down [s].
+#: Pause when there is nothing to wait for, as while the context is shut down [s].
 _CLOSING_S = 0.01
-#: How many messages of a topic are taken at once: what a subscription keeps.
+#: Number of messages of a topic that are taken at once, which a subscription keeps.
 _TAKEN_AT_ONCE = 10
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish the status of the simulation and its commands once a second on ``/diagnostics``."""
+"""Publish the status of the simulation on ``/diagnostics``, and the safety state of robots."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import mujoco
 from rclpy.clock import Clock, ClockType
+from std_msgs.msg import String
 
 from manip_sim.control.cartesian.reports import CartesianReport
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.modes import MODES, POSITION
+from manip_sim.control.reflexes import RUNNING, SAFETY_STATES
 from manip_sim.control.surroundings import ARENA
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import one_line
 from manip_sim.ros.camera_publishers import Cameras
-from manip_sim.ros.command_subscribers import CommandStatistics, CommandSubscribers, RobotCommands
-from manip_sim.ros.feature import Feature, NodeContext
+from manip_sim.ros.command_subscribers import (
+    CommandStatistics, CommandSubscribers, RobotCommands, SurroundingsCommands)
+from manip_sim.ros.feature import create_publisher, Feature, NodeContext
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
-from manip_sim.ros.surroundings_commands import SurroundingsCommands
 from manip_sim.runtime import SimulationThread
-from manip_sim.simulation import SimulatedRobot
+from manip_sim.simulation import SimulatedRobot, Simulation
 
 _PERIOD_S = 1.0
 #: Share of simulation time; a smaller loss causes no warning.
@@ -41,7 +43,7 @@ _TOLERATED_RATE = 0.1
 
 class Pace:
     """
-    How fast the simulation runs, measured between control periods.
+    Speed of the simulation, measured between control periods.
 
     The window reaches back by one second of wall time, or by several control periods where these
     are longer, and begins anew with a pause, another real-time factor or a restart of time.
@@ -265,3 +267,29 @@ def _status(name: str, message: str, values: dict[str, object], warns: bool = Fa
         level=DiagnosticStatus.WARN if warns else DiagnosticStatus.OK, name=name,
         message=message, hardware_id='mujoco',
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+
+
+class SafetyStatePublisher(Feature):
+    """
+    A latched publisher of ``~/safety_state``, at each change: the worst of all robots.
+
+    :param context: with a thread that has not been started
+    """
+
+    def __init__(self, context: NodeContext) -> None:
+        self._publisher = create_publisher(context, BY_NAME['~/safety_state'])
+        self._simulation: Simulation = context.simulation
+        self._published = ''
+        context.thread.observe(self._publish, look=self._has_changed)
+
+    def _present(self) -> str:
+        states = [robot.safety_state for robot in self._simulation.robots.values()]
+        return max(states, key=SAFETY_STATES.index, default=RUNNING)
+
+    def _has_changed(self) -> bool:
+        return self._present() != self._published
+
+    def _publish(self, _: Simulation) -> None:
+        if self._has_changed():
+            self._published = self._present()
+            self._publisher.publish(String(data=self._published))

@@ -107,7 +107,7 @@ class TaskPublisher(Feature):
         self._task, self._simulation, self._thread = task, context.simulation, context.thread
         self._seen_ns = -1
         self.restart(context.parameters.value('seed'))
-        # What the task changes at the end of a period is in the states that are published.
+        # Changes by the task at the end of a period are in the states that are published.
         context.thread.observe(self._end_period)
 
     def restart(self, seed: int | None) -> None:
@@ -137,7 +137,7 @@ class JournalPublisher(Feature):
     """
     The publisher of ``~/journal``: JSON with the keys ``number``, from 0, and ``entries``.
 
-    A :class:`~manip_sim.runtime.pending_changes.Journal` makes the entries. It begins, with the
+    A :class:`~manip_sim.runtime.pending_commands.Journal` makes the entries. It begins, with the
     present state, for each new subscriber, and ends when the last one has gone.
 
     :param context: with all parameters declared

@@ -92,7 +92,7 @@ class PublishingThread:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the thread has not ended unexpectedly."""
+        """True if the thread has not ended unexpectedly."""
         return not self._begun or self._ended or self._thread.is_alive()
 
     def stop(self) -> None:
@@ -219,7 +219,7 @@ class Output:
 
     @property
     def wanted(self) -> bool:
-        """Whether there are subscribers and the next message can be published."""
+        """True if there are subscribers and the next message can be published."""
         return self.has_subscribers and not self._drops()
 
     def _drops(self) -> bool:

@@ -1,21 +1,28 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages of ROS made of fields and numbers; the one place that makes and reads stamps."""
+"""Make, read, serialize and patch messages of ROS; the one place that makes and reads stamps."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
 import importlib
 from importlib import import_module
+import struct
 from typing import Any
 
 from builtin_interfaces.msg import Duration, Time
+import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message, serialize_message
+from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.arrays import FloatArray
+from manip_sim.cdr_patching import PatchedBytes
 from manip_sim.channels.contents import CONTROL_MSGS, CONTROLLER_STATE
+from manip_sim.control.command_parser import MAX_POINTS
+from manip_sim.errors import CommandError, ManipSimError, MessageError
 from manip_sim.ros_environment import apt_names
 
 
@@ -134,3 +141,179 @@ def _fill(message: Any, numbers: Iterator[float]) -> None:
 def numbers_of(message: Any) -> list[float]:
     """Return the numbers of a vector, a point or a quaternion x, y, z, w."""
     return [getattr(message, name) for name in message.get_fields_and_field_types()]
+
+
+#: More than any command but a trajectory needs [bytes].
+_MAX_SIZE = 2**18
+#: Enough for the points of many joints with velocities and accelerations [bytes].
+_MAX_TRAJECTORY_SIZE = 2**24
+_MAX_JOINTS = 1000
+#: Size of the header of serialized data, which says how the data is encoded [bytes].
+
+
+def read_message(message_type: Any, data: bytes, most: int = _MAX_SIZE, what: str = 'a command',
+                 error: type[ManipSimError] = MessageError) -> Any:
+    """
+    Return the message that was serialized.
+
+    rclpy makes Python objects of a message in one call, in which no other thread runs: 100 000
+    points of a trajectory would stop the physics for more than a second. So sizes are checked
+    first.
+
+    :param most: size of the data at most [bytes], but of a trajectory
+    :param what: has this size at most, for the message
+    :param error: the exception to raise
+    :raises ManipSimError: that exception, if the data is too large, or not a message of this type
+    """
+    trajectory = message_type is JointTrajectory
+    if trajectory:
+        most = _MAX_TRAJECTORY_SIZE
+    if len(data) > most:
+        raise error(f'the message has {len(data)} bytes, {what} has {most} at most')
+    try:
+        if trajectory:
+            _check_counts(data)
+        return deserialize_message(data, message_type)
+    except (struct.error, RuntimeError) as cause:
+        raise error('the data cannot be read as a message of the type '
+                    f'{message_type.__name__}') from cause
+
+
+#: The same for a command, which raises ``CommandError``.
+read_command = partial(read_message, error=CommandError)
+
+
+def trajectory_fields(part: str, message: JointTrajectory) -> tuple[Any, Any, Any, Any]:
+    """
+    Return the times of a trajectory's points [s], and positions, velocities and accelerations.
+
+    Velocities and accelerations that no point has are None.
+
+    :param part: that it is for, named in errors
+    :raises CommandError: if a point has an effort
+    """
+    points = message.points
+    times_s = [seconds_of(point.time_from_start) for point in points]
+    positions, velocities, accelerations = (
+        None if all(not len(getattr(p, name)) for p in points)
+        else [np.asarray(getattr(p, name)) for p in points]
+        for name in ('positions', 'velocities', 'accelerations'))
+    if any(len(p.effort) for p in points):
+        raise CommandError(f'{part}: effort is not supported in trajectories, leave it empty')
+    return times_s, positions or [], velocities, accelerations
+
+
+def _check_counts(data: bytes) -> None:
+    """Check how many names and points a serialized ``JointTrajectory`` has (OMG CDR, 9.3)."""
+    number = struct.Struct('<I' if data[1:2] == b'\x01' else '>I')
+
+    def read(offset: int) -> tuple[int, int]:
+        """Return the number at the next multiple of four bytes, and where it ends."""
+        offset += -offset % 4
+        value: int = number.unpack_from(data, offset)[0]
+        return value, offset + 4
+    # The header begins with a stamp of 8 bytes; then a frame, the names of joints and the points.
+    length, offset = read(_ENCODING_SIZE + 8)
+    count, offset = read(offset + length)
+    if count > _MAX_JOINTS:
+        raise CommandError(f'a trajectory may have at most {_MAX_JOINTS} joints, got {count}')
+    for _ in range(count):
+        length, offset = read(offset)
+        offset += length
+    count, _ = read(offset)
+    if count > MAX_POINTS:
+        raise CommandError(f'a trajectory may have at most {MAX_POINTS} points, got {count}')
+
+
+#: Bytes that name the encoding, and bytes of the length of a sequence or text.
+_ENCODING_SIZE = _LENGTH_SIZE = 4
+#: Of the types of fields [bytes].
+_SIZES = {'boolean': 1, 'octet': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2, 'int32': 4,
+          'uint32': 4, 'float': 4, 'int64': 8, 'uint64': 8, 'double': 8}
+
+#: Returns the message for a stamp and for numbers, shape (count,).
+Make = Callable[[Time, FloatArray], Any]
+
+
+class SerializedMessage:
+    """
+    The bytes of messages that differ in their stamps and numbers only.
+
+    If :class:`PatchedBytes` do not yield the message that ``make`` returns, as with a middleware
+    that encodes in another way, :meth:`at` returns the messages of ``make`` themselves.
+
+    :param make: returns the message
+    :param count: how many numbers it takes
+    :param patches: whether messages differ in their stamps and doubles only
+    """
+
+    def __init__(self, make: Make, count: int, patches: bool = True) -> None:
+        self._make = make
+        self._count = count
+        self._patched: PatchedBytes | None = None
+        # A type that is not generated from a definition cannot be serialized.
+        if patches and hasattr(type(make(stamp_of(0), np.zeros(count))), '_TYPE_SUPPORT'):
+            self._patched = PatchedBytes(self._serialize, count)
+            if not self._is_right():
+                self._patched = None
+
+    @property
+    def patches(self) -> bool:
+        """True if messages are bytes in which numbers are replaced."""
+        return self._patched is not None
+
+    def _serialize(self, time_ns: int, numbers: FloatArray) -> bytes:
+        return bytes(serialize_message(self._make(stamp_of(time_ns), numbers)))
+
+    def _is_right(self) -> bool:
+        # Bytes cannot be compared: rclpy leaves those between aligned numbers as they were.
+        time_ns, numbers = 1_000_000_002, np.linspace(0.1, 9.9, self._count, dtype=np.float64)
+        made = self._make(stamp_of(time_ns), numbers)
+        assert self._patched is not None
+        # rclpy appends what happens to be in memory, up to the size that it has estimated.
+        self._patched.cut(_ENCODING_SIZE + _end('', made, 0))
+        try:
+            return bool(made == deserialize_message(self.at(time_ns, numbers), type(made)))
+        except RuntimeError:  # rclpy cannot read the bytes as such a message.
+            return False
+
+    def at(self, time_ns: int, numbers: FloatArray) -> Any:
+        """
+        Return a message, as bytes where that is possible.
+
+        :param time_ns: simulation time [ns]
+        :param numbers: as ``make`` takes them, shape (count,)
+        """
+        if self._patched is None:
+            return self._make(stamp_of(time_ns), numbers)
+        return self._patched.at(time_ns, numbers)
+
+
+def _end(kind: str, value: Any, begin: int) -> int:
+    """
+    Return where a value ends in CDR; rclpy does not tell.
+
+    :param kind: its type as ``get_fields_and_field_types`` has it; of a message, it is not used
+    :param begin: where it begins behind the four bytes that name the encoding, before alignment
+    """
+    inner, is_sequence, _ = kind.partition('sequence<')[2].partition('>')
+    if kind.endswith(']') or is_sequence:
+        place = _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE if is_sequence else begin
+        item_kind = inner.partition(',')[0] or kind.partition('[')[0]
+        if item_kind in _SIZES and len(value):
+            return _aligned(place, _SIZES[item_kind]) + _SIZES[item_kind] * len(value)
+        for item in value:
+            place = _end(item_kind, item, place)
+        return place
+    if kind.startswith('string'):
+        return _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE + len(value.encode()) + 1
+    if kind in _SIZES:
+        return _aligned(begin, _SIZES[kind]) + _SIZES[kind]
+    place = begin
+    for name, field in value.get_fields_and_field_types().items():
+        place = _end(field, getattr(value, name), place)
+    return place
+
+
+def _aligned(place: int, size: int) -> int:
+    return -(-place // size) * size

@@ -27,7 +27,7 @@ _SIMILAR = 0.8
 _OF_EVERY_NODE = ('rcl_interfaces', 'type_description_interfaces')
 #: Longest time of messages of a node after its endpoints [s].
 _UNHEARD_S = 5.0
-#: How many conflicts are reported at most.
+#: Greatest number of conflicts that are reported.
 _MOST = 20
 
 

@@ -1,23 +1,29 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Run the node as a process: executor, end and exit code."""
+"""Run the node as a process: real-time priority, processors, memory, executor and exit code."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
+import ctypes
 import gc
+import os
+from pathlib import Path
+import resource
 import sys
 import threading
 import warnings
 
 import rclpy
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from manip_sim.errors import ManipSimError
+from manip_sim.errors import ManipSimError, ParameterError
 from manip_sim.models import untrusted_models
 from manip_sim.ros.arguments import for_other_nodes, start_ros
+from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.executor import BACKGROUND_THREAD, GuardedExecutor
-from manip_sim.ros.real_time import run_in_real_time
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals, leave
@@ -86,3 +92,77 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
 def _fail(message: str) -> int:
     print(f'sim_node: {message}', file=sys.stderr)
     return 1
+
+
+#: Stands for all processors that the process may use.
+ALL = -1
+_THREADS = Path('/proc/self/task')
+#: ``MCL_CURRENT | MCL_FUTURE`` of Linux.
+_ALL_MEMORY = 3
+_REMEDY = ("for a user, a file below /etc/security/limits.d with '* - rtprio 99' and '* - memlock "
+           "unlimited'; in a container, docker run --cap-add SYS_NICE --ulimit rtprio=99 "
+           '--ulimit memlock=-1')
+
+
+def run_in_real_time(parameters: Parameters, logger: RcutilsLogger) -> None:
+    """
+    Apply ``thread_priority``, ``cpu_affinity`` and ``lock_memory`` to the threads of this process.
+
+    Threads that render are left out, and those that begin later have the usual priority. Where the
+    priority is not permitted, a line of the log says what would permit it.
+
+    :param parameters: of a node that runs
+    :raises ManipSimError: if the memory cannot be locked
+    :raises ParameterError: if a processor is not there
+    """
+    if not hasattr(os, 'sched_setscheduler') or not _THREADS.is_dir():
+        return  # Not Linux.
+    threads, processors = _threads(), os.sched_getaffinity(0)
+    _set_processors(threads, processors, parameters.value('cpu_affinity'))
+    if parameters.value('lock_memory'):
+        _lock_memory()
+    priority = parameters.value('thread_priority')
+    # With a single processor nothing else could run while the physics is late.
+    if not priority or parameters.value('stepping') != 'realtime' or (
+            len(processors) < 2):
+        return
+    try:
+        for thread in threads:
+            _set_priority(thread, priority)
+    except PermissionError:  # The priority that somebody else gave the process stays.
+        logger.info(f'real-time priority {priority} is not permitted, which costs punctuality on '
+                    f'a busy machine; permit it ({_REMEDY}), or set thread_priority to 0')
+
+
+def _threads() -> list[int]:
+    """Return the ids of the threads that do not render."""
+    rendering = {thread.native_id for thread in threading.enumerate()
+                 if thread.name == camera_thread.THREAD_NAME}
+    return sorted({int(task.name) for task in _THREADS.iterdir()} - rendering)
+
+
+def _set_processors(threads: list[int], present: set[int], numbers: list[int]) -> None:
+    if list(numbers) == [ALL]:
+        return
+    if not present.issuperset(numbers):
+        raise ParameterError(f"parameter 'cpu_affinity': this process may use the processors "
+                             f'{sorted(present)}, got {list(numbers)}')
+    for thread in threads:
+        with contextlib.suppress(ProcessLookupError):  # It has ended.
+            os.sched_setaffinity(thread, numbers)
+
+
+def _set_priority(thread: int, priority: int) -> None:
+    """Let a thread run before all others of lower priority."""
+    with contextlib.suppress(ProcessLookupError):  # It has ended.
+        os.sched_setscheduler(
+            thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def _lock_memory() -> None:
+    """Keep all pages of the process in memory; ManipSimError if that is not permitted."""
+    if ctypes.CDLL(None, use_errno=True).mlockall(_ALL_MEMORY):
+        soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+        raise ManipSimError(
+            f"parameter 'lock_memory': {os.strerror(ctypes.get_errno())}; {soft} bytes may be "
+            f'locked: {_REMEDY}')

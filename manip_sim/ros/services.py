@@ -5,20 +5,135 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from functools import partial
 from importlib import import_module
 import json
+import threading
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import SetBool
 
-from manip_sim.errors import ManipSimError
+from manip_sim.errors import (
+    CommandError, describe_choices, ManipSimError, ModelError, UnknownNameError)
 from manip_sim.interface.topics import SERVICES
 from manip_sim.models.faults import fault_from_text
+from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.physics.payload import Payload
+from manip_sim.quoting import quoted
+from manip_sim.ros.executor import in_background
 from manip_sim.ros.feature import Feature, NodeContext
-from manip_sim.ros.payload_services import PayloadServices
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.payload_estimation import PayloadEstimation
+
+_ARM = ('robot', 'arm')
+_PAYLOAD = ('mass', 'center_of_mass', 'inertia')
+
+
+class PayloadServices:
+    """
+    The answers of ``~/set_payload`` and ``~/estimate_payload``, each JSON.
+
+    :param context: of the node
+    """
+
+    def __init__(self, context: NodeContext) -> None:
+        self._context, self._thread = context, context.thread
+        self._simulation = context.simulation
+
+    def set(self, text: str) -> str:
+        """
+        Declare the payload of a text, if there is one, and return all payloads.
+
+        :param text: keys ``arm``, ``mass``, ``center_of_mass``, ``inertia`` and ``robot``
+        :raises ManipSimError: if it cannot be used; then nothing changes
+        """
+        if text:
+            found = _read(text, (*_ARM, *_PAYLOAD))
+            robot, arm = self._find(found)
+            if 'mass' not in found:
+                raise CommandError("the payload needs a 'mass' [kg], 0 for nothing")
+            payload = Payload.checked(**{name: found[name] for name in _PAYLOAD if name in found})
+            self._thread.change('set_payload', robot, arm, payload.mass,
+                                list(payload.center_of_mass), list(payload.inertia))
+            self._thread.restarted()  # Parameters show what acts.
+        return json.dumps(self._thread.call(self._declared))
+
+    def _declared(self) -> list[dict[str, Any]]:
+        return [{'robot': name, 'arm': arm, **asdict(robot.payload(arm))}
+                for name, robot in self._simulation.robots.items()
+                for arm in robot.end_effectors]
+
+    def _find(self, found: Mapping[str, Any]) -> tuple[str, str]:
+        """Return the names of the robot and the arm that are meant."""
+        robots = self._simulation.robots
+        name, arm = (found.get(key) for key in _ARM)
+        if name is not None and name not in robots:
+            raise UnknownNameError('robot', str(name), robots)
+        arms = [(robot, own) for robot in robots if name in (None, robot)
+                for own in robots[robot].end_effectors if arm in (None, own)]
+        if len(arms) == 1:
+            return arms[0]
+        if not arms:
+            raise UnknownNameError('arm with a gripper', str(arm), dict.fromkeys(
+                own for robot in robots.values() for own in robot.end_effectors))
+        raise CommandError("name the 'arm', and where several robots have it the 'robot': there "
+                           f"are {', '.join(f'{own} of {robot}' for robot, own in arms)}")
+
+    async def answer_estimate(self, request: Any, response: Any) -> Any:
+        """Fill the response of ``~/estimate_payload``."""
+        try:
+            response.message = await self._estimate(request.load_namespace)
+            response.success = True
+        except ManipSimError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    async def _estimate(self, text: str) -> str:
+        """
+        Let an arm turn its wrist, and return what it holds.
+
+        :param text: keys ``arm`` and ``robot``, where there are several
+        :raises ManipSimError: if it cannot be estimated
+        """
+        robot, arm = self._find(_read(text, _ARM) if text else {})
+        if self._thread.paused:
+            raise CommandError('the simulation is paused: a payload is estimated in a motion')
+
+        def begin() -> PayloadEstimation:
+            estimation = PayloadEstimation(
+                self._simulation.physics, self._simulation.robots[robot], arm)
+            self._thread.submit([estimation.command], robot=robot)
+            return estimation
+        estimation = self._thread.call(begin)
+
+        ended = threading.Event()
+
+        def observe(_: Simulation) -> None:
+            estimation.record()
+            if not estimation.command.handle.is_active:
+                ended.set()
+        self._thread.observe(observe)
+        try:
+            await in_background(self._context.node, ended.wait)
+        finally:
+            self._thread.unobserve(observe)
+        found = estimation.result()
+        return json.dumps({
+            'robot': robot, 'arm': arm, **asdict(found.payload), 'error': {
+                'mass': found.mass_error, 'center_of_mass': found.center_of_mass_error}})
+
+
+def _read(text: str, known: tuple[str, ...]) -> dict[str, Any]:
+    """Return the keys and values of a request."""
+    found = parse_yaml(text, 'the payload')
+    for key in found:
+        if key not in known:
+            raise ModelError(f'the payload: unknown key {quoted(key)}: '
+                             f'{describe_choices(key, known)}')
+    return found
 
 
 class SimulationServices(Feature):

@@ -35,27 +35,25 @@ from manip_sim.ros.channel_publishers import (
     ChannelPublishers, InstrumentPublishers, lidar_scans, object_states, OfferedSensors,
     robot_states)
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
-from manip_sim.ros.command_subscribers import RobotCommands
+from manip_sim.ros.command_subscribers import RobotCommands, SurroundingsCommands
 from manip_sim.ros.declared_parameters import Parameters
-from manip_sim.ros.diagnostics import Diagnostics
+from manip_sim.ros.diagnostics import Diagnostics, SafetyStatePublisher
 from manip_sim.ros.episode_publishers import EpisodePublisher, JournalPublisher, TaskPublisher
 from manip_sim.ros.feature import Feature, NodeContext, PublishingThread
 from manip_sim.ros.live_parameters import LiveParameters
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher, ModelPublisher
-from manip_sim.ros.safety_state import SafetyStatePublisher
 from manip_sim.ros.scene import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
 from manip_sim.ros.startup_log import log_start
-from manip_sim.ros.surroundings_commands import SurroundingsCommands
 from manip_sim.ros.until_contact import MotionsUntilContact
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 F = TypeVar('F', bound=Feature)
-#: How many publications may wait, by stepping: states would become old in ``free``, else as many
-#: as a second of states, while a reader does not acknowledge.
+#: Number of publications that may wait, by stepping: states would become old in ``free``, else as
+#: many as there are states in a second, while a reader does not acknowledge.
 _MOST = {'free': 32, 'realtime': 20_000}
 
 
@@ -86,7 +84,7 @@ class SimNode(Node):
         except RCLError as error:
             raise ManipSimError(without_source(error)) from error
         self.rejections = RejectionLog(self.get_logger())
-        #: What ends the threads that there are.
+        #: Functions that end the present threads.
         self._ends = contextlib.ExitStack()
         try:
             self._build()
@@ -279,7 +277,7 @@ class SimNode(Node):
 
     @property
     def ended_thread(self) -> str:
-        """Which thread of the node has ended unexpectedly; empty if none has."""
+        """Name of the thread of the node that has ended unexpectedly, or empty."""
         threads = {'the thread that takes commands': self._command_thread,
                    'the thread that publishes': self.shared.publishing}
         return next((description for description, thread in threads.items()

@@ -371,7 +371,7 @@ def _parsing() -> Iterator[None]:
         raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
 
 
-#: What a request may bring.
+#: Kinds of things that a request may bring.
 _Item = ObjectModel | RequestedRobot
 
 

@@ -17,7 +17,7 @@ from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models import arena_names, create_arena
 from manip_sim.models.arenas.arena import ARENAS
-from manip_sim.models.camera_choice import chosen_cameras
+from manip_sim.models.cameras import chosen_cameras
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import robot_names
 from manip_sim.quaternion import wxyz_to_xyzw
@@ -271,7 +271,8 @@ class WorldServices:
     def _plan(self, name: str) -> RobotsPlan:
         simulation = self._simulation
         return plan_in_arena(simulation, create_arena(name), chosen_cameras(
-            self._context.parameters.value('cameras'), simulation.world, simulation.model))
+            self._context.parameters.value('cameras'), simulation.world.cameras,
+            simulation.model))
 
     def _get_current(self, _: Any, response: Any) -> None:
         if self._states.no_world:
@@ -350,7 +351,7 @@ class WorldServices:
 
 TYPES = StandardTypes(*(import_optional(f'simulation_interfaces.{kind}')
                         for kind in ('srv', 'msg', 'action')))
-#: Whether the package is installed.
+#: True if the package is installed.
 AVAILABLE = TYPES.services is not None
 
 

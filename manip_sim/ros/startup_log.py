@@ -12,9 +12,10 @@ from manip_sim.control.modes import MODES, POSITION
 from manip_sim.interface.topics import Scope
 from manip_sim.interface.world_topics import STALLS
 from manip_sim.models import World
-from manip_sim.models.missing_meshes import inferred_by_model, lost_shapes, LostShape
+from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
+from manip_sim.models.world import inferred_by_model, lost_shapes
 from manip_sim.rclpy_internals import missing_for_publishing
 from manip_sim.ros.feature import NodeContext
 from manip_sim.ros.messages import missing_note

@@ -28,12 +28,12 @@ from manip_sim.runtime.simulation_thread import SimulationThread
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
 
-#: Why a goal lost joints or a gripper, if no other reason is known.
+#: Reason for the loss of joints or a gripper, if no other is known.
 _NEWER = 'a newer command has taken over'
 
 
 class Ending(Enum):
-    """How a goal has ended, in the terms of ROS 2 actions."""
+    """Outcome of a goal, in the terms of ROS 2 actions."""
 
     SUCCEEDED = 'succeeded'
     ABORTED = 'aborted'
@@ -66,7 +66,7 @@ class GoalError(CommandError):
 @dataclass(frozen=True)
 class Outcome:
     """
-    How a goal has ended.
+    Result of a goal.
 
     :ivar ending: whether it has succeeded, was aborted or canceled
     :ivar code: the ``error_code`` for FollowJointTrajectory

@@ -12,13 +12,12 @@ import threading
 import time
 
 from manip_sim.errors import ManipSimError
-from manip_sim.rendering.gl import cannot_render
-from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
+from manip_sim.rendering.offscreen import cannot_render, OffscreenRenderer, Picture
 from manip_sim.sensing.images import ImageNoise
 from manip_sim.simulation.snapshots import Snapshot, VisibleWorld
 
 THREAD_NAME = 'cameras'
-#: How long a running rendering may still take when the thread is to end [s].
+#: Time that a running rendering may still take when the thread is to end [s].
 _LAST_S = 2.0
 
 
@@ -81,7 +80,7 @@ class CameraThread:
     For each camera the newest snapshot counts: one that has not been rendered when the next comes
     is left out.
 
-    :param way: to render, as :func:`manip_sim.rendering.gl.choose_gl` returns it
+    :param way: to render, as :func:`manip_sim.rendering.offscreen.choose_gl` returns it
     :param world: as it is at the start
     :param views: the cameras
     :param deliver: is called in this thread with each shot

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a thread waits for: other threads, their calls, or messages in a subclass."""
+"""Wake-up of a thread by other threads, their calls, or messages in a subclass."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Observers:
 
     @property
     def absent(self) -> bool:
-        """Whether no observer had to be called at the last check, and no new one is requested."""
+        """True if no observer had to be called at the last check, and no new one is requested."""
         return not self._present and self._look_at > 0.0
 
     def show(self, simulation: Simulation, number: int, now_s: float, look: bool) -> None:

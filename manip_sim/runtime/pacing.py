@@ -13,7 +13,7 @@ import math
 @dataclass(frozen=True)
 class Progress:
     """
-    How far the simulation has come.
+    Progress of the simulation.
 
     :ivar wall_s: monotonic wall time when the present state was last shown to observers [s]
     :ivar time_ns: simulation time then [ns]

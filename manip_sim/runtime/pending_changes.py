@@ -14,7 +14,7 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ModelError
 from manip_sim.runtime.pending_commands import PendingCommands
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_codec import Encoder
+from manip_sim.simulation.json_state import Encoder
 from manip_sim.simulation.json_state import check_sum, NumberedHandles, plain_state
 from manip_sim.simulation.operations import Operations
 
@@ -22,7 +22,6 @@ from manip_sim.simulation.operations import Operations
 DIGEST_PERIODS = 100
 #: So many entries are written at once.
 _MOST = 500
-
 #: Writes entries, each what JSON can hold.
 Write = Callable[[Sequence[Any]], object]
 
@@ -48,12 +47,12 @@ class Journal:
         self._periods = 0
         self._handles = NumberedHandles()
         self._saved = False
-        #: Whether a start has to follow.
+        #: True if a start has to follow.
         self.incomplete = False
 
     @property
     def active(self) -> bool:
-        """Whether it is written."""
+        """True if it is written."""
         return self._write is not None
 
     def begin(self, about: dict[str, Any], write: Write) -> None:
@@ -206,7 +205,7 @@ class PendingChanges:
 
     @property
     def complete(self) -> bool:
-        """Whether all has come that lock-step waits for."""
+        """True if all has come that lock-step waits for."""
         return self.commands.complete and not self._misses_arena
 
     @property

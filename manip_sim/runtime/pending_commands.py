@@ -66,7 +66,7 @@ class CommandBuffer:
 
     @property
     def waits(self) -> bool:
-        """Whether any command waits."""
+        """True if any command waits."""
         return bool(self._waiting)
 
     def take(self) -> list[Command]:
@@ -187,7 +187,7 @@ class PendingCommands:
 
     @property
     def complete(self) -> bool:
-        """Whether every part that lock-step waits for has a command, or needs none."""
+        """True if every part that lock-step waits for has a command, or needs none."""
         return not any(buffer.missing() and buffer.missing(self._busy_parts(name))
                        for name, buffer in self._buffers.items())
 

@@ -9,21 +9,20 @@ from collections.abc import Callable, Iterable, Mapping
 import contextlib
 import threading
 import time
-from typing import Any, TypeVar
+from typing import Any
 
 from manip_sim.control.commands import Command, CommandHandle
 from manip_sim.errors import CommandError, DivergenceError
-from manip_sim.runtime.inbox import Calls, Inbox
+from manip_sim.runtime.inbox import Calls, Inbox, T
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer, Progress
 from manip_sim.runtime.pending_changes import PendingChanges
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
-T = TypeVar('T')
 #: For how long ``free`` runs idle control periods at once, at least one of them, wall time [s].
 _ROUND_S = 5e-4
-#: How many messages of a topic are taken before a call that came after them.
+#: Number of messages of a topic that are taken before a call that came after them.
 _TAKEN_BEFORE_CALLS = 10
 #: Period at which a state is repeated while the simulation does not advance, wall time [s].
 _REPEAT_S = 0.1
@@ -85,12 +84,12 @@ class SimulationThread:
         self._calls = Calls(self._inbox)
         self._pacer = Pacer(self.period_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
-        #: Whether observers are being called, and whether one has changed the state meanwhile.
+        #: Observers are being called; one of them has changed the state meanwhile.
         self._showing = self._show_again = False
         self.next_seed: int | None = None
         #: When to pause [ns]; 0: never.
         self._pause_at_ns = 0
-        #: How many control periods may be run at once if nothing but physics happens in them.
+        #: Number of control periods that may run at once if nothing but physics happens in them.
         self._at_once = 1
         self.progress = Progress(time.monotonic(), simulation.time_ns)
         self.at_start = True
@@ -169,7 +168,7 @@ class SimulationThread:
 
     @property
     def paused(self) -> bool:
-        """Whether the simulation waits for :meth:`pause` or :meth:`step`."""
+        """True if the simulation waits for :meth:`pause` or :meth:`step`."""
         return self._paused
 
     def submit(self, commands: Iterable[Command], stamp_ns: int = 0, robot: str | None = None
@@ -365,7 +364,7 @@ class SimulationThread:
 
     @property
     def _repeats(self) -> bool:
-        """Whether the present state is repeated, because no period is due by itself."""
+        """True if the present state is repeated, because no period is due by itself."""
         return (self._paused or self.stepping == 'lockstep'
                 or self._simulation.diverged is not None)
 

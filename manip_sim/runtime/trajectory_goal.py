@@ -94,7 +94,7 @@ def _resolved(joint: str, value: float, default: float) -> float:
 
 #: The default of ``stopped_velocity_tolerance`` of joint_trajectory_controller [rad/s or m/s].
 STOPPED_VELOCITY = 0.01
-#: How far the last point may be beyond the range of a joint without a tolerance [rad or m].
+#: Greatest distance of the last point beyond the range of a joint without tolerance [rad or m].
 _BEYOND = 0.01
 
 

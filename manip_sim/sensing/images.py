@@ -15,7 +15,11 @@ from manip_sim.sensing.delays import Measurements
 from manip_sim.sensing.randomness import generator
 from manip_sim.sensing.robot_sensing import RobotSensing
 
-#: What an image is rendered from.
+#: Limits of width and height of images, of their rate, and of the field of view of cameras.
+MAX_PIXELS = 4096
+MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 10_000.0
+MIN_FOVY_DEG, MAX_FOVY_DEG = 1.0, 170.0
+#: Type of the snapshots that images are rendered from.
 Scene = TypeVar('Scene')
 _BRIGHTEST = 255.0
 
@@ -70,7 +74,7 @@ class ImageNoise:
 
 
 class CameraSensing(Generic[Scene]):
-    """What a camera measures of the scenes before it, with the noise and latency of a robot."""
+    """Measurements of a camera, with the noise and latency of a robot."""
 
     def __init__(self, camera: str, sensing: RobotSensing) -> None:
         self._camera = camera
@@ -79,7 +83,7 @@ class CameraSensing(Generic[Scene]):
 
     @property
     def delays(self) -> bool:
-        """Whether images are older than the present instant."""
+        """True if images are older than the present instant."""
         return self.sensing.settings.delays_images
 
     def record(self, scene: Scene) -> None:

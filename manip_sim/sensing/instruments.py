@@ -27,7 +27,7 @@ from manip_sim.quaternion import XYZW
 
 IMU, WRENCH, RANGE, MAGNETIC_FIELD, VALUES = KINDS = (
     'imu', 'wrench', 'range', 'magnetic_field', 'values')
-#: What an IMU reads: places of the orientation x, y, z, w, angular velocity and acceleration.
+#: Places in the reading of an IMU: orientation x, y, z, w, angular velocity, acceleration.
 ORIENTATION, GYRO, ACCELEROMETER = slice(0, 4), slice(4, 7), slice(7, 10)
 _IMU_LENGTH = 10
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
@@ -190,7 +190,7 @@ def instrument_sites(model: mujoco.MjModel) -> list[str]:
 
 
 class Present(Protocol):
-    """What holds a model and its data; objects that come or go replace them."""
+    """Holder of a model and its data; objects that come or go replace them."""
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -203,7 +203,7 @@ class Present(Protocol):
 
 class Sensors(Mapping[str, FloatArray]):
     """
-    What the sensors of a model measure, by name, with the noise and latency that are set.
+    Measurements of the sensors of a model, by name, with the noise and latency that are set.
 
     Each value is a copy, in the units and the order of MuJoCo.
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What lidars measure: the distances along their rays to the shapes that can collide."""
+"""Measurements of lidars: distances along their rays to the shapes that can collide."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.sensing.sensor_noise import Channel
 from manip_sim.sensing.settings import SensingSettings
 
+#: Rays of one lidar at most, as many as the densest ones on the market have: 128 rings of 2048.
+MAX_RAYS = 128 * 2048
+MAX_RINGS, MAX_RANGE_M, MAX_NOISE_M = 128, 1000.0, 10.0
 #: By how much the field of view may miss a full turn, which would have its first ray twice [rad].
 _FULL_TURN_TOLERANCE = 1e-6
 
@@ -97,7 +100,7 @@ class Lidar:
         body = int(model.site_bodyid[site])
         vectors = np.einsum('ij,nj->ni', data.site_xmat[site].reshape(3, 3), self._flat)
         ranges, geoms = np.empty(count), np.empty(count, np.int32)
-        # What the world carries stands before the floor, which belongs to the world too.
+        # Elements of other bodies stand before the floor, which belongs to the world too.
         mujoco.mj_multiRay(
             model, data, data.site_xpos[site], vectors.ravel(), None, 1, body or -1, geoms,
             ranges, None, count, self.rays.range_max)

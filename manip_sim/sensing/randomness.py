@@ -15,7 +15,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 
-#: How many rows are drawn at once.
+#: Number of rows that are drawn at once.
 _BLOCK = 256
 
 

@@ -135,7 +135,7 @@ class WrenchChannel(Channel):
 
 class InstrumentChannel(Channel):
     """
-    What an instrument of the model reads.
+    Reading of an instrument of the model.
 
     :param model: the ``mujoco.MjModel``
     :param own_sd: standard deviation that each of its numbers has in any case, in its unit

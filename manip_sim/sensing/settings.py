@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What can be set about noise, resolution and latency of a robot; all is zero by default."""
+"""Settings of noise, resolution and latency of a robot; all is zero by default."""
 
 from __future__ import annotations
 

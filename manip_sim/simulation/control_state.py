@@ -25,7 +25,7 @@ from manip_sim.models.grippers import GripperModel
 
 #: Attributes of all objects with a state, and of grippers.
 Content = tuple[list[dict[str, Any]], list[dict[str, Any]]]
-#: Where the classes are that have a state of their own.
+#: Modules of the classes that have a state of their own.
 _ROOMS = ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.simulation.')
 #: Types of values without identity, which cannot change.
 _VALUES = (type(None), bool, int, float, str, bytes, enum.Enum, np.generic)

@@ -11,25 +11,31 @@ periods, which is quick.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 import copy
 from dataclasses import dataclass, field, replace
-from typing import Any, TYPE_CHECKING
+from typing import Any, Protocol
 
+import mujoco
+import numpy as np
+
+from manip_sim.control.seats import Seats
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.arenas import Arena, EmptyArena
-from manip_sim.models.gravity_compensation import compensate_free_robots
+from manip_sim.models.arenas import Arena
 from manip_sim.models.object_model import ObjectModel
-from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.robots import RobotModel
 from manip_sim.models.setpoint_activation import (
     add_setpoint_activation, position_servos_without_dynamics)
-from manip_sim.models.world import World
+from manip_sim.models.world import compensate_free_robots, World
+from manip_sim.physics.clock import Clock
+from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.external_wrench import ExternalWrench
+from manip_sim.physics.friction_laws import FrictionLaws
 from manip_sim.physics.object_spawning import plan_world, WorldPlan
+from manip_sim.physics.physics import Physics
 from manip_sim.physics.state_transfer import ElementMap
 from manip_sim.quoting import shown
-
-if TYPE_CHECKING:
-    from manip_sim.simulation.simulation import Simulation
+from manip_sim.simulation.robot import SimulatedRobot
 
 #: Robots that a world may have, so that requests cannot fill the memory.
 MAX_ROBOTS = 16
@@ -80,7 +86,28 @@ def actuators_of(world: World) -> list[str]:
             *world.gripper_actuators]
 
 
-def plan_with_robot(simulation: Simulation, robot: RobotModel) -> RobotsPlan:
+class RunningWorld(Protocol):
+    """A simulation, which the plans of its next worlds are made from."""
+
+    robots: dict[str, SimulatedRobot]
+
+    @property
+    def world(self) -> World:
+        """The robots, the arena and the objects that there are now; a copy."""
+
+    @property
+    def plan(self) -> WorldPlan:
+        """The plan of the present world."""
+
+    @property
+    def spawned_robots(self) -> list[str]:
+        """Names of the robots that came while the simulation ran."""
+
+    def start_of(self, robot: RobotModel) -> dict[str, float]:
+        """Return where the joints of another robot start, by name [rad or m]."""
+
+
+def plan_with_robot(simulation: RunningWorld, robot: RobotModel) -> RobotsPlan:
     """
     Return the plan of a running world with one more robot, which comes after the others.
 
@@ -97,10 +124,10 @@ def plan_with_robot(simulation: Simulation, robot: RobotModel) -> RobotsPlan:
         raise ModelError(f"an object has a name that begins with '{robot.naming_prefix}': give "
                          'the robot another name')
     return _follow(simulation, world.with_robots([*world.robots, robot]),
-                   _start_of(simulation, robot))
+                   simulation.start_of(robot))
 
 
-def plan_without_robot(simulation: Simulation, name: str) -> RobotsPlan:
+def plan_without_robot(simulation: RunningWorld, name: str) -> RobotsPlan:
     """
     Return the plan of a running world without one of the robots that came while it ran.
 
@@ -117,7 +144,8 @@ def plan_without_robot(simulation: Simulation, name: str) -> RobotsPlan:
         [robot for robot in world.robots if robot.name_in_world != name]))
 
 
-def plan_in_arena(simulation: Simulation, arena: Arena, cameras: Iterable[str] = ()) -> RobotsPlan:
+def plan_in_arena(simulation: RunningWorld, arena: Arena, cameras: Iterable[str] = ()
+                  ) -> RobotsPlan:
     """
     Return the plan of a running world in another arena, without objects but for the arena's own.
 
@@ -143,7 +171,7 @@ def plan_in_arena(simulation: Simulation, arena: Arena, cameras: Iterable[str] =
     return plan
 
 
-def _follow(simulation: Simulation, world: World, start: Mapping[str, float] | None = None,
+def _follow(simulation: RunningWorld, world: World, start: Mapping[str, float] | None = None,
             objects: tuple[ObjectModel, ...] | None = None) -> RobotsPlan:
     before = simulation.plan
     base = compose_base(world)
@@ -153,19 +181,84 @@ def _follow(simulation: Simulation, world: World, start: Mapping[str, float] | N
                       start or {})
 
 
-def _start_of(simulation: Simulation, robot: RobotModel) -> dict[str, float]:
-    """Return the start of a robot's joints; joints of grippers satisfy their couplings."""
-    world = simulation.world
-    alone: World = copy.copy(world.with_robots([robot]))
-    alone.arena, alone.objects, alone.cameras, alone.lidars = EmptyArena(), [], [], []
-    alone.randomization = alone.noise = None
-    keyframe = simulation.episode_start.keyframe
-    alone.keyframe = keyframe if keyframe in alone.keyframes else ''
-    settled = type(simulation)(alone).start
-    with_others = world.with_robots([*world.robots, robot]).init_qpos(
-        simulation.seed, keyframe)
-    of_grippers = {joint for gripper in (
-        robot.grippers.values() if isinstance(robot, ManipulatorModel) else ())
-        for joint in gripper.joints}
-    return {joint: position if joint in of_grippers else with_others[joint]
-            for joint, position in settled.items()}
+class PresentRobots:
+    """
+    The robots of a world, with the updates that each of them needs when the model is replaced.
+
+    :param physics: of the world at the start, after ``mj_forward``
+    :param efforts: of the actuators of the model
+    :param clock: of the simulation
+    :param robots: that are there at the start, all of the model
+    :ivar by_name: the robots, in the order of the model
+    """
+
+    def __init__(self, physics: Physics, efforts: ActuatorEfforts, clock: Clock,
+                 robots: Iterable[RobotModel]) -> None:
+        self._physics, self._efforts, self._clock = physics, efforts, clock
+        self.by_name: dict[str, SimulatedRobot] = {}
+        self._adapts: dict[str, list[Callable[[], None]]] = {}
+        self._laws: dict[str, FrictionLaws] = {}
+        for robot in robots:
+            self._create(robot)
+        self._at_start = frozenset(self.by_name)
+        physics.on_change(self._adapt)
+
+    def _create(self, robot: RobotModel) -> SimulatedRobot:
+        with self._physics.collected() as adapts:
+            made = SimulatedRobot(self._physics, robot, self._efforts, self._clock)
+            if robot.friction_laws:
+                self._laws[made.name] = FrictionLaws(self._physics, robot.friction_laws)
+        self.by_name[made.name], self._adapts[made.name] = made, adapts
+        return made
+
+    def _adapt(self) -> None:
+        for adapts in self._adapts.values():
+            for adapt in adapts:
+                adapt()
+
+    @property
+    def spawned(self) -> list[str]:
+        """Names of the robots that were not there at the start."""
+        return [name for name in self.by_name if name not in self._at_start]
+
+    @property
+    def tools(self) -> list[ExternalWrench]:
+        """The external wrenches of all grippers."""
+        return [reader.external for robot in self.by_name.values()
+                for reader in robot.end_effectors.values()]
+
+    @property
+    def laws(self) -> list[FrictionLaws]:
+        """The laws of the joints, of the robots that have such."""
+        return [*self._laws.values()]
+
+    @property
+    def seats(self) -> list[Seats]:
+        """The laws of users, of each robot."""
+        return [robot.joints.seats for robot in self.by_name.values()]
+
+    def delete(self, name: str) -> None:
+        """Delete a robot, before its model is; its commands are aborted."""
+        self.by_name.pop(name).abort(f"robot '{name}' was deleted")
+        self._adapts.pop(name)
+        self._laws.pop(name, None)
+
+    def begin(self, robot: RobotModel, start: Mapping[str, float], seed: int) -> None:
+        """
+        Let a robot that is in the model now begin, at rest.
+
+        :param start: of its joints, by name [rad or m]
+        :param seed: of the noise of its sensors
+        """
+        model, data = self._physics.model, self._physics.data
+        for joint, position in start.items():
+            data.joint(joint).qpos[0] = position
+        mujoco.mj_forward(model, data)
+        made = self._create(robot)
+        made.reset()
+        mujoco.mj_forward(model, data)
+        self._efforts.restart(np.concatenate(
+            [part.dof_addresses for part in made.parts.values()]))
+        for reader in made.end_effectors.values():
+            reader.external.reset(data)
+        made.sensing.reset(seed)

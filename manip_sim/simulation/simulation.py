@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 from typing import Any
 
@@ -12,8 +13,9 @@ import mujoco
 
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models.arenas import EmptyArena
 from manip_sim.models.placements import checked_seed
-from manip_sim.models.robots import RobotModel
+from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.world import World
 from manip_sim.physics.belts import Belts
 from manip_sim.physics.clock import Clock
@@ -32,10 +34,9 @@ from manip_sim.simulation.episode_start import EpisodeStart
 from manip_sim.simulation.faults import Faults
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.payload_estimation import PayloadEstimate, PayloadEstimation
-from manip_sim.simulation.present_robots import PresentRobots
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_spawning import (
-    actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)
+    actuators_of, compose_base, plan_with_robot, plan_without_robot, PresentRobots, RobotsPlan)
 from manip_sim.simulation.saved_state import SavedStates, SimulationState
 from manip_sim.simulation.start_check import check_start
 from manip_sim.validation import whole_number
@@ -202,6 +203,26 @@ class Simulation:
         """Positions of joints at the next reset, by name [rad or m], a copy."""
         return dict(self.episode_start.positions)
 
+    def start_of(self, robot: RobotModel) -> dict[str, float]:
+        """
+        Return the start of the joints of a robot that is to be added, by name [rad or m].
+
+        :param robot: its grippers start where their couplings let them settle
+        """
+        alone: World = copy.copy(self.world.with_robots([robot]))
+        alone.arena, alone.objects, alone.cameras, alone.lidars = EmptyArena(), [], [], []
+        alone.randomization = alone.noise = None
+        keyframe = self.episode_start.keyframe
+        alone.keyframe = keyframe if keyframe in alone.keyframes else ''
+        settled = Simulation(alone).start
+        with_others = self.world.with_robots([*self.world.robots, robot]).init_qpos(
+            self.seed, keyframe)
+        of_grippers = {joint for gripper in (
+            robot.grippers.values() if isinstance(robot, ManipulatorModel) else ())
+            for joint in gripper.joints}
+        return {joint: position if joint in of_grippers else with_others[joint]
+                for joint, position in settled.items()}
+
     @property
     def seed(self) -> int:
         """The seed that the present episode was drawn from."""
@@ -270,7 +291,7 @@ class Simulation:
 
     @property
     def diverged(self) -> str | None:
-        """Why the physics is on hold, or None."""
+        """Reason why the physics is on hold, or None."""
         return self.periods.diverged
 
     @property

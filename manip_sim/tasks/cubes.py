@@ -38,7 +38,7 @@ _PUSHED_M, _PUSH_AT_M = 0.06, TABLE_M + 0.04
 _SLIPPERY = 0.3
 #: Radius of the disc that a cube is pushed to [m].
 _DISC_M = 0.03
-#: Where a cube is that will be pushed, and by how much: least and greatest x and y [m].
+#: Place of a cube to be pushed, and distance: least and greatest x and y [m].
 _PUSH_FROM = (-0.08, -0.1), (0.0, 0.1)
 _PUSH_BY = (0.1, -0.06), (0.16, 0.06)
 
@@ -147,7 +147,7 @@ class _Stacker(_Picker):
         arm = self.arms[0]
         yield from self.grasp(arm)
         yield from self.move(arm, self.end_effector(arm)[0] + [0.0, 0.0, 0.09], within_m=0.02)
-        # Where the end effector has to be for the cube to be over its place.
+        # Place of the end effector that brings the cube over its own.
         place_m = position_of(self.simulation, 'base') + [0.0, 0.0, (CUBE_M + _BASE_M) / 2.0]
         over = place_m - position_of(self.simulation, 'cube') + self.end_effector(arm)[0]
         yield from self.move(arm, over + [0.0, 0.0, 0.04])

@@ -17,10 +17,10 @@ import weakref
 import numpy as np
 
 from manip_sim.errors import ModelError, SimulationEnded, UnknownNameError
-from manip_sim.models.camera_choice import chosen_cameras, described_cameras
-from manip_sim.models.cameras import MAX_PIXELS
+from manip_sim.models.cameras import chosen_cameras, described_cameras
 from manip_sim.models.world import World
 from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
+from manip_sim.sensing.images import MAX_PIXELS
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
@@ -182,7 +182,7 @@ def views_of(given: Iterable[CameraLike], world: World, simulation: Simulation,
             isinstance(edge, int) and 1 <= edge <= MAX_PIXELS for edge in image_size)):
         raise ModelError(f'image_size must be width and height from 1 to {MAX_PIXELS} pixels, got '
                          f'{image_size!r:.60}')
-    chosen = chosen_cameras(_texts(given), world, simulation.model)
+    chosen = chosen_cameras(_texts(given), world.cameras, simulation.model)
     return {name: image_size or (images.width, images.height) for name, images in chosen.items()}
 
 

@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import subprocess
 import sys
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 import mujoco
@@ -19,15 +19,11 @@ import numpy as np
 from PIL import Image
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import UInt8MultiArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, UnknownNameError
 from manip_sim.models.archive import load_archive
-from manip_sim.ros.messages import LATCHED, nanoseconds_of
-
-if TYPE_CHECKING:
-    from manip_sim.testing.simulation_under_test import SimulationUnderTest
+from manip_sim.ros.messages import nanoseconds_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,39 +160,35 @@ _RENDERING_S = 300.0
 _ARCHIVE, _STATES, _PICTURE = 'model.mjz', 'states.npz', 'picture.png'
 
 
-def save_evidence(simulation: SimulationUnderTest, folder: Path) -> list[str]:
+def save_evidence(recorded: RecordedTopics, archive: Callable[[], bytes], folder: Path
+                  ) -> list[str]:
     """
     Save the joint states and the model, and render a picture in a process of its own.
 
+    :param archive: returns the model
     :param folder: is created
-    :returns: a line about the nodes in the domain, and one for each file
+    :returns: a line for each file
     """
-    lines = [f'nodes in ROS domain {simulation.domain}: {", ".join(simulation.nodes())}']
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {}
-    for topic in simulation.recorded(JointState):
-        history = simulation.states(topic)
+    for topic in recorded.with_messages(JointState):
+        history = joint_history(recorded.messages(topic))
         for field in ('names', 'time_s', 'position', 'velocity', 'effort'):
-            arrays[f'{topic}/{field}'] = np.array(getattr(history, field))
-    for topic in simulation.recorded(PoseStamped):
-        pose = simulation.messages(topic)[-1].pose
-        arrays[f'{topic}/last'] = np.array([
+            arrays[f'{topic[1:]}/{field}'] = np.array(getattr(history, field))
+    for topic in recorded.with_messages(PoseStamped):
+        pose = recorded.messages(topic)[-1].pose
+        arrays[f'{topic[1:]}/last'] = np.array([
             pose.position.x, pose.position.y, pose.position.z, pose.orientation.w,
             pose.orientation.x, pose.orientation.y, pose.orientation.z])
     np.savez(folder / _STATES, **arrays)
-    lines.append(f'states at each control period: {folder / _STATES}')
+    lines = [f'states at each control period: {folder / _STATES}']
     try:
-        (folder / _ARCHIVE).write_bytes(_archive(simulation))
+        (folder / _ARCHIVE).write_bytes(archive())
         _picture(folder)
         lines.append(f'the last instant: {folder / _PICTURE}')
     except ManipSimError as error:
         lines.append(f'no picture: {error}')
     return lines
-
-
-def _archive(simulation: SimulationUnderTest) -> bytes:
-    return bytes(simulation.receive(
-        UInt8MultiArray, 'manip_sim/mjcf_archive', LATCHED).data)
 
 
 def _picture(folder: Path) -> None:
@@ -228,7 +220,7 @@ def render(folder: Path) -> None:
                 body = model.body(topic.split('/')[1])
                 data.qpos[model.jnt_qposadr[body.jntadr[0]]:][:7] = arrays[name]
     mujoco.mj_forward(model, data)
-    from manip_sim.cli.rendering import picture_of_state
+    from manip_sim.cli.render import picture_of_state
     picture: Image.Image = picture_of_state(model, data, _SIZE)
     picture.save(folder / _PICTURE)
 

@@ -20,21 +20,22 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError, UnknownNameError
 from manip_sim.rclpy_internals import describe_unheard, is_unheard, start_rclpy
+from manip_sim.ros.messages import LATCHED
 from manip_sim.ros_environment import check_ros_environment
-from manip_sim.testing.controllers import Controllers
+from manip_sim.testing.controllers import Controllers, NodeInProcess, NodeProcess, ServedNode
 from manip_sim.testing.evidence import (
     joint_history, JointHistory, RecordedTopics, save_evidence, wrench_history, WrenchHistory)
-from manip_sim.testing.served_node import NodeInProcess, NodeProcess, ServedNode
 
-#: How many control periods pass at once: fewer than the messages that a publisher keeps.
+#: Number of control periods that pass at once: fewer than the messages that a publisher keeps.
 _AT_ONCE = 5
 #: Longest wait for a message at once; the awaited condition may also come about otherwise [s].
 _LOOK_S = 0.05
-#: How long until a question that has no answer is asked again; DDS may lose it [s].
+#: Time until a request without an answer is repeated; DDS may lose it [s].
 _AGAIN_S = 2.0
 #: Time after which a name without any owner counts as unknown; discovery takes less [s].
 _UNKNOWN_S = 3.0
@@ -47,7 +48,7 @@ class SimulationStalled(ManipSimError):
 
 
 class NotInTime(ManipSimError, AssertionError):
-    """What a test waits for has not come about within its limit of simulated time."""
+    """The condition that a test waits for was not met within its limit of simulated time."""
 
 
 class SimulationUnderTest:
@@ -175,7 +176,7 @@ class SimulationUnderTest:
                                         f'published within {limit_s:g} s')
         self.set_parameter('pause_at', end_ns * 1e-9)
         self._recorded.last_new_s = time.monotonic()
-        # What counts is that time passes: DDS may lose the answer.
+        # Only passing time counts: DDS may lose the answer.
         self._ask(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
         self._wait_for_states(end_ns, self._check_not_stalled)
 
@@ -479,7 +480,9 @@ class SimulationUnderTest:
         :param folder: is created
         :returns: a line about the nodes in the domain, and one for each file
         """
-        return save_evidence(self, folder)
+        nodes = f'nodes in ROS domain {self.domain}: {", ".join(self.nodes())}'
+        return [nodes, *save_evidence(self._recorded, lambda: bytes(self.receive(
+            UInt8MultiArray, 'manip_sim/mjcf_archive', LATCHED).data), folder)]
 
     def close(self) -> None:
         """

@@ -20,8 +20,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.models import untrusted_models
 from manip_sim.models.archive import load_archive
 from manip_sim.startup import EndSignals
-from manip_sim.viewer.page.kinematics import Kinematics
-from manip_sim.viewer.page.model_scene import Scene
+from manip_sim.viewer.page.model_scene import Kinematics, Scene
 from manip_sim.viewer.page.page_commands import Events
 from manip_sim.viewer.page.plain_text import Line, plain, PlainText
 from manip_sim.viewer.page.pointer import Aiming

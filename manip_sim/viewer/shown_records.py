@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the page shows of records: instants, plots and pictures of episodes and of nodes."""
+"""Records on the page: instants, plots and pictures of episodes and of nodes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from manip_sim.records.record_file import full_name
 from manip_sim.records.recorded import Record, Recorded, RecordedEpisode, RecordedWorld
 from manip_sim.records.recorder import ACTION, GOAL, REWARD, STATE_PARTS
 from manip_sim.records.untrusted_records import image
-from manip_sim.viewer.page.kinematics import Kinematics
+from manip_sim.viewer.page.model_scene import Kinematics
 from manip_sim.viewer.page.plain_text import Line, plain
 
 _DONE, _FAILED, _CUT_OFF = '#2f9e44', '#e03131', '#868e96'

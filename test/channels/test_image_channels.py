@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 import pytest
 
-from manip_sim.channels.images import image_channels
+from manip_sim.channels.contents import image_channels
 from manip_sim.interface.topics import CAMERA, TOPICS
 from manip_sim.rendering.offscreen import Intrinsics
 

@@ -9,7 +9,7 @@ import pytest
 
 from test_cli_list import NAMES
 
-from manip_sim.cli.states_check import differences
+from manip_sim.cli.check import differences
 from manip_sim.models import compose
 
 LINK = """<body name="root"><geom size="0.05"/><body name="link" pos="0.3 0 0">

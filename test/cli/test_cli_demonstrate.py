@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from manip_sim.experiments.devices import DISCARD, DONE, EventDevice, Keyboard, QUIT
+from manip_sim.experiments.demonstrations import DISCARD, DONE, EventDevice, Keyboard, QUIT
 from manip_sim.tasks import Setting
 
 pytest.importorskip('mcap_ros2', reason='needs the extra records')

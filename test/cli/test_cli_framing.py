@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.cli.rendering import cameras, View
+from manip_sim.cli.render import cameras, View
 from manip_sim.errors import UnknownNameError
 
 #: Far from square, and not in the middle of the world [m].

@@ -17,13 +17,11 @@ from manip_sim.interface.parameter_spec import GivenParameters, read_parameters
 from manip_sim.simulation import Simulation
 
 pytest.importorskip('mcap_ros2', reason='needs the extra records')
-from manip_sim.identification.excitation import (  # noqa: E402
-    find_excitation, record_excitation)
+from manip_sim.identification.excitation import find_excitation, record_excitation  # noqa: E402
 from manip_sim.identification.least_squares import identify, KINDS, RigidModel  # noqa: E402
-from manip_sim.identification.recorded_motion import read_motion, Stretch  # noqa: E402
-from manip_sim.records.bags import bag_messages  # noqa: E402
-from manip_sim.records.record_file import (  # noqa: E402
-    definition, encoded, full_name, RecordFile)
+from manip_sim.identification.recorded_motion import (  # noqa: E402
+    bag_messages, read_motion, Stretch)
+from manip_sim.records.record_file import definition, encoded, full_name, RecordFile  # noqa: E402
 
 KIND = 'sensor_msgs/JointState'
 #: Noise of positions [rad] and of efforts [N m].

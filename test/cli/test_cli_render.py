@@ -148,7 +148,7 @@ def test_an_unknown_way_to_render_is_one_line(command, tmp_path):
 
 
 def test_a_world_that_cannot_be_controlled_has_a_picture_too(one_joint_arm):
-    from manip_sim.cli.rendering import _start_of
+    from manip_sim.cli.render import _start_of
     from manip_sim.models.world import World
     two = '<motor name="m" joint="joint1"/><motor name="n" joint="joint1"/>'
     model, data = _start_of(World([one_joint_arm(two)]))
@@ -156,7 +156,7 @@ def test_a_world_that_cannot_be_controlled_has_a_picture_too(one_joint_arm):
 
 
 def test_grippers_are_open_where_that_is_asked_for():
-    from manip_sim.cli.rendering import _start_of
+    from manip_sim.cli.render import _start_of
     world = compose('Panda')
     width = [sum(data.joint(f'gripper0_right_finger_joint{n}').qpos[0] * sign
                  for n, sign in ((1, 1.0), (2, -1.0)))
@@ -167,7 +167,7 @@ def test_grippers_are_open_where_that_is_asked_for():
 
 @pytest.mark.full
 def test_the_ground_of_the_studio_has_no_material():
-    from manip_sim.cli.rendering import prepare_studio
+    from manip_sim.cli.render import prepare_studio
     model = compose('Panda', arena='table').compile()
     ground = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == 0
               and int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE)]
@@ -181,7 +181,7 @@ def test_the_ground_of_the_studio_has_no_material():
 @pytest.mark.full
 @pytest.mark.parametrize('azimuth', [0.0, 30.0, -135.0])
 def test_the_lights_of_the_studio_turn_with_the_view_and_shine_down(azimuth):
-    from manip_sim.cli.rendering import light_studio
+    from manip_sim.cli.render import light_studio
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><geom size="0.1"/></worldbody></mujoco>')
     directions = []

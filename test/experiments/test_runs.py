@@ -24,8 +24,7 @@ pytest.importorskip('tqdm', reason='tqdm is not installed')
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
 from manip_sim.experiments import (  # noqa: E402
-    Experiment, parse_seeds, parse_shard, wilson_interval, Worker)
-from manip_sim.experiments import processes  # noqa: E402
+    Experiment, parse_seeds, parse_shard, processes, wilson_interval, Worker)
 from manip_sim.experiments.policies import flat, load_policy, policy_content  # noqa: E402
 from manip_sim.experiments.run_folder import spans  # noqa: E402
 from manip_sim.experiments.summary import TIMES  # noqa: E402

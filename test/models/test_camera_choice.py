@@ -7,16 +7,17 @@ import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose
-from manip_sim.models.camera_choice import chosen_cameras, described_cameras
-from manip_sim.models.cameras import create_camera, ImageSettings, MAX_PIXELS
+from manip_sim.models.cameras import (
+    chosen_cameras, create_camera, described_cameras, ImageSettings)
 from manip_sim.models.world import World
+from manip_sim.sensing.images import MAX_PIXELS
 
 
 def choose(*given, world=None):
     """Return the cameras that are chosen by texts, as the node does."""
     world = world or compose('Panda')
     world.cameras += [create_camera(camera) for camera in described_cameras(given)]
-    return chosen_cameras(given, world, world.compile())
+    return chosen_cameras(given, world.cameras, world.compile())
 
 
 def with_cameras(one_joint_arm, *cameras):

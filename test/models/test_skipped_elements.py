@@ -12,8 +12,9 @@ from files_rig import write
 
 from manip_sim.models import compose, load_robot, World
 from manip_sim.models.arenas import create_arena
-from manip_sim.models.missing_meshes import lost_shapes, LostShape
+from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.object_creation import create_object
+from manip_sim.models.world import lost_shapes
 from manip_sim.simulation import Simulation
 
 ARM = """<mujoco model="arm"><compiler meshdir="meshes" autolimits="true" {compiler}/>

@@ -17,7 +17,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN
-from manip_sim.moveit import collisions
+from manip_sim.moveit import srdf
 from manip_sim.moveit.control_package import (
     effective_inertias, effort_gains, GRIPPER, TRAJECTORY, write_control_package)
 from manip_sim.simulation import Simulation
@@ -123,7 +123,7 @@ def test_the_node_is_started_as_the_package_was_written_for(package):
 def test_moveit_uses_the_controllers_of_the_package_written_with_its_own(
         given, tmp_path, monkeypatch):
     # Which links never collide is of no matter here.
-    monkeypatch.setattr(collisions, '_SAMPLES', 20)
+    monkeypatch.setattr(srdf, '_SAMPLES', 20)
     parameters = tmp_path / 'node.yaml'
     parameters.write_text(yaml.safe_dump({'/**': {'ros__parameters': given}}))
     assert main(['export', '--moveit', str(tmp_path / 'own_moveit'), '--ros2-control',

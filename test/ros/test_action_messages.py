@@ -14,9 +14,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJ
 
 from manip_sim.interface.world_topics import actions_of
 from manip_sim.models import compose
-from manip_sim.ros.action_messages import (
-    GripperMessages, ParallelGripperMessages, TrajectoryMessages)
-from manip_sim.ros.action_servers import messages_of
+from manip_sim.ros.action_servers import (
+    GripperMessages, messages_of, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.runtime.action_goals import GoalCode, GoalError
 from manip_sim.simulation import Simulation
 

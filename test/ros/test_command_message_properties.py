@@ -19,8 +19,8 @@ from std_msgs.msg import Float64MultiArray  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 
 from manip_sim.errors import CommandError  # noqa: E402
-from manip_sim.ros.messages import nanoseconds_of, stamp_of  # noqa: E402
-from manip_sim.ros.serialization import read_command, trajectory_fields  # noqa: E402
+from manip_sim.ros.messages import (  # noqa: E402
+    nanoseconds_of, read_command, stamp_of, trajectory_fields)
 
 NUMBERS = st.lists(st.floats(), max_size=4)
 NAMES = st.lists(st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=5),

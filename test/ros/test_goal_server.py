@@ -19,8 +19,7 @@ pytest.importorskip('test_msgs', reason='test_msgs is not installed')
 from test_msgs.action import Fibonacci  # noqa: E402
 
 from manip_sim.ros import executor, sim_node  # noqa: E402
-from manip_sim.ros.action_messages import ActionMessages  # noqa: E402
-from manip_sim.ros.action_servers import ActionServers  # noqa: E402
+from manip_sim.ros.action_servers import ActionMessages, ActionServers  # noqa: E402
 from manip_sim.runtime.action_goals import GoalCode, GoalError  # noqa: E402
 from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest  # noqa: E402
 

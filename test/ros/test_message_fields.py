@@ -8,7 +8,7 @@ import pytest
 
 from manip_sim.channels import contents
 from manip_sim.ros import messages
-from manip_sim.ros.serialization import SerializedMessage
+from manip_sim.ros.messages import SerializedMessage
 
 STAMP = messages.stamp_of(12_000_000_034)
 HEAD = {'stamp': {'sec': 12, 'nanosec': 34}, 'frame_id': 'frame'}

@@ -140,7 +140,7 @@ import sys
 from manip_sim import __main__
 from manip_sim.errors import ModelError
 from manip_sim.models import World
-from manip_sim.runtime.observers import Observers
+from manip_sim.runtime.simulation_thread import Observers
 
 shown = []
 show = Observers.show

@@ -16,7 +16,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.errors import CommandError
-from manip_sim.ros.serialization import read_command
+from manip_sim.ros.messages import read_command
 
 
 def trajectory(points, names=('joint',), frame='', values=1):

@@ -23,7 +23,7 @@ from manip_sim.physics.frame_tree import TreeFrame
 from manip_sim.ros import channel_publishers, messages, scene
 from manip_sim.ros.channel_publishers import ChannelPublishers
 from manip_sim.ros.feature import Output
-from manip_sim.ros.serialization import SerializedMessage
+from manip_sim.ros.messages import SerializedMessage
 
 NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
 FRAMES = [TreeFrame('link1', 'world'), TreeFrame('link2', 'link1'), TreeFrame('ball', 'world')]
@@ -145,7 +145,7 @@ def test_where_numbers_are_not_taken_as_they_are_the_message_itself_is_returned(
 def test_where_the_encoding_is_another_one_the_message_itself_is_returned(kind, monkeypatch):
     # As in XCDR2, where doubles are aligned to four bytes. Taken for CDR, these bytes are another
     # wrench, and no joint state at all, whose reading fails.
-    monkeypatch.setattr('manip_sim.ros.serialization.serialize_message',
+    monkeypatch.setattr('manip_sim.ros.messages.serialize_message',
                         lambda message: b'\0\7\0\0\0\0\0\0' + serialize_message(message)[4:])
     of_prefix, count = KINDS[kind]
     make = of_prefix('')

@@ -29,8 +29,7 @@ from visualization_msgs.msg import MarkerArray
 
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.ros import sim_node
-from manip_sim.ros.action_messages import ActionMessages
-from manip_sim.ros.action_servers import ActionServers
+from manip_sim.ros.action_servers import ActionMessages, ActionServers
 from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from manip_sim.viewer.ros.discovery import layout_of
 

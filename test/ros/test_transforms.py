@@ -20,8 +20,7 @@ from manip_sim.interface.parameters import periods_per_message
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.ros import scene
-from manip_sim.ros.messages import nanoseconds_of, stamp_of
-from manip_sim.ros.serialization import SerializedMessage
+from manip_sim.ros.messages import nanoseconds_of, SerializedMessage, stamp_of
 
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.05, 'mass': 0.1, 'position': [1.5, 0.0, 0.5]}
 

@@ -15,9 +15,8 @@ from hypothesis import given, strategies as st  # noqa: E402
 import mujoco  # noqa: E402
 
 from manip_sim.models import compose  # noqa: E402
-from manip_sim.viewer.page.kinematics import _LINE, arrange, BodyLabels  # noqa: E402
-from manip_sim.viewer.page.kinematics import Kinematics  # noqa: E402
-from manip_sim.viewer.page.model_scene import FIELD_OF_VIEW, first_view  # noqa: E402
+from manip_sim.viewer.page.model_scene import (  # noqa: E402
+    _LINE, arrange, BodyLabels, FIELD_OF_VIEW, first_view, Kinematics)
 
 HEIGHT = 800
 

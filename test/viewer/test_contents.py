@@ -19,8 +19,8 @@ from sensor_msgs.msg import Image, JointState  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from manip_sim.errors import MessageError  # noqa: E402
-from manip_sim.viewer.page.latest import command_fields, in_words, ShownStatus  # noqa: E402
-from manip_sim.viewer.page.robots import commanded_joints, declared_limits, limit_of  # noqa: E402
+from manip_sim.viewer.page.latest import (  # noqa: E402
+    command_fields, commanded_joints, declared_limits, in_words, limit_of, ShownStatus)
 from manip_sim.viewer.ros import readers  # noqa: E402
 from manip_sim.viewer.ros.discovery import layout_of  # noqa: E402
 

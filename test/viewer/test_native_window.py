@@ -15,8 +15,8 @@ pytest.importorskip('rclpy', reason='the window needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.viewer.page.latest import Latest  # noqa: E402
-from manip_sim.viewer.ros import native  # noqa: E402
-from manip_sim.viewer.ros.native import aim  # noqa: E402
+from manip_sim.viewer.ros import session  # noqa: E402
+from manip_sim.viewer.ros.session import aim  # noqa: E402
 
 
 @pytest.mark.parametrize('position, target', [
@@ -51,11 +51,11 @@ def test_who_reads_the_output_knows_at_once_that_a_window_is_there(monkeypatch):
     @contextmanager
     def window(posture):
         yield SimpleNamespace(cam=mujoco.MjvCamera(), is_running=is_running, lock=nullcontext)
-    monkeypatch.setattr(native, '_open_window', window)
-    monkeypatch.setattr(native, 'States', lambda *_: None)
-    monkeypatch.setattr(native, 'Discovery', lambda *_: SimpleNamespace(
+    monkeypatch.setattr(session, '_open_window', window)
+    monkeypatch.setattr(session, 'States', lambda *_: None)
+    monkeypatch.setattr(session, 'Discovery', lambda *_: SimpleNamespace(
         base='/', model=model, models=1))
-    native.show_native(None, None, 'sim', lambda: None, SimpleNamespace(wait=lambda _: False))
+    session.show_native(None, None, 'sim', lambda: None, SimpleNamespace(wait=lambda _: False))
     assert seen[0] == ['sim_view: waiting for the node /sim', 'sim_view: a window shows /sim']
 
 
@@ -73,11 +73,11 @@ def test_a_window_looks_for_what_has_changed_twice_a_second(monkeypatch):
     def window(posture):
         yield SimpleNamespace(cam=mujoco.MjvCamera(), is_running=is_running, lock=nullcontext,
                               sync=lambda: None)
-    monkeypatch.setattr(native, 'time', SimpleNamespace(monotonic=lambda: now_s[0]))
-    monkeypatch.setattr(native, '_open_window', window)
-    monkeypatch.setattr(native, 'States', lambda *_: SimpleNamespace(latest=Latest()))
-    monkeypatch.setattr(native, 'Discovery', lambda *_: SimpleNamespace(
+    monkeypatch.setattr(session, 'time', SimpleNamespace(monotonic=lambda: now_s[0]))
+    monkeypatch.setattr(session, '_open_window', window)
+    monkeypatch.setattr(session, 'States', lambda *_: SimpleNamespace(latest=Latest()))
+    monkeypatch.setattr(session, 'Discovery', lambda *_: SimpleNamespace(
         base='/', model=model, models=1, layout=None, look=lambda: looks.append(now_s[0])))
-    native.show_native(None, None, 'sim', lambda: None, SimpleNamespace(wait=lambda _: False))
+    session.show_native(None, None, 'sim', lambda: None, SimpleNamespace(wait=lambda _: False))
     assert len(looks) in (4, 5)
     assert np.diff(looks) == pytest.approx(0.55, abs=0.06)

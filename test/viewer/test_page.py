@@ -16,20 +16,17 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.viewer.page import latest  # noqa: E402
-from manip_sim.viewer.page.server import Access  # noqa: E402
-from manip_sim.viewer.page.pointer import Aiming  # noqa: E402
-from manip_sim.viewer.page.latest import command_fields, in_words, ShownStatus  # noqa: E402
-from manip_sim.viewer.page.kinematics import Kinematics  # noqa: E402
-from manip_sim.viewer.page.latest import Latest, PoseInWorld, RealTimeFactor  # noqa: E402
-from manip_sim.viewer.page.model_scene import first_view  # noqa: E402
+from manip_sim.viewer.page.latest import (  # noqa: E402
+    command_fields, commanded_joints, declared_limits, in_words, Latest, PoseInWorld,
+    RealTimeFactor, Robot, short_labels, ShownJoint, ShownPart, ShownStatus)
+from manip_sim.viewer.page.model_scene import first_view, Kinematics  # noqa: E402
 from manip_sim.viewer.page.page import _UNFOLDED, Page  # noqa: E402
 from manip_sim.viewer.page.page_commands import Events, Following  # noqa: E402
 from manip_sim.viewer.page.panels import DrivePanel, JointPanel  # noqa: E402
 from manip_sim.viewer.page.plain_text import Line  # noqa: E402
+from manip_sim.viewer.page.pointer import Aiming  # noqa: E402
+from manip_sim.viewer.page.server import Access, close_server, open_server  # noqa: E402
 from manip_sim.viewer.page.timeline import History  # noqa: E402
-from manip_sim.viewer.page.robots import (  # noqa: E402
-    commanded_joints, declared_limits, Robot, short_labels, ShownJoint, ShownPart)
-from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
 from manip_sim.viewer.ros.discovery import layout_of, RobotTopics  # noqa: E402
 
 

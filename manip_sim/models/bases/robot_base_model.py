@@ -13,7 +13,7 @@ from manip_sim.models.registry import Registry
 
 class RobotBaseModel(MujocoXMLModel):
     """
-    What a robot stands on; a subclass of one of the kinds below declares its offsets.
+    A base of a robot; a subclass of one of the kinds below declares its offsets.
 
     :attr:`bottom_offset`, the position of the root body in the file, is the position of the floor
     in the frame of the base; the robot stands at :attr:`top_offset`.

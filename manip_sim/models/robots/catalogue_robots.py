@@ -64,7 +64,7 @@ class CatalogueRobot(CatalogueModel, ManipulatorModel, registered=False):
 
     @property
     def base_xpos_offset(self) -> dict[str, Placement]:
-        """Where to place the robot by arena [m], or a function of the table's length [m]."""
+        """Place of the robot by arena [m], or a function of the table's length [m]."""
         x, y, z = self._table_placement
         return {'table': lambda table_length: (x - table_length / 2.0, y, z),
                 **{arena: tuple(position) for arena, position in self._placement.items()}}

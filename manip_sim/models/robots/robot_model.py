@@ -66,7 +66,7 @@ class RobotModel(Subsystems, ABC):
         super().__init__(fname, idn=idn)
         self._root()
         self._base: RobotBaseModel | None = None
-        #: Where :meth:`set_base_xpos` and :meth:`set_base_ori` want the robot.
+        #: Pose from :meth:`set_base_xpos` and :meth:`set_base_ori`.
         self._floor_xpos: FloatArray | None = None
         #: True if nobody has chosen the height of that place.
         self._may_be_raised = True
@@ -306,7 +306,7 @@ class RobotModel(Subsystems, ABC):
     @property
     @abstractmethod
     def base_xpos_offset(self) -> dict[str, Placement]:
-        """Where to place the robot by arena [m], or a function of the table's length [m]."""
+        """Place of the robot by arena [m], or a function of the table's length [m]."""
 
     def placement_in(self, arena: str) -> Placement | None:
         """

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from xml.etree import ElementTree
 
 import mujoco
@@ -14,11 +14,9 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.couplings import declared_velocity, velocity_of_servos
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.urdf_writer.joints import (
-    actuated_joints, add_hardware, effort_limit, find_mimics, Hardware, Mimic, OWN_PLUGIN, PLUGINS,
-    position_limits, TOPIC_PLUGIN, velocity_limit)
 from manip_sim.models.urdf_writer.kinematic_tree import (
     build_tree, Joint, KinematicTree, Link, robot_tree)
 from manip_sim.models.urdf_writer.link_shapes import (
@@ -26,6 +24,7 @@ from manip_sim.models.urdf_writer.link_shapes import (
     text_of)
 from manip_sim.models.world import World
 from manip_sim.quaternion import matrix_of, rpy_of
+from manip_sim.quoting import quoted
 
 
 @dataclass(frozen=True)
@@ -246,3 +245,265 @@ def choose_robot(world: World, name: str | None = None) -> RobotModel:
 
 __all__ = ['build_tree', 'choose_robot', 'Hardware', 'KinematicTree', 'OWN_PLUGIN', 'PLUGINS',
            'robot_tree', 'TOPIC_PLUGIN', 'Urdf', 'urdf_of', 'urdfs_of', 'write_urdf']
+
+
+#: Hardware component from apt, which reads and writes joint states.
+TOPIC_PLUGIN = 'joint_state_topic_hardware_interface/JointStateTopicSystem'
+#: Hardware component of the package in ``hardware/``, which knows lock-step and sensors too.
+OWN_PLUGIN = 'manip_sim_hardware/ManipSimSystem'
+PLUGINS = (TOPIC_PLUGIN, OWN_PLUGIN)
+#: A threshold below zero lets the plugin publish in each cycle; else it is silent while states and
+#: commands agree, and a command timeout of the node would stop the robot.
+_ALWAYS = '-1'
+_STATES = ('position', 'velocity', 'effort')
+_WRENCH = tuple(f'{kind}.{axis}' for kind in ('force', 'torque') for axis in 'xyz')
+_IMU = (*(f'orientation.{axis}' for axis in 'xyzw'), *(
+    f'{kind}.{axis}' for kind in ('angular_velocity', 'linear_acceleration') for axis in 'xyz'))
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """
+    Content of the ``<ros2_control>`` tag of a robot.
+
+    :ivar interfaces: ``position``, ``velocity`` or ``effort`` by name of the joint with commands
+    :ivar states_topic: where the joint states come from
+    :ivar commands_topic: where the joint commands go to
+    :ivar plugin: one of :data:`PLUGINS`; what follows is for the second one alone
+    :ivar node: name of the node whose parameters select control modes, with its namespace
+    :ivar mode_parameters: the parameter ``control_mode.<part>`` of each joint that has one
+    :ivar wrench_topics: topics of wrenches, by name of the sensor
+    :ivar lockstep: whether the physics waits for commands
+    :ivar imu_topics: topics of IMUs, by name of the sensor
+    :ivar rates_hz: of the sensors that measure less often than joint states come, by name [Hz]
+    """
+
+    interfaces: Mapping[str, str]
+    states_topic: str = '/robot_joint_states'
+    commands_topic: str = '/robot_joint_commands'
+    plugin: str = TOPIC_PLUGIN
+    node: str = '/manip_sim'
+    mode_parameters: Mapping[str, str] = field(default_factory=dict)
+    wrench_topics: Mapping[str, str] = field(default_factory=dict)
+    lockstep: bool = False
+    imu_topics: Mapping[str, str] = field(default_factory=dict)
+    rates_hz: Mapping[str, float] = field(default_factory=dict)
+
+
+def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequence[str],
+                 mimics: Sequence[str]) -> None:
+    """
+    Add the tag to a URDF: joints with commands first, as the hardware requires, then the others.
+
+    Mimic joints have no command interface, because ros2_control rejects that. With the second
+    plugin the joints of a part have the interfaces of all modes, of which controllers claim one.
+
+    :param joints: names of all scalar joints
+    :param mimics: names of those that follow another one
+    """
+    tag = ElementTree.SubElement(robot, 'ros2_control', name=robot.get('name', ''), type='system')
+    system = ElementTree.SubElement(tag, 'hardware')
+    ElementTree.SubElement(system, 'plugin').text = hardware.plugin
+    is_own_plugin = hardware.plugin == OWN_PLUGIN
+    parameters = {'joint_states_topic': hardware.states_topic,
+                  'joint_commands_topic': hardware.commands_topic}
+    if is_own_plugin:
+        parameters |= {'node': hardware.node, 'lockstep': str(hardware.lockstep).lower()}
+    else:
+        parameters['trigger_joint_command_threshold'] = _ALWAYS
+    for name, value in parameters.items():
+        ElementTree.SubElement(system, 'param', name=name).text = value
+    driven = [name for name in joints if name in hardware.interfaces and name not in mimics]
+    for name in [*driven, *(name for name in joints if name not in driven)]:
+        joint = ElementTree.SubElement(tag, 'joint', name=name)
+        parameter = hardware.mode_parameters.get(name) if is_own_plugin else None
+        if name in driven:
+            if parameter is not None:
+                ElementTree.SubElement(joint, 'param', name='mode_parameter').text = parameter
+            for command in _STATES if parameter else [hardware.interfaces[name]]:
+                ElementTree.SubElement(joint, 'command_interface', name=command)
+        for state in _STATES:
+            ElementTree.SubElement(joint, 'state_interface', name=state)
+    for topics, interfaces in ((hardware.wrench_topics, _WRENCH), (hardware.imu_topics, _IMU)):
+        for name, topic in topics.items() if is_own_plugin else ():
+            sensor = ElementTree.SubElement(tag, 'sensor', name=name)
+            ElementTree.SubElement(sensor, 'param', name='topic').text = topic
+            if name in hardware.rates_hz:
+                rate = repr(float(hardware.rates_hz[name]))
+                ElementTree.SubElement(sensor, 'param', name='rate').text = rate
+            for interface in interfaces:
+                ElementTree.SubElement(sensor, 'state_interface', name=interface)
+
+
+#: Limit of a prismatic joint without a range, for which URDF requires one [m].
+_FAR_M = 1000.0
+#: Of a joint without a limit, as in the simulation's servos [rad/s or m/s].
+DEFAULT_VELOCITY = float(np.pi)
+#: Of a joint whose actuators have no limit [N m or N].
+DEFAULT_EFFORT = 1000.0
+_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """
+    Coupling of a joint to another one.
+
+    :ivar leader: id of a joint that follows none
+    """
+
+    leader: int
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class _Coupling:
+    follower: int
+    leader: int
+    multiplier: float
+    offset: float
+    linear: bool
+
+    def seen_from(self, joint: int, mimic: Mimic) -> tuple[int, Mimic]:
+        """Return the other joint, and how it follows the leader that the given joint follows."""
+        if joint == self.leader:
+            return self.follower, Mimic(mimic.leader, self.multiplier * mimic.multiplier,
+                                        self.multiplier * mimic.offset + self.offset)
+        return self.leader, Mimic(mimic.leader, mimic.multiplier / self.multiplier,
+                                  (mimic.offset - self.offset) / self.multiplier)
+
+
+def find_mimics(model: mujoco.MjModel, joints: Collection[int], actuated: Iterable[int]
+                ) -> tuple[dict[int, Mimic], list[str]]:
+    """
+    Return the linear couplings among some joints, from the active equality constraints.
+
+    Of coupled joints one leads and all others follow it: the joint with the first actuator or,
+    without actuators, one that follows none in the constraints.
+
+    :param joints: ids of scalar joints
+    :param actuated: ids of the joints with actuators, in the order of the actuators
+    :returns: by id of the joint, and a sentence for each coupling that URDF cannot express
+    """
+    couplings = [coupling for equality in range(model.neq)
+                 if (coupling := _coupling(model, equality)) is not None
+                 and coupling.follower in joints and coupling.leader in joints]
+    notes = [f'{_name(model, c.follower)} follows {_name(model, c.leader)} by a curve: no mimic'
+             for c in couplings if not c.linear]
+    linear = [coupling for coupling in couplings if coupling.linear]
+    followers = {coupling.follower for coupling in linear}
+    candidates = [*actuated, *(c.leader for c in linear if c.leader not in followers), *joints]
+    mimics: dict[int, Mimic] = {}
+    used: list[_Coupling] = []
+    for head in candidates:
+        if head not in mimics and head in joints:
+            _spread(head, linear, mimics, used)
+    notes += [f'{_name(model, c.follower)} follows two joints: one mimic'
+              for c in linear if not any(c is other for other in used)]
+    return {joint: mimic for joint, mimic in mimics.items() if mimic.leader != joint}, notes
+
+
+def _spread(head: int, couplings: list[_Coupling], mimics: dict[int, Mimic],
+            used: list[_Coupling]) -> None:
+    """Record how joints that are coupled to a leader follow it, and the couplings used."""
+    mimics[head] = Mimic(head, 1.0, 0.0)
+    waiting = [head]
+    while waiting:
+        joint = waiting.pop(0)
+        for coupling in couplings:
+            if joint in (coupling.follower, coupling.leader):
+                other, mimic = coupling.seen_from(joint, mimics[joint])
+                if other not in mimics:
+                    mimics[other] = mimic
+                    used.append(coupling)
+                    waiting.append(other)
+
+
+def _coupling(model: mujoco.MjModel, equality: int) -> _Coupling | None:
+    """Return the active coupling of two joints by an equality, in positions, or None."""
+    if (int(model.eq_type[equality]) != int(mujoco.mjtEq.mjEQ_JOINT)
+            or not model.eq_active0[equality] or int(model.eq_obj2id[equality]) < 0):
+        return None
+    follower, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+    data = model.eq_data[equality]
+    # MuJoCo's polynomial relates the joints' displacements from qpos0.
+    zero, leader_zero = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (follower, leader))
+    slope = float(data[1])
+    return _Coupling(follower, leader, slope, zero + float(data[0]) - slope * leader_zero,
+                     bool(slope) and not data[2:5].any())
+
+
+def _name(model: mujoco.MjModel, joint: int) -> str:
+    return quoted(model.joint(joint).name)
+
+
+def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]:
+    """Return by id of the joint its actuators' ids, and the effort at the joint per force."""
+    actuators: dict[int, list[tuple[int, float]]] = {}
+    for actuator in range(model.nu):
+        gear = float(model.actuator_gear[actuator, 0])
+        kind, target = int(model.actuator_trntype[actuator]), model.actuator_trnid[actuator, 0]
+        if kind in _JOINT:
+            terms = [(int(target), 1.0)]
+        elif kind == _TENDON:
+            first = int(model.tendon_adr[target])
+            terms = [(int(model.wrap_objid[w]), float(model.wrap_prm[w]))
+                     for w in range(first, first + int(model.tendon_num[target]))
+                     if int(model.wrap_type[w]) == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+        else:
+            terms = []
+        for joint, coefficient in terms:
+            actuators.setdefault(joint, []).append((actuator, abs(gear * coefficient)))
+    return actuators
+
+
+def position_limits(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
+    """Return the least and greatest position [rad or m]; nothing for a hinge without a range."""
+    if model.jnt_limited[joint]:
+        return tuple(model.jnt_range[joint])
+    return () if int(model.jnt_type[joint]) == _HINGE else (-_FAR_M, _FAR_M)
+
+
+def effort_limit(model: mujoco.MjModel, joint: int, actuators: list[tuple[int, float]]) -> float:
+    """
+    Return the greatest effort of the actuators at a joint [N m or N]; zero without actuators.
+
+    :param actuators: of the joint, as :func:`actuated_joints` returns them
+    """
+    effort = sum(_force_limit(model, actuator) * per_force for actuator, per_force in actuators)
+    if actuators and model.jnt_actfrclimited[joint]:
+        effort = min(effort, float(np.abs(model.jnt_actfrcrange[joint]).max()))
+    return effort if np.isfinite(effort) else DEFAULT_EFFORT
+
+
+def _force_limit(model: mujoco.MjModel, actuator: int) -> float:
+    if model.actuator_forcelimited[actuator]:
+        return float(np.abs(model.actuator_forcerange[actuator]).max())
+    motor = (int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_NONE)
+             and int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED))
+    if motor and model.actuator_ctrllimited[actuator]:
+        return float(np.abs(model.actuator_ctrlrange[actuator]).max()
+                     * abs(model.actuator_gainprm[actuator, 0]))
+    return float(np.inf)
+
+
+def velocity_limit(model: mujoco.MjModel, joint: int, mimics: Mapping[int, Mimic],
+                   actuators: Mapping[int, list[tuple[int, float]]]) -> float:
+    """
+    Return the velocity limit of a joint [rad/s or m/s].
+
+    It is that of the joint or its velocity servo, or that of what the joint follows.
+
+    :param actuators: as :func:`actuated_joints` returns
+    """
+    servos = velocity_of_servos(model, [number for number, _ in actuators.get(joint, [])])
+    limit = min(float(declared_velocity(model, joint)), float(servos.min(initial=np.inf)))
+    if np.isfinite(limit):
+        return limit
+    if joint in mimics:
+        mimic = mimics[joint]
+        return abs(mimic.multiplier) * velocity_limit(model, mimic.leader, {}, actuators)
+    return DEFAULT_VELOCITY

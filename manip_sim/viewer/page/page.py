@@ -13,16 +13,14 @@ from typing import Any
 import mujoco
 
 from manip_sim.quoting import one_line
-from manip_sim.viewer.page.kinematics import BodyLabels, Kinematics
 from manip_sim.viewer.page.latest import (
-    command_fields, control_modes, in_words, Latest, ShownStatus)
-from manip_sim.viewer.page.model_scene import Overlays, Scene
+    command_fields, control_modes, in_words, Latest, Robot, ShownPart, ShownStatus)
+from manip_sim.viewer.page.model_scene import BodyLabels, Kinematics, Overlays, Scene
 from manip_sim.viewer.page.page_commands import Events, PageCommands, PosePanel, Poses
 from manip_sim.viewer.page.panels import (
     CameraPanel, DrivePanel, JointPanel, SavePanel, SimulationPanel, ViewPanel)
 from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.pointer import Aiming, EndEffectorTarget, Pulling
-from manip_sim.viewer.page.robots import Robot, ShownPart
 from manip_sim.viewer.page.server import save_picture, set_theme
 from manip_sim.viewer.page.timeline import LookBack, PlotPanel
 

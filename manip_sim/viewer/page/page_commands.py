@@ -16,10 +16,9 @@ from typing import Any, Protocol
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import quoted
-from manip_sim.viewer.page.latest import Latest
-from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart
+from manip_sim.viewer.page.latest import Latest, Robot, ShownJoint, ShownPart
 
-#: What a person has requested is shown at least so long [s], and until nothing moves.
+#: Least time for which a request of a person is shown [s]; also until nothing moves.
 _HOLD_S = 1.0
 
 

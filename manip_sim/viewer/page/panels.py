@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.kinematics import BodyLabels
-from manip_sim.viewer.page.latest import Latest
-from manip_sim.viewer.page.model_scene import Scene
+from manip_sim.viewer.page.latest import Latest, Robot, ShownJoint, ShownPart
+from manip_sim.viewer.page.model_scene import BodyLabels, Scene
 from manip_sim.viewer.page.page_commands import Events, Following, PageCommands
 from manip_sim.viewer.page.plain_text import Line, plain, PlainText
 from manip_sim.viewer.page.pointer import EndEffectorTarget, VIEWS
-from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart
 
 _COLORS = {'running': '#2f9e44', 'paused': '#f08c00', 'waiting': '#868e96', 'gone': '#e03131',
            'trouble': '#e8590c'}

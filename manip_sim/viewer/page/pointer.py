@@ -15,8 +15,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.kinematics import Kinematics
-from manip_sim.viewer.page.model_scene import FIELD_OF_VIEW, FIRST, first_view, Scene
+from manip_sim.viewer.page.model_scene import FIELD_OF_VIEW, FIRST, first_view, Kinematics, Scene
 from manip_sim.viewer.page.page_commands import Events, Following, PageCommands
 
 #: Width of the panel, and of the widest window that has it below.
@@ -25,7 +24,7 @@ _PANEL_PIXELS, _PHONE_PIXELS = 400, 576
 _SHEET = 0.45
 #: Aspect ratio of the first view until a browser has sent the size of its window.
 _ASPECT = 1.4
-#: Where to look from, by what people choose; x is forward, y to the left.
+#: Directions of view, by their names in the menu; x is forward, y to the left.
 VIEWS = {'Home': FIRST, 'Front': (1.0, 0.0, 0.2), 'Left': (0.0, 1.0, 0.2),
          'Top': (-0.02, 0.0, 1.0)}
 #: Cameras that are nearer to one another are the same [m].

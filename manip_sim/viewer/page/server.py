@@ -55,7 +55,7 @@ _POLICY = ("default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob:; 
 @dataclass(frozen=True)
 class Access:
     """
-    Who may open the page.
+    Permissions to open the page.
 
     :ivar token: the first part of the path of the page and of its socket
     :ivar names: under which a browser may reach this machine, beside any address

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.latest import JointStates, Latest
+from manip_sim.viewer.page.latest import JointStates, Latest, Robot, ShownPart
 from manip_sim.viewer.page.page_commands import Events
 from manip_sim.viewer.page.plain_text import Line, PlainText
-from manip_sim.viewer.page.robots import Robot, ShownPart
 
 #: Simulation time that the plots look back [s].
 WINDOW_S = 10.0
@@ -240,7 +239,7 @@ class Timeline:
             self._ahead_s -= self._times[self.index] - present_s
 
 
-#: How far it looks back in simulation time [s], how many instants it keeps of that at most, and
+#: Its length in simulation time [s], the number of instants that it keeps at most, and
 #: how many bytes they take at most; a view is updated 30 times a second.
 _SPAN_S, _MAX_INSTANTS, _MAX_BYTES = 60.0, 3600, 2**26
 _LIVE, _BACK = 'Live', 'Last minute'

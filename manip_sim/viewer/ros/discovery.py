@@ -22,7 +22,7 @@ from manip_sim.interface.topics import BY_NAME
 from manip_sim.models.archive import load_archive, MAX_ARCHIVE_BYTES
 from manip_sim.ros.executor import begin
 from manip_sim.ros.messages import LATCHED
-from manip_sim.viewer.page.robots import (
+from manip_sim.viewer.page.latest import (
     commanded_joints, declared_limits, limit_of, Robot, ShownPart)
 from manip_sim.viewer.ros import readers
 from manip_sim.viewer.ros.readers import Readers
@@ -54,7 +54,7 @@ class RobotTopics:
 @dataclass(frozen=True)
 class Layout:
     """
-    What a node offers.
+    Robots, topics and services of a node.
 
     :ivar robots: none as long as none is known
     :ivar objects: names of free bodies

@@ -21,9 +21,8 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, MessageError
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros.executor import GuardedExecutor
-from manip_sim.ros.messages import seconds_of
+from manip_sim.ros.messages import read_message, seconds_of
 from manip_sim.ros.rejection_log import kind_of, RejectionLog
-from manip_sim.ros.serialization import read_message
 from manip_sim.viewer.page.latest import JointStates, PoseInWorld, ShownStatus
 
 #: Size of a number at most; larger ones overflow where they are multiplied or drawn.
@@ -161,7 +160,7 @@ def _level(level: bytes | int) -> int:
 
 #: More than any message but images and models needs [bytes].
 _MAX_BYTES = 2**20
-#: How long callbacks may run before the page gets its turn [s].
+#: Time for callbacks before the page gets its turn [s].
 _ROUND_S = 0.05
 
 

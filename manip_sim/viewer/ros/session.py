@@ -1,27 +1,40 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Connect the page to the node, keep it up to date in one thread, and run as a process."""
+"""
+Connect the page to the node, keep it up to date in one thread, and run as a process.
+
+With ``--native``, MuJoCo's own viewer shows the node in a window, and drives nothing.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+import contextlib
 from functools import partial
+import math
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
+import threading
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, Twist
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, Twist, WrenchStamped
+import mujoco
+import mujoco.viewer
+import numpy as np
+from numpy.typing import NDArray
 import rclpy
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
+from rclpy.qos import qos_profile_sensor_data, QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray
-from visualization_msgs.msg import Marker
+from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.errors import ManipSimError
 from manip_sim.models import untrusted_models
@@ -30,14 +43,226 @@ from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.arguments import start_ros
 from manip_sim.ros.executor import BACKGROUND_THREAD
 from manip_sim.startup import EndSignals, leave
-from manip_sim.viewer.page.latest import RealTimeFactor, ShownStatus, WARN
+from manip_sim.viewer.page.latest import Latest, RealTimeFactor, ShownStatus, WARN
+from manip_sim.viewer.page.model_scene import first_view, Kinematics
 from manip_sim.viewer.page.page import Page
 from manip_sim.viewer.page.page_commands import Poses
 from manip_sim.viewer.page.server import Access, close_server, open_server, page_address
+from manip_sim.viewer.ros import readers
 from manip_sim.viewer.ros.command_sender import CommandSender
-from manip_sim.viewer.ros.discovery import Discovery, name_of
+from manip_sim.viewer.ros.discovery import Discovery, Layout, name_of
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
-from manip_sim.viewer.ros.states import States
+
+_WINDOW_PERIOD_S = 1.0 / 60.0
+_LOOK_S = 0.5
+#: Aspect ratio of the part of the picture that the panels of the window never cover.
+_ASPECT = 0.6
+#: Time that a window may take to close [s].
+_WINDOW_CLOSING_S = 5.0
+
+
+def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callable[[], None],
+                ended: EndSignals) -> None:
+    """
+    Show a node until the window is closed or the process is to end.
+
+    :param node: the viewer's own
+    :param simulation: full name of the node that is seen, without the first slash
+    :param run_ready: runs the callbacks that are ready
+    :param ended: the signals on which the process is to end
+    """
+    discovery = Discovery(node, readers, simulation)
+    states = States(node, readers, simulation, discovery.base)
+    print(f'sim_view: waiting for the node /{simulation}', flush=True)
+    while not ended.wait(0.0):
+        models = _wait_for_model(discovery, run_ready, ended)
+        if models is None:
+            return
+        posture = Kinematics(discovery.model)
+        with _open_window(posture) as window:
+            with window.lock():
+                aim(window.cam, *first_view(posture.model, posture.data, _ASPECT))
+            print(f'sim_view: a window shows /{simulation}', flush=True)
+            look_s = 0.0
+            while window.is_running() and discovery.models == models:
+                if ended.wait(_WINDOW_PERIOD_S):
+                    return
+                run_ready()
+                if time.monotonic() > look_s:
+                    look_s = time.monotonic() + _LOOK_S
+                    discovery.look()
+                    if discovery.layout is not None:
+                        states.listen(discovery.layout)
+                with window.lock():
+                    for joints in states.latest.joints.values():
+                        posture.set_joints(joints.names, joints.position)
+                    for name, pose in states.latest.objects.items():
+                        posture.place(name, pose.position, pose.quat_wxyz)
+                    posture.compute()
+                window.sync()
+            if not window.is_running():
+                return
+
+
+@contextlib.contextmanager
+def _open_window(posture: Kinematics) -> Iterator[mujoco.viewer.Handle]:
+    """Open a window, and close it; its thread must not outlive the interpreter."""
+    others = set(threading.enumerate())
+    with mujoco.viewer.launch_passive(posture.model, posture.data) as window:
+        drawing = set(threading.enumerate()) - others
+        yield window
+    for thread in drawing:
+        thread.join(_WINDOW_CLOSING_S)
+
+
+def aim(camera: mujoco.MjvCamera, position: NDArray[np.float64], target: NDArray[np.float64]
+        ) -> None:
+    """
+    Let a free camera look from a position to a target.
+
+    :param camera: is changed
+    :param position: in ``world``, shape (3,) [m]
+    :param target: in ``world``, shape (3,) [m]
+    """
+    way = target - position
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat = target
+    camera.distance = np.linalg.norm(way)
+    camera.azimuth = math.degrees(math.atan2(way[1], way[0]))
+    camera.elevation = math.degrees(math.atan2(way[2], math.hypot(way[0], way[1])))
+
+
+def _wait_for_model(discovery: Discovery, run_ready: Callable[[], None],
+                    ended: EndSignals) -> int | None:
+    """Return the number of the newest model when there is one; None if the process is to end."""
+    while discovery.model is None:
+        if ended.wait(_LOOK_S / 5.0):
+            return None
+        run_ready()
+        discovery.look()
+    return discovery.models
+
+
+#: The newest message is enough, and a lost one is followed by another.
+_NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+#: Size of an image at most [bytes]: 4096 times 4096 pixels.
+_MAX_IMAGE_BYTES = 2**26
+
+
+class States:
+    """
+    Subscriptions to all states of a node.
+
+    :param node: the viewer's own
+    :param simulation: full name of the node that is seen, without the first slash
+    :param base: its namespace, with a slash at its end
+    :ivar latest: the latest messages
+    :ivar frames: the frame of the poses of end effectors, by namespace and arm
+    """
+
+    def __init__(self, node: Node, readers: Readers, simulation: str, base: str) -> None:
+        self._node, self._readers = node, readers
+        self._name, self._base = simulation, base
+        self._subscriptions: dict[str, Any] = {}
+        self.latest = Latest()
+        self.frames: dict[tuple[str, str], str] = {}
+        self.on_statuses: Callable[[list[ShownStatus]], None] = lambda statuses: None
+        readers.subscribe(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
+
+    def forget(self) -> None:
+        """Stop listening to states, and forget them."""
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = {}
+        self.latest = Latest()
+
+    def listen(self, layout: Layout) -> None:
+        """Listen to the robots and objects of a layout, and no longer to others."""
+        subscriptions: dict[str, tuple[Any, Any]] = {}
+        for robot in layout.robots:
+            subscriptions[name_of(robot.space, 'joint_states')] = JointState, partial(
+                self._take_joints, robot.space)
+            for arm in robot.end_effectors:
+                key = robot.space, arm
+                subscriptions[name_of(robot.space, '<arm>/eef_pose', arm)] = PoseStamped, partial(
+                    self._take_end_effector, key)
+                subscriptions[name_of(robot.space, '<arm>/external_wrench', arm)] = (
+                    WrenchStamped, partial(self._take_wrench, key))
+        for name in layout.objects:
+            subscriptions[name_of(self._base, 'objects/<name>/pose', name)] = PoseStamped, partial(
+                self._take_object, name)
+        self._keep(subscriptions)
+        arms = {(robot.space, arm) for robot in layout.robots for arm in robot.end_effectors}
+        kept: tuple[tuple[dict[Any, Any], Collection[Any]], ...] = (
+            (self.latest.objects, layout.objects),
+            (self.latest.joints, {robot.space for robot in layout.robots}),
+            (self.latest.end_effectors, arms), (self.latest.wrenches, arms), (self.frames, arms))
+        for states, present in kept:
+            for key in states.keys() - set(present):
+                del states[key]
+
+    def _keep(self, wanted: dict[str, tuple[Any, Any]]) -> None:
+        lasting = {f'/{self._name}/markers', *(
+            topic for topic in self._subscriptions if topic.endswith('/image_raw'))}
+        for topic in self._subscriptions.keys() - wanted.keys() - lasting:
+            self._unsubscribe(topic)
+        for topic, (kind, take) in wanted.items():
+            self._subscribe(topic, kind, take)
+
+    def _subscribe(self, topic: str, kind: Any, take: Any, qos: Any = _NEWEST, **most: int
+                   ) -> None:
+        if topic not in self._subscriptions:
+            self._subscriptions[topic] = self._readers.subscribe(kind, topic, take, qos, **most)
+
+    def _unsubscribe(self, topic: str) -> None:
+        if topic in self._subscriptions:
+            self._node.destroy_subscription(self._subscriptions.pop(topic))
+
+    def want_markers(self, wanted: bool) -> None:
+        """Start or stop listening to contacts and wrenches as markers."""
+        topic = f'/{self._name}/markers'
+        if wanted:
+            self._subscribe(topic, MarkerArray, self._take_markers)
+        else:
+            self._unsubscribe(topic)
+            self.latest.contacts, self.latest.arrows = np.zeros((0, 3)), {}
+
+    def want_images(self, cameras: Iterable[str]) -> None:
+        """Listen to the images of these cameras, and of no others."""
+        topics = {name_of(self._base, '<camera>/color/image_raw', name): name for name in cameras}
+        for topic in [t for t in self._subscriptions if t.endswith('/color/image_raw')]:
+            if topic not in topics:
+                self._unsubscribe(topic)
+        for topic, name in topics.items():
+            self._subscribe(topic, Image, partial(self._take_image, name),
+                            qos_profile_sensor_data, most=_MAX_IMAGE_BYTES)
+
+    def _take_joints(self, space: str, message: JointState) -> None:
+        self.latest.joints[space] = readers.joint_states(message)
+        self.latest.joints_s = time.monotonic()
+
+    def _take_end_effector(self, key: tuple[str, str], message: PoseStamped) -> None:
+        self.latest.end_effectors[key] = readers.pose(message)
+        self.frames[key] = message.header.frame_id
+
+    def _take_object(self, name: str, message: PoseStamped) -> None:
+        self.latest.objects[name] = readers.pose(message)
+
+    def _take_wrench(self, key: tuple[str, str], message: WrenchStamped) -> None:
+        self.latest.wrenches[key] = readers.wrench(message)
+
+    def _take_image(self, name: str, message: Image) -> None:
+        self.latest.images[name] = readers.image(message)
+
+    def _take_markers(self, message: MarkerArray) -> None:
+        self.latest.contacts, self.latest.arrows = readers.markers(message)
+
+    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+        statuses = readers.statuses(message, self._name)
+        if statuses:
+            self.latest.diagnostics = statuses
+            self.on_statuses(statuses)
+
 
 #: Longest wait for a record to be completed when the viewer ends [s].
 _CLOSING_S = 10.0
@@ -269,7 +494,6 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
         executor = PolledExecutor(readers.log)
         executor.add_node(node)
         if options.native:
-            from manip_sim.viewer.ros.native import show_native
             show_native(node, readers, simulation, executor.run_ready, ended)
         else:
             _serve(node, readers, simulation, executor, options, ended)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim replay``: repeat episodes or a node, and compare them with their record."""
+"""``manip_sim record``, ``convert`` and ``replay``: records of nodes and episodes."""
 
 from __future__ import annotations
 
@@ -11,21 +11,35 @@ from pathlib import Path
 from manip_sim.cli.output import ProgressBar
 from manip_sim.errors import RecordError
 from manip_sim.quoting import counted
-from manip_sim.records.converting import records_in
+from manip_sim.records.converting import convert as convert_records, records_in
 from manip_sim.records.recorded import Record
 from manip_sim.records.repeating import JournalReplay, Repetition, Replay
+from manip_sim.ros_environment import check_ros_environment, missing_module
 
 
-def run(options: argparse.Namespace) -> tuple[str, int]:
+def record(options: argparse.Namespace) -> tuple[str, int]:
+    check_ros_environment()
+    try:
+        from manip_sim.records.node_recorder import record_node
+    except ImportError as error:
+        raise RecordError(missing_module(error)) from error
+    name = f'/{options.node.strip("/")}'
+    with ProgressBar('messages') as progress:
+        text, found = record_node(
+            options.file, name, options.topics, options.duration, progress.show)
+    return text, int(not found)
+
+
+def replay(options: argparse.Namespace) -> tuple[str, int]:
     """Repeat the records; return what differs, how many do not, and the exit code."""
     repeated = _Repeated(options.verify)
     for path in records_in(options.files):
-        record = Record(path)
-        if record.of_node:
-            repeated.node(record)
+        found = Record(path)
+        if found.of_node:
+            repeated.node(found)
         else:
-            repeated.episodes(record)
-        if record.cut_off:
+            repeated.episodes(found)
+        if found.cut_off:
             repeated.cut_off = True
             repeated.lines.append(f'{path}: the file ends early, and was read up to there')
     return repeated.result()
@@ -86,3 +100,14 @@ def _lines(path: Path, found: Repetition, verify: bool) -> list[str]:
         return [f'{about}: {"success" if found.success else "no success"} after '
                 f'{found.periods} periods, not as recorded']
     return []
+
+
+def convert(options: argparse.Namespace) -> tuple[str, int]:
+    with ProgressBar('episodes') as progress:
+        episodes, periods, notes = convert_records(
+            records_in(options.files), options.to, options.out, progress.show,
+            options.only_success)
+    summary = f'{counted(episodes, "episode")}, {counted(periods, "control period")}'
+    if notes:
+        summary += f'; {len(notes)} incomplete'
+    return '\n'.join([*notes, f'{options.out} ({summary})']), 0
