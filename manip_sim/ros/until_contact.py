@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import json
 import queue
+import threading
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.srv import AddDiagnostics
@@ -29,6 +30,7 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 
 _SERVICE = '~/move_until_contact'
 _STANDS = (0.0, 0.0, 0.0)
+_ENDING = 'the node is ending'
 #: Keys of a request with their defaults, None for those that have none.
 _KEYS: Mapping[str, Any] = {'robot': '', 'arm': 'right', 'linear': _STANDS, 'angular': _STANDS,
                             'frame': '', 'force': None, 'distance': None, 'duration': None}
@@ -62,7 +64,9 @@ class MotionsUntilContact(Feature):
         self._publisher = create_publisher(context, BY_NAME['~/contact'])
         self._simulation: Simulation = context.simulation
         self._published = self._present()
+        # The executor adds to them, the thread of the simulation takes away.
         self._motions: tuple[_Motion, ...] = ()
+        self._lock, self._ends = threading.Lock(), False
         self._ended: queue.SimpleQueue[tuple[_Motion, bool, str]] = queue.SimpleQueue()
         # A group of their own: nothing else waits for the end of a motion, nor for one another.
         group = ReentrantCallbackGroup()
@@ -95,7 +99,8 @@ class MotionsUntilContact(Feature):
             self._ended.put((motion, done, _described(motion.robot, motion.arm, end)
                              if done and end else _why(motion.handle)))
         if ended:
-            self._motions = tuple([m for m in self._motions if m.handle.is_active])
+            with self._lock:
+                self._motions = tuple([m for m in self._motions if m not in ended])
             self._guard.trigger()
 
     def _answer(self) -> None:
@@ -113,15 +118,15 @@ class MotionsUntilContact(Feature):
             response.success, response.message = False, str(error)
             return response
         motion = _Motion(robot.name, command.arm, handle, Future())
+        with self._lock:
+            self._motions = (*self._motions, motion)
+            if self._ends:
+                motion.answer.set_result((False, _ENDING))
         next(commands for commands in self._commands.robots if commands.robot is robot).count(
             _SERVICE, command.arm, [command])
-        self._context.thread.call(lambda: self._add(motion))
+        self._context.thread.observers.look_again()
         response.success, response.message = await motion.answer
         return response
-
-    def _add(self, motion: _Motion) -> None:
-        self._motions = (*self._motions, motion)
-        self._context.thread.observers.look_again()
 
     def _command(self, text: str) -> tuple[SimulatedRobot, GuardedTwist]:
         """
@@ -151,9 +156,10 @@ class MotionsUntilContact(Feature):
 
     def end(self) -> None:
         """Answer clients that wait still, and wait until they know."""
-        motions = self._motions
+        with self._lock:
+            self._ends, motions = True, self._motions
         for motion in motions:
-            self._ended.put((motion, False, 'the node is ending'))
+            self._ended.put((motion, False, _ENDING))
         if motions:
             self._guard.trigger()
             let_clients_know(self._context.node)
