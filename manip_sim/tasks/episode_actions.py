@@ -219,6 +219,8 @@ class JointActions(Actions):
         self.mode = mode
         for item in self.arms:
             item.robot.set_control_mode(item.arm, mode)
+            # As in a node, whose timeout would follow the mode: states hold that it was set.
+            item.robot.set_command_timeout(item.arm, 0.0)
 
     def _names_of(self, robot: SimulatedRobot, arm: str) -> Sequence[str]:
         return [robot.joints.names[index] for index in robot.joints.indices_of(arm)]
