@@ -295,7 +295,7 @@ class GripperController:
 
     @property
     def stands(self) -> bool:
-        """Whether compiled code can go on with it by itself."""
+        """True if compiled code can go on with it by itself."""
         return not self.cups.draw(self._goal) and (
             self._action is None or self._rule is not no_rule())
 

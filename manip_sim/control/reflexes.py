@@ -263,7 +263,7 @@ class Reflexes:
 
     def _resume(self) -> None:
         tripped, self.tripped = self.tripped, {}
-        self.collisions.restart()  # What has pushed before is no collision of now.
+        self.collisions.restart()  # Earlier pushes are no collision of now.
         for part in tripped:
             self._joints.resume(part)
 

@@ -55,7 +55,7 @@ class SeatState:
 
     @property
     def not_in_digest(self) -> tuple[str, ...]:
-        """What is no state, or makes no difference, as a wrench that the law does not read."""
+        """Attributes that are no state or make no difference, as a wrench that no law reads."""
         return ('law', 'is_compiled', 'status', *(() if self.law.reads[_WRENCH] else ('wrench',)))
 
     def restart(self) -> None:

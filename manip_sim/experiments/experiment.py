@@ -173,8 +173,8 @@ class Worker:
     def __init__(self, experiment: Experiment,
                  report: Callable[[float], None] = lambda asked_s: None) -> None:
         self._experiment, self._report = experiment, report
-        self._seats = [_Seat(experiment)]
-        self._episode = self._seats[0].episode
+        self._runners = [_EpisodeRunner(experiment)]
+        self._episode = self._runners[0].episode
         with self._reported():
             self._policy: Policy = load_policy(
                 experiment.policy, self._episode, experiment.policy_limit_s, experiment.batch > 0)
@@ -206,11 +206,11 @@ class Worker:
         :param seeds: of the episodes; several need an experiment with batches
         :raises RecordError: if a record cannot be written
         """
-        while len(self._seats) < len(seeds):
-            self._seats.append(_Seat(self._experiment))
+        while len(self._runners) < len(seeds):
+            self._runners.append(_EpisodeRunner(self._experiment))
         observes = not isinstance(self._policy, Expert)
-        running = {seed: seat.run(seed, self._reset_policy, observes)
-                   for seed, seat in zip(seeds, self._seats)}
+        running = {seed: runner.run(seed, self._reset_policy, observes)
+                   for seed, runner in zip(seeds, self._runners)}
         # Nothing has been asked: each goes on to its first observation.
         answers: dict[int, Any] = dict.fromkeys(seeds)
         while answers:
@@ -266,9 +266,9 @@ class Worker:
             return list(answers)
 
 
-class _Seat:
+class _EpisodeRunner:
     """
-    The place of an episode in a worker, which goes on when its policy has answered.
+    A runner of one episode after the other, each of which goes on when its policy has answered.
 
     :param experiment: whose episodes run
     """

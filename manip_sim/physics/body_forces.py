@@ -211,7 +211,7 @@ class RobotForces(BodyForces):
     def _find_bodies(self) -> slice:
         model = self._physics.model
         self.uncollected = UncollectedForces.of(model, slice(0, 0))
-        #: Whether steps collect forces.
+        #: True while steps collect forces.
         self._is_collected = bool(np.isin(model.sensor_type, _COLLECTING).any())
         moved = {int(model.joint(name).bodyid[0]) for name in self._joints}
         if not moved:

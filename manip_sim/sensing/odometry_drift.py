@@ -14,7 +14,7 @@ from manip_sim.sensing.randomness import NormalRows
 from manip_sim.sensing.sensor_noise import Channel
 from manip_sim.sensing.settings import SensingSettings
 
-#: How far wheels roll while a base turns by 1 rad: half the track of a base of usual width [m].
+#: Way that wheels roll while a base turns by 1 rad: half the track of a base of usual width [m].
 _HALF_TRACK_M = 0.25
 #: A pose in the plane: x and y [m], and the heading [rad].
 Planar = tuple[float, float, float]

@@ -278,7 +278,7 @@ def test_a_push_of_twice_the_threshold_at_a_link_is_found_within_20_ms(name, bod
         robot.reflexes.tripped['arm'])
     robot.reset_reflexes()
     simulation.advance(50)
-    assert robot.reflexes.counts['arm'] == 1  # What persists is seen when that period has ended.
+    assert robot.reflexes.counts['arm'] == 1  # A lasting push is seen when that period has ended.
     simulation.advance(5)
     assert robot.reflexes.counts['arm'] == 2
     push[1] = 0.0

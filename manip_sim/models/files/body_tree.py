@@ -107,7 +107,7 @@ class BodyTree:
         """
         Return the sides of bodies by the names of bodies, else of joints, on the ways to them.
 
-        What the ways share counts last, as the name of a robot that is called r2. Two names that
+        Words that the ways share count last, as the name of a robot called r2. Two names that
         differ in their first letter, l and r, have sides, too.
         """
         shared, joint = len(self.path(self.common(bodies))), self.model.joint
