@@ -50,19 +50,6 @@ class BaseTwists:
         self._stream.take(
             command.twist, present, now_s, period_s, command.messages, command.sent_s)
 
-    def follow(self, command: BaseTwist, end_s: float, duration_s: float) -> None:
-        """
-        Set velocities of the setpoints that the twist owns.
-
-        :param end_s: simulation time since the last reset at the end of the interval [s]
-        :param duration_s: length of the interval [s]
-        """
-        from manip_sim.control.law.driving import drive_base  # It imports numba.
-        (twist,) = self.wanted(np.array([end_s]))
-        drive_base(self._servos.arrays, self._servos.records, self._setpoints.joints,
-                   command.joints, command.columns, twist, duration_s)
-        self._setpoints.moving = True
-
     def wanted(self, ends_s: FloatArray) -> FloatArray:
         """
         Return the twists at the ends of intervals, shape (k, 3).

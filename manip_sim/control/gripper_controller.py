@@ -98,7 +98,7 @@ class GripperController:
 
     @property
     def moving(self) -> bool:
-        """Whether :meth:`tick` has to be called; if not, the setpoints stay where they are."""
+        """Whether the law has to move fingers; if not, the setpoints stay where they are."""
         self._physics.interrupt()
         return self._moving or self._centres or self.cups.draw(self._goal)
 
@@ -130,7 +130,7 @@ class GripperController:
         self._in_step = self._formatter.start_at(self._normalised(self._goal))
 
     def apply(self, command: Command, data: mujoco.MjData) -> None:
-        """Apply a command; it takes effect with the next :meth:`tick`."""
+        """Apply a command; it takes effect in the next interval."""
         self.commands.end(Status.REPLACED)  # Also one of a gripper without actuators.
         self.commands.take(command, self.indices)
         self.commands.running.append(command)
@@ -199,18 +199,6 @@ class GripperController:
         self._pressing &= (self._to_end & ends).any(axis=1)
         self._to_end[:] = ends
         self._turned = True
-
-    def tick(self, data: mujoco.MjData, now_s: float, duration_s: float) -> None:
-        """
-        Write the controls of the physics steps that follow.
-
-        :param now_s: simulation time since the last reset [s]
-        :param duration_s: of these steps [s]
-        """
-        from manip_sim.control.law.gripping import move_fingers  # It imports numba.
-        gripper = self.begin_run(data, now_s)
-        move_fingers(self._physics.arrays, gripper, now_s, duration_s)
-        self.end_run(gripper)
 
     def begin_run(self, data: mujoco.MjData, now_s: float) -> Gripper:
         """

@@ -27,7 +27,7 @@ from manip_sim.control.commands import (
     TrajectoryReference, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.modes import Arrival, ControlMode, MODES, POSITION, VELOCITY
-from manip_sim.control.law.arm_records import MOST_ARMS, no_targets, Targets
+from manip_sim.control.law.arm_records import no_targets, Targets
 from manip_sim.control.law.joint_records import MOVES, RobotJoints
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
@@ -119,11 +119,7 @@ class JointController(ControlledJoints):
     def moving(self) -> bool:
         """True if setpoints change, or may change, in the next interval, or a law acts."""
         self._servos.interrupt()
-        return bool(self.seats.of) or self._moves
-
-    @property
-    def _moves(self) -> bool:
-        if (self._setpoints.moving or self._efforts_due or self.commands.waiting
+        if (self.seats.of or self._setpoints.moving or self._efforts_due or self.commands.waiting
                 or self._acts):
             return True
         for command in self.commands.running:
@@ -148,7 +144,7 @@ class JointController(ControlledJoints):
 
     @property
     def resting(self) -> bool:
-        """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
+        """Whether control has nothing to do."""
         self._servos.interrupt()
         return not (self._setpoints.moving or self._written or self.commands.running
                     or self.commands.waiting or self._timeouts.pending or self.seats.of
@@ -585,54 +581,21 @@ class JointController(ControlledJoints):
             self.commands.begin(stop)
             self._base.begin(stop, data, now_s, period_s, True)
 
-    def tick(self, data: mujoco.MjData, now_s: float, duration_s: float) -> None:
-        """
-        Write the controls of the next interval; setpoints are linear in it.
-
-        :param now_s: simulation time since the last reset [s]
-        :param duration_s: length of the interval [s]
-        """
-        setpoints = self._setpoints
-        if self.seats.of:
-            self.seats.begin(now_s, round(duration_s / self._servos.step_s), setpoints.joints,
-                             self._effort, self.payloads)
-        if not self._moves:
-            if self._written:
-                self._servos.rest(data)
-                self._written = False
-            return
-        setpoints.now_s = now_s
-        if self.commands.waiting:
-            self._trajectories.start_due(
-                self.modes, now_s, duration_s, self.cartesian.period_s)
-        # Setpoints of joints go on by themselves.
-        others = [c for c in self.commands.running if type(c) is not JointSetpoint]
-        for command in others:
-            if isinstance(command, CartesianCommand):
-                self.cartesian.follow(
-                    command, now_s, duration_s, self.payloads.loads, self._effort)
-            elif isinstance(command, BaseTwist):
-                self._base.follow(command, now_s + duration_s, duration_s)
-        setpoints.advance(duration_s)
-        for command in others:
-            if isinstance(command, JointTrajectory):
-                position = self._trajectories.follow(command, now_s + duration_s)
-                if position is not None:
-                    self._end_trajectory(command, data, position)
-        self._written, self._efforts_due = True, False
-        self._servos.drive(
-            setpoints.joints, self.payloads.loads, self._effort, duration_s)
-
     def begin_run(self, intervals: IntArray, clock: Clock
-                  ) -> tuple[RobotJoints, Targets, int] | None:
+                  ) -> tuple[RobotJoints, Targets, int]:
         """
         Return joints and targets for the compiled law, and for how many intervals they are known.
 
-        It is None in an interval in which a trajectory begins or ends, and for more than two arms.
+        Trajectories that are due in the first interval begin.
 
         :param intervals: physics steps of each, shape (k,)
         :param clock: of the simulation
         """
+        now_s, durations_s = clock.control_s, self._derived.made_of(self._durations, intervals)
+        if self.commands.waiting:
+            self._setpoints.now_s = now_s
+            self._trajectories.start_due(
+                self.modes, now_s, float(durations_s[0]), self.cartesian.period_s)
         trajectories, arms = [], []
         base: tuple[Any, ...] = _NOT_DRIVEN
         for command in self.commands.running:
@@ -645,20 +608,12 @@ class JointController(ControlledJoints):
             elif isinstance(command, BaseTwist):
                 base = (command.joints, command.columns,
                         self._base.wanted(clock.ends_s(intervals, self._servos.step_s)))
-        if len(arms) > MOST_ARMS:
-            return None
-        targets, count = no_targets(), len(intervals)
-        if arms:
-            targets, count = self.cartesian.begin_run(
-                arms, clock.control_s, self._derived.made_of(self._durations, intervals),
-                lambda: clock.begins_s(intervals))
+        targets, count = self.cartesian.begin_run(
+            arms, now_s, durations_s, lambda: clock.begins_s(intervals))
         indices, path = _NOT_LED
         if trajectories or self.commands.waiting:
-            led = self._trajectories.path(
+            indices, path = self._trajectories.path(
                 trajectories, clock.ends_s(intervals[:count], self._servos.step_s))
-            if led is None:
-                return None
-            indices, path = led
             count = len(path)
         servos, setpoints, flags = self._servos, self._setpoints, self._flags
         flags[:] = setpoints.moving, self._efforts_due, self._written, self._acts
@@ -666,6 +621,16 @@ class JointController(ControlledJoints):
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
             setpoints.counts, self.cartesian.posture, flags, indices, path, *base,
             self.payloads.loads, servos.integrals), targets, count
+
+    def begin_python_steps(self, steps: int, now_s: float) -> None:
+        """
+        Let laws of users exert their efforts in steps that Python runs, in an interval that began.
+
+        :param steps: of the physics in it
+        :param now_s: simulation time since the last reset [s]
+        """
+        if self.seats.of:
+            self.seats.begin(now_s, steps, self._setpoints.joints, self._effort, self.payloads)
 
     def stand(self, joints: RobotJoints, targets: Targets, owners: IntArray, acts: IntArray
               ) -> float | None:
@@ -755,11 +720,13 @@ class JointController(ControlledJoints):
             flags = self._derived.of['flags'] = np.zeros(4, np.bool_)
         return flags
 
-    def end_run(self, joints: RobotJoints, targets: Targets, moved_s: float) -> None:
+    def end_run(self, joints: RobotJoints, targets: Targets, moved_s: float,
+                data: mujoco.MjData, now_s: float) -> None:
         """
-        Take over what the compiled law has changed.
+        Take over the changes of the compiled law, and end trajectories that have come to an end.
 
         :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
+        :param now_s: simulation time since the last reset, after the intervals [s]
         """
         setpoints = self._setpoints
         setpoints.moving, self._efforts_due, self._written, _ = joints.flags.tolist()
@@ -767,6 +734,12 @@ class JointController(ControlledJoints):
             setpoints.now_s = moved_s
         if targets is not no_targets():
             self.cartesian.end_run(self._cartesian_commands(), targets)
+        if len(joints.path):
+            led = [c for c in self.commands.running if isinstance(c, JointTrajectory)]
+            for command in led:
+                position = self._trajectories.end(command, now_s)
+                if position is not None:
+                    self._end_trajectory(command, data, position)
 
     def _cartesian_commands(self) -> list[CartesianCommand]:
         return [c for c in self.commands.running if isinstance(c, CartesianCommand)]

@@ -258,7 +258,7 @@ class Seats:
     def begin(self, now_s: float, steps: int, setpoints: Any, efforts: FloatArray,
               payloads: Payloads) -> None:
         """
-        Begin an interval, before setpoints go on.
+        Begin an interval whose steps Python runs, after its beginning in compiled code.
 
         :param now_s: simulation time since the last reset [s]
         :param steps: of the physics in it
@@ -266,11 +266,8 @@ class Seats:
         :param efforts: of these joints [N m or N]
         :param payloads: of the arms
         """
-        from manip_sim.control.law.seat import begin  # It imports numba.
         seats = self._seats(setpoints, efforts, payloads)
         self._derived.of['interval'] = [now_s, steps, 0, seats]
-        for seat in seats.values():
-            begin(seat)
 
     def exert(self) -> None:
         """Let laws exert their efforts, after ``mj_step1``."""

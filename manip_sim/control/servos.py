@@ -5,8 +5,7 @@
 MuJoCo's own actuators as servos of joints: gains, limits, and what they write into ``data``.
 
 The activation of an actuator holds its setpoint; ``ctrl`` is the rate at which the setpoint
-changes. So setpoints are linear between two calls of :meth:`Servos.write`, and the physics loop
-runs no code of this module.
+changes. So setpoints are linear within an interval.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.physics.actuator_properties import (
     check_kinds, check_single, effort_range, stiffness_and_damping, velocity_limit)
-from manip_sim.physics.physics import Physics, places_of_inertia, WorldArrays
+from manip_sim.physics.physics import Physics, places_of_inertia
 
 #: Position range that actions span for a joint without a range [rad or m].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
@@ -347,15 +346,6 @@ class Servos:
         data.act[self._activation] = position * self._gear
         data.ctrl[self._ids] = 0.0
 
-    def rest(self, data: mujoco.MjData) -> None:
-        """Keep the setpoints where they are."""
-        data.ctrl[self._ids] = 0.0
-
-    @property
-    def arrays(self) -> WorldArrays:
-        """The arrays of the world for laws of control."""
-        return self._physics.arrays
-
     def interrupt(self) -> None:
         """Take over what compiled code has done by itself, as :meth:`Physics.interrupt` does."""
         self._physics.interrupt()
@@ -399,19 +389,6 @@ class Servos:
             places = self._derived.of['places'] = places_of_inertia(
                 self._physics.model, self.dofs)
         return places
-
-    def drive(self, joints: Any, loads: Any, efforts: FloatArray, duration_s: float) -> None:
-        """
-        Let servos follow setpoints in an interval, and sources exert their efforts at once.
-
-        :param joints: records at the end of the interval, shape (n,), may be held back
-        :param loads: payloads, see :class:`~manip_sim.control.law.loads.Loads`
-        :param efforts: of the sources [N m or N], shape (n,)
-        :param duration_s: length of the interval [s]
-        """
-        from manip_sim.control.law.servo_rates import drive  # It imports numba.
-        drive(self._physics.arrays, self.records, self.places, joints, loads, self.integrals,
-              efforts, duration_s)
 
 
 def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.joint_records import blank_state, PLACES, PLAIN, records
+from manip_sim.control.law.joint_records import blank_state, PLACES, records
 from manip_sim.derived import Derived
 
 _MOVES = PLACES['moves']
@@ -250,18 +250,6 @@ class SetpointGenerator:
         joints['goal'][indices] = joints['target'][indices] = goal
         joints['seeks'][indices] = joints['brakes'][indices] = 1.0
 
-    def follow(self, indices: IntArray, motion: FloatArray) -> None:
-        """
-        Set the present setpoints from another source, such as a trajectory.
-
-        When it ends, they come to rest from there. Beyond the range, they rest at its end.
-
-        :param motion: position [rad or m], velocity and acceleration, shape (3, n)
-        """
-        from manip_sim.control.law.setpoint_changes import follow  # It imports numba.
-        follow(self.joints, np.array(indices), np.ascontiguousarray(motion.T))
-        self.moving = True
-
     def shift(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """
         Move setpoints at once, by less than a servo would notice.
@@ -300,13 +288,9 @@ def wait_in_worlds(setpoints: Sequence[SetpointGenerator], indices: IntArray, go
     :param messages: how many messages came since the last call, of which this is the last
     :param stamp_s: when it was sent, by any clock [s]; 0: unknown
     """
-    law = _law_of_goals()
-    if PLAIN:
-        for world, goal, period_s in zip(setpoints, goals, periods_s.tolist()):
-            law.wait(world.joints, indices, goal, period_s, float(messages), stamp_s, velocities)
-    else:
-        law.wait_in_worlds(np.array([world.row for world in setpoints]), np.array(indices), goals,
-                           periods_s, float(messages), float(stamp_s), velocities)
+    _law_of_goals().wait_in_worlds(
+        np.array([world.row for world in setpoints]), np.array(indices), goals, periods_s,
+        float(messages), float(stamp_s), velocities)
     for world in setpoints:
         world.moving = True
 

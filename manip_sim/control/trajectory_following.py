@@ -91,41 +91,43 @@ class TrajectoryFollowing:
             self._commands.begin(replace(own, start_s=start_s + self.clock.ahead_s(now_s)))
 
     def path(self, commands: Sequence[JointTrajectory], ends_s: FloatArray
-             ) -> tuple[IntArray, FloatArray] | None:
+             ) -> tuple[IntArray, FloatArray]:
         """
-        Return where trajectories lead joints in intervals, up to the first of them that ends.
+        Return where trajectories lead joints in intervals, up to that in which the first one ends.
 
-        :param commands: those that run
+        :param commands: those that run, after :meth:`start_due` for the first interval
         :param ends_s: of the intervals, simulation time since the last reset [s], shape (k,)
         :returns: the joints, shape (m,), and position, velocity and acceleration at the ends of
-            intervals, shape (j, m, 3) with j <= k; None if one ends or begins in the first one
+            intervals, shape (j, m, 3) with 1 <= j <= k
         """
         count = len(ends_s)
         for command in self._commands.waiting:
             start_s = -math.inf if command.start_s is None else command.start_s
             count = min(count, int(np.count_nonzero(start_s >= ends_s - 1e-9)))
         for command in commands:
-            last_s = (command.start_s or 0.0) + command.trajectory.end_s
-            count = min(count, int(np.count_nonzero(self.clock.at(ends_s) < last_s - 1e-9)))
-        if not count:
-            return None
+            count = min(count, 1 + sum(not self._ends(command, s) for s in ends_s.tolist()))
         if not commands:
             return np.empty(0, np.int64), np.empty((count, 0, 3))
         motions = [self.clock.motion(command, ends_s[:count]) for command in commands]
         return (np.concatenate([command.indices for command in commands]),
                 np.ascontiguousarray(np.concatenate(motions, axis=2).transpose(1, 2, 0)))
 
-    def follow(self, command: JointTrajectory, end_s: float) -> FloatArray | None:
-        """
-        Let setpoints be where a trajectory is at the end of an interval.
+    def _ends(self, command: JointTrajectory, now_s: float) -> bool:
+        """Return whether a trajectory has come to its end."""
+        since_s = float(self.clock.at(now_s)) - (command.start_s or 0.0)
+        return since_s >= command.trajectory.end_s - 1e-9
 
-        :param end_s: simulation time since the last reset then [s]
-        :returns: the last position of the joints, if they are there, shape (n,)
+    def end(self, command: JointTrajectory, now_s: float) -> FloatArray | None:
         """
-        since_s = float(self.clock.at(end_s)) - (command.start_s or 0.0)
-        motion = self.clock.motion(command, end_s)
-        self._setpoints.follow(command.indices, motion)
-        return motion[0] if since_s >= command.trajectory.end_s - 1e-9 else None
+        Return the last position of the joints of a trajectory that has come to its end, or None.
+
+        :param now_s: simulation time since the last reset [s]
+        :returns: shape (n,)
+        """
+        if not self._ends(command, now_s):
+            return None
+        position: FloatArray = self.clock.motion(command, now_s)[0]
+        return position
 
     def reference(self, handle: CommandHandle, now_s: float) -> TrajectoryReference | None:
         """

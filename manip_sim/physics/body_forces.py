@@ -182,11 +182,6 @@ class BodyForces:
         """True if nothing was recorded in the last period."""
         return self._sum is ZERO and not self._rows
 
-    @property
-    def settled(self) -> bool:
-        """True if a period in which nothing touches the bodies would change nothing."""
-        return not self.mean.any()
-
 
 class RobotForces(BodyForces):
     """

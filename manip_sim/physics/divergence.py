@@ -60,11 +60,6 @@ class DivergenceWatch:
             return 'MuJoCo warns of a bad position, velocity, acceleration or control'
         return None
 
-    def undo(self) -> None:
-        """Restore the good state and its counts of warnings; ``mj_step`` has to follow."""
-        mujoco.mj_setState(self._model, self._data, self.good, _STATE)
-        self.warnings[:] = self.warned
-
     def hold(self) -> None:
         """Restore the good state, at rest; ``mj_forward`` has to follow."""
         mujoco.mj_setState(self._model, self._data, self.good, _STATE)

@@ -178,12 +178,6 @@ class ExternalWrench(BodyForces):
         """True if each period changes it, whether anything touches the tool or not."""
         return self._filtered is not None or self.payload.mass > 0.0
 
-    @property
-    def settled(self) -> bool:
-        """True if a period in which nothing touches the tool would change nothing."""
-        return not (self.mean.any() or self.payload.mass or (
-            self._filtered is not None and self._filtered.any()))
-
     def read(self, data: mujoco.MjData) -> FloatArray:
         """
         Return the mean over the last control period, filtered and tared, in ``ft_frame``.
@@ -237,7 +231,7 @@ class ExternalWrench(BodyForces):
 
 class TouchWatch:
     """
-    Returns whether the world exerts a force on one of the tools.
+    Returns whether anything but contacts may exert a force on one of the tools.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: its ``mujoco.MjData``
@@ -250,14 +244,10 @@ class TouchWatch:
         of_body = np.zeros(model.nbody, dtype=np.int64)
         for number, tool in enumerate(tools, start=1):
             of_body[tool.bodies] = number
-        #: Number of the tool that a geom belongs to, 0 for none; the last one stands for a flex.
-        self._tool = np.append(of_body[model.geom_bodyid], 0)
         pushes = (data.xfrc_applied[tool.bodies] for tool in tools)
         self._pushes = [(push, bytes(push.nbytes)) for push in pushes]
         self._ties = _ties(model, of_body)
         self._pulled, self._options = any(tool.uncollected.pulls for tool in tools), model.opt
-        #: The geoms in contact that were last looked at, and the answer.
-        self._geoms, self._touching = b'', False
 
     @property
     def pushed(self) -> bool:
@@ -272,18 +262,6 @@ class TouchWatch:
     def may_go_on(self) -> bool:
         """True if nothing but contacts and pushes by others can exert a force on a tool."""
         return not (self._pulled or has_fluid(self._options) or self._ties.size)
-
-    @property
-    def touches(self) -> bool:
-        """True if a tool touches something else, as of the last ``mj_forward``."""
-        if not self._data.ncon:
-            return False
-        geoms = self._data.contact.geom
-        key = geoms.tobytes()
-        if key != self._geoms:
-            tools = self._tool[geoms]
-            self._geoms, self._touching = key, bool((tools[:, 0] != tools[:, 1]).any())
-        return self._touching
 
 
 def _ties(model: mujoco.MjModel, tool_of_body: np.ndarray) -> np.ndarray:

@@ -128,18 +128,20 @@ class Scratch(NamedTuple):
     :ivar data: a ``mujoco.MjData``
     :ivar kinematics: views into it
     :ivar address: where it is
+    :ivar derived: values made of it
     """
 
     data: mujoco.MjData
     kinematics: Kinematics
     address: Any
+    derived: Derived
 
 
 class _Kept(threading.local):
     """The scratch of a thread, and the sizes of its model."""
 
     sizes: tuple[int, ...] = ()
-    scratch: Scratch
+    scratch: Scratch | None = None
 
 
 _kept = _Kept()
@@ -206,11 +208,12 @@ class Physics:
     @property
     def scratch(self) -> Scratch:
         """Data for kinematics of other positions, of this thread and of equal worlds."""
-        if _kept.sizes != self.sizes:
+        scratch = _kept.scratch
+        if scratch is None or _kept.sizes != self.sizes:
             data = mujoco.MjData(self.model)
-            _kept.sizes = self.sizes
-            _kept.scratch = Scratch(data, Kinematics.of(data), address_of(data))
-        return _kept.scratch
+            scratch = Scratch(data, Kinematics.of(data), address_of(data), Derived())
+            _kept.sizes, _kept.scratch = self.sizes, scratch
+        return scratch
 
     @property
     def addresses(self) -> Addresses:
@@ -240,5 +243,6 @@ class Physics:
         both = in_common(live, plan)
         carried = carry_over(live, plan, both)
         self.interrupt()
+        _kept.scratch = None  # It keeps the model.
         self.kept_dofs = both.rows('nv', live.data.qvel, carried.data.qvel)
         self._take(carried)

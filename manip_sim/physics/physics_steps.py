@@ -80,8 +80,6 @@ class PhysicsSteps:
     :ivar physics: of the world
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
-    :ivar contacts_change: whether contacts came or went in the last period
-    :ivar was_untouched: whether the last period was run by :meth:`run_untouched`
     :ivar seats: laws that act between the halves of a step, of each robot
     :ivar measuring: called within the period, with all of that instant computed, by after how many
         steps of the period that is; it changes nothing of the physics
@@ -134,13 +132,12 @@ class PhysicsSteps:
         self.computed_from: FloatArray = np.empty(mujoco.mj_stateSize(model, PHYSICS))
         mujoco.mj_getState(model, data, self.computed_from, PHYSICS)
         self._first_half = _places(model, _FIRST_HALF)
-        self.contacts_change = self.was_untouched = False
-        self._pushed, self._contacts, self._begin = False, 0, 0
+        self._pushed, self._begin = False, 0
         #: Holds the computed quantities while something is measured.
         self._aside: mujoco.MjData | None = None
-        #: True if all is computed for a state, and for the present one: the first half of the next
-        #: step, and all but its integration.
-        self._computed = self._resumes = self._integrates = False
+        #: True if all is computed for a state, and the first half of the next step for the present
+        #: one.
+        self._computed = self._resumes = False
 
     # ------------------------------------------------------------------ computation
 
@@ -169,11 +166,6 @@ class PhysicsSteps:
         mujoco.mj_setState(self._model, self._data, state, PHYSICS)
         self.compute()
 
-    def resumes(self) -> bool:
-        """Return whether the first half of a step has been computed."""
-        self._compare(self.state())
-        return self._resumes
-
     @property
     def _may_resume(self) -> bool:
         """True if a step may go on from the last computation, as long as the state is the same."""
@@ -183,13 +175,10 @@ class PhysicsSteps:
 
     def _compare(self, state: FloatArray) -> None:
         """Find out what of a step has been computed for the present state."""
-        self._integrates = self._resumes = False
         self._edit()
-        if self._may_resume:
-            self._integrates = state.tobytes() == self.computed_from.tobytes()
-            self._resumes = self._integrates or all([
-                state[part].tobytes() == self.computed_from[part].tobytes()
-                for part in self._first_half])
+        self._resumes = self._may_resume and all([
+            state[part].tobytes() == self.computed_from[part].tobytes()
+            for part in self._first_half])
 
     def _edit(self) -> None:
         """Edit the model as the present state says; an edit makes computed quantities outdated."""
@@ -199,11 +188,10 @@ class PhysicsSteps:
 
     # ------------------------------------------------------------------ control periods
 
-    def begin(self) -> bool:
-        """Begin a control period, and return whether the first half of a step is computed."""
+    def begin(self) -> None:
+        """Begin a control period."""
         self._begin_records()
         self._compare(self.divergence.remember())
-        return self._resumes
 
     def _begin_records(self) -> None:
         self._begin = self._clock.step_count
@@ -226,14 +214,6 @@ class PhysicsSteps:
         """End a control period of which a law has computed the last instant."""
         self._computed = True
 
-    def undo(self) -> None:
-        """Return to the beginning of the period."""
-        self.divergence.undo()
-        self._computed = self._resumes = self._integrates = self.was_untouched = False
-        self._clock.count(self._begin - self._clock.step_count)
-        for tool in self.tools:
-            tool.begin_period()
-
     def end_period(self, steps: int, duration_s: float) -> None:
         """End the measurement of forces on tools in a period of some steps [s]."""
         for tool in self.tools:
@@ -246,51 +226,13 @@ class PhysicsSteps:
         for tool in self.tools:
             tool.restart(self._data)
 
-    @property
-    def stays_untouched(self) -> bool:
-        """True if nothing touches a tool, nor is likely to in the next period."""
-        if self.contacts_change or self._touch.pushed or self._laws or self.measuring:
-            return False
-        # Contacts do not come or go where nothing has changed since such a period.
-        stays = self.was_untouched and self._integrates and self._data.ncon == self._contacts
-        return stays or not self._touch.touches
-
-    def run_untouched(self, steps: int) -> bool:
-        """
-        Run a whole period, if nothing can have touched a tool in it.
-
-        That is so if nothing did before, the number of contacts never grows, and it is the same at
-        the end. Otherwise the present state is that of the beginning of the period. The only touch
-        not seen is one in exactly the steps of a period in which another contact is gone.
-
-        :param steps: number of physics steps
-        :returns: whether the period was run
-        """
-        model, data = self._model, self._data
-        contacts = data.maxuse_con = self._contacts = data.ncon
-        if not self._integrates:
-            mujoco.mj_step2(model, data)
-        elif int(self._options.integrator) == _EULER:
-            mujoco.mj_Euler(model, data)
-        else:
-            mujoco.mj_implicit(model, data)
-        if steps > 1:
-            mujoco.mj_step(model, data, steps - 1)
-        self._clock.count(steps)
-        self.was_untouched = data.maxuse_con == contacts == data.ncon
-        if self.was_untouched:
-            self.finish()
-        else:
-            self.undo()
-        return self.was_untouched
-
     def run(self, intervals: Iterable[int]) -> None:
         """
         Run intervals of a period, and record the forces on the tools in each step.
 
         :param intervals: the steps of each; it is asked for when the one before has been run
         """
-        model, data, contacts = self._model, self._data, self._contacts
+        model, data = self._model, self._data
         laws, pushed, step = self._laws, self._pushed, mujoco.mj_step
         tools = [(tool.forces, b'' if pushed else tool.no_forces, tool.record)
                  for tool in self.tools]
@@ -304,15 +246,12 @@ class PhysicsSteps:
                 for law in laws:
                     law.write(model, data)
                 next_step(model, data)
-                next_step, present = step, data.ncon
-                if present != contacts:
-                    self.contacts_change, contacts = True, present
-                if present or pushed:
+                next_step = step
+                if data.ncon or pushed:
                     for forces, none, record in tools:
                         if forces.tobytes() != none:
                             record()
             self._clock.count(steps)
-        self._contacts = contacts
 
     def _second_half(self, seats: Sequence[StepLaws]
                      ) -> Callable[[mujoco.MjModel, mujoco.MjData], None]:
@@ -356,26 +295,14 @@ class PhysicsSteps:
         resumes, self._resumes = self._resumes, False
         return resumes
 
-    def went_on(self, changed: bool) -> None:
-        """
-        Take over that laws have run the steps of periods by themselves.
-
-        :param changed: whether contacts came or went in the last one
-        """
-        self.contacts_change, self.was_untouched = changed, False
-
-    def took_steps(self, changed: bool, counts: IntArray, rows: FloatArray, roots: FloatArray
-                   ) -> None:
+    def took_steps(self, counts: IntArray, rows: FloatArray, roots: FloatArray) -> None:
         """
         Record steps that a law has run.
 
-        :param changed: whether contacts came or went
         :param counts: in how many of them something touched each tool, shape (t,)
         :param rows: the forces on its bodies in these, shape (t, steps, m, 6)
         :param roots: where the centre of mass of its tree was then [m], shape (t, steps, 3)
         """
-        self.contacts_change |= changed
-        self._contacts = self._data.ncon
         for number, (tool, count) in enumerate(zip(self.tools, counts.tolist())):
             if count:
                 tool.record_rows(rows[number, :count, :len(tool.forces)], roots[number, :count])
@@ -414,8 +341,7 @@ class PhysicsSteps:
 
     def begin_run(self) -> None:
         """Prepare for :meth:`run`, which is called for the intervals of a period."""
-        self._pushed, self._contacts = self._touch.pushed, self._data.ncon
-        self.contacts_change = self.was_untouched = False
+        self._pushed = self._touch.pushed
 
     def finish(self) -> None:
         """Compute all of the new instant, at the end of a period."""

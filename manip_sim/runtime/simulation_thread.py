@@ -373,10 +373,9 @@ class SimulationThread:
         self.changes.take_effect()
         pauses = self._pause_at_ns > self._simulation.time_ns
         with contextlib.suppress(DivergenceError):  # Observers see ``diverged``.
-            if most > 1 and not pauses and self.observers.absent and self._simulation.idle:
-                self._simulation.advance_idle(self._steps, most)
-            else:
+            if not (most > 1 and not pauses and self.observers.absent and self._simulation.idle):
                 most = 1
+            for _ in range(most):
                 self._simulation.advance(self._steps)
         self.changes.journal.period()
         self.at_start = False

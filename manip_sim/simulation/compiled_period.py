@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,20 +21,10 @@ from manip_sim.simulation.robot_runs import RobotRun, RunRoom
 
 #: Of how many lengths of runs the room for notes is kept.
 _REMEMBERED = 64
-#: Compiled code runs so many steps at most, as there is room for notes of each.
-_MOST_STEPS = 1000
+#: Compiled code runs so many steps at once, as there is room for notes of each.
+MOST_STEPS = 1000
 #: No world of no table goes on by itself.
 _NONE = np.zeros((0, 5), np.int64), np.zeros(0, np.int64)
-
-
-class _Kept(threading.local):
-    """The row of the scratch of a thread."""
-
-    scratch: Scratch | None = None
-    row: Any
-
-
-_kept = _Kept()
 
 
 class _Room(NamedTuple):
@@ -62,10 +51,12 @@ class CompiledPeriod:
     def __init__(self, steps: PhysicsSteps, clock: Clock, timestep_s: float) -> None:
         self._steps, self._clock, self._timestep_s = steps, clock, timestep_s
         self._derived = Derived()
+        steps.physics.on_change(self._derived.of.clear)
 
-    def may_run(self, steps: int) -> bool:
-        """Return whether compiled code may run steps."""
-        return steps <= _MOST_STEPS and _stepping().may_step(self._steps.physics.data)
+    @property
+    def may_step(self) -> bool:
+        """True if compiled code may run steps."""
+        return bool(_stepping().may_step(self._steps.physics.data))
 
     def notes(self, steps: int) -> Any:
         """Return room for the notes of steps."""
@@ -79,7 +70,7 @@ class CompiledPeriod:
         return notes
 
     def prepare(self, runs: Sequence[RobotRun], intervals: IntArray, left: int,
-                begins: bool = False, ends: bool = False) -> None:
+                begins: bool = False, ends: bool = False, stepping: bool = True) -> None:
         """
         Write the row of intervals.
 
@@ -88,11 +79,12 @@ class CompiledPeriod:
         :param left: most steps of which there have to be notes
         :param begins: whether they begin a period, of which the state is remembered
         :param ends: whether they end it, and all of the last instant is computed
+        :param stepping: whether the steps are run, or else the controls of the first one written
         """
         room, steps = self._room(), self._steps
         self._derived.of['room'] = room
         room.orders[:] = begins, ends, (
-            steps.begin_by_law() if begins else steps.take_resumes()), 0
+            steps.begin_by_law() if begins else stepping and steps.take_resumes()), 0, stepping
         notes = self._derived.of['notes'] = self.notes(left)
         for run in runs:
             run.room.write(run.joints, run.targets, run.grippers)
@@ -113,7 +105,7 @@ class CompiledPeriod:
         standing, notes = room.standing, self._derived.of['notes']
         if not len(standing.options):
             return
-        room.orders[:] = 1, 1, 0, self._steps.resumes_after_laws(act)
+        room.orders[:] = 1, 1, 0, self._steps.resumes_after_laws(act), 1
         standing.until_s[0] = until_s
         standing.contacts[:] = notes.contacts[0], all([
             tool.is_quiet for tool in self._steps.tools])
@@ -150,7 +142,7 @@ class CompiledPeriod:
         options = options_of(model)
         return _Room(
             Row(PERIOD), (addresses.model, addresses.data),
-            Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(4, np.int64), watch,
+            Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(5, np.int64), watch,
             np.zeros(2, np.int64), Standing(
                 np.zeros(1), np.zeros(2, np.int64), data.xfrc_applied, options, options.copy()))
 
@@ -195,13 +187,6 @@ def _stepping() -> Any:
 def _period() -> Any:
     from manip_sim.control.law import period  # It imports numba.
     return period
-
-
-def _row_of(scratch: Scratch) -> Any:
-    from manip_sim.control.law.rows import Row
-    row = Row(_period().SCRATCH)
-    row.write(_period().ScratchArrays(scratch.address, scratch.kinematics))
-    return row
 
 
 def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> None:
@@ -283,6 +268,9 @@ def run_prepared(rows: Sequence[int], scratch: Scratch) -> None:
 
 def _row_in_thread(scratch: Scratch) -> int:
     """Return the address of the row of the scratch of this thread."""
-    if _kept.scratch is not scratch:
-        _kept.scratch, _kept.row = scratch, _row_of(scratch)
-    return int(_kept.row.address)
+    row = scratch.derived.of.get('row')
+    if row is None:
+        from manip_sim.control.law.rows import Row  # It imports numba.
+        row = scratch.derived.of['row'] = Row(_period().SCRATCH)
+        row.write(_period().ScratchArrays(scratch.address, scratch.kinematics))
+    return int(row.address)

@@ -18,7 +18,7 @@ from manip_sim.physics.free_base import FreeRoots
 from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.pulls import Pulls
-from manip_sim.simulation.compiled_period import CompiledPeriod, go_on, is_loaded
+from manip_sim.simulation.compiled_period import CompiledPeriod, go_on, is_loaded, MOST_STEPS
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_runs import RobotRun
 
@@ -63,8 +63,8 @@ class ControlPeriods:
         self._standing: tuple[Sequence[SimulatedRobot], Sequence[RobotRun]] = (), ()
         steps.physics.catch_up = self._catch_up
         #: Of this period: whether it has begun for the physics, whether all of its last instant is
-        #: computed, whether that is known to be good, and whether nothing acted or touched a tool.
-        self._begun = self._is_computed = self._is_good = self._is_resting = False
+        #: computed, and whether that is known to be good.
+        self._begun = self._is_computed = self._is_good = False
         #: Steps left until a late command takes effect, or until the end of the period.
         self._left = 0
         #: Steps of the period after that.
@@ -79,9 +79,7 @@ class ControlPeriods:
     @property
     def idle(self) -> bool:
         """True if nothing but physics happens until the next command."""
-        self._steps.physics.interrupt()
-        return (self.diverged is None and not self._pulls
-                and self._steps.resumes() and self.resting
+        return (self.diverged is None and not self._pulls and self.resting
                 and not any([robot.sensing.settings.measures for robot in self._robots]))
 
     @property
@@ -132,7 +130,6 @@ class ControlPeriods:
         standing, clock, begin_s = self._steps.physics.standing, self._clock, None
         if standing.item(PERIODS):
             begin_s = (clock.control_steps - standing.item(STEPS)) * clock.step_ns * 1e-9
-            self._steps.went_on(self.compiled.outcome()[2].present.item(1) != 0)
         acting = dict(zip(*self._standing))
         for robot in self._robots:
             robot.runs.catch_up(acting.get(robot), begin_s)
@@ -154,21 +151,15 @@ class ControlPeriods:
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         self._prepared, self._is_computed, self._is_good = None, False, False
-        self._is_resting = False
         self._left, self._later, self._steps.measuring = steps, 0, _NOTHING
         if any([robot.has_latency for robot in self._robots]):
             self._plan_measuring(steps)
             self._left = self._until_command(steps)
             self._later = steps - self._left
         self._begin_control(steps * self._timestep_s)
-        physics, awake = self._steps, self._awake()
-        self._begun = resting = not awake and not self._free_roots.is_needed
-        if resting and physics.begin() and physics.stays_untouched and (
-                physics.run_untouched(steps)):
-            self._is_resting = True
-            return False
-        physics.begin_run()
-        return self._run(steps, awake, waits=True)
+        self._begun = False
+        self._steps.begin_run()
+        return self._run(steps, self._awake(), waits=True)
 
     def end(self, steps: int) -> None:
         """
@@ -186,9 +177,6 @@ class ControlPeriods:
                 self._run(steps, self._awake())
         self._end(steps)
         self._check_not_diverged()
-        if self._is_resting and is_loaded() and self.compiled.may_run(steps):
-            self.compiled.prepare((), np.array([steps]), steps)
-            self._stand(steps, (), ())
 
     def _stand(self, steps: int, acting: Sequence[SimulatedRobot], runs: Sequence[RobotRun]
                ) -> None:
@@ -244,26 +232,6 @@ class ControlPeriods:
         else:
             self._hold(reason)
 
-    def run_idle(self, steps: int, periods: int) -> None:
-        """
-        Run several control periods at once; only while :attr:`idle`.
-
-        :param steps: number of physics steps of a period
-        :param periods: number of control periods
-        :raises DivergenceError: if the physics diverges
-        """
-        physics = self._steps
-        physics.physics.interrupt()
-        if physics.stays_untouched and all([tool.settled for tool in physics.tools]):
-            physics.begin()
-            if physics.run_untouched(steps * periods):
-                if physics.divergence.reason() is None:
-                    return
-                physics.undo()
-        # One by one, the periods show in which of them that happens.
-        for _ in range(periods):
-            self.advance(steps)
-
     def _hold(self, reason: str) -> None:
         self.diverged = f'the physics diverged at {self._clock.time_ns / 1e9:.3f} s: {reason}'
         self._steps.divergence.hold()
@@ -293,45 +261,37 @@ class ControlPeriods:
                 self._later -= self._left
                 self._begin_control(steps * self._timestep_s)
                 awake = self._awake()
-            runs = self._begin_runs(awake)
-            if runs:
-                if self._prepare(awake, runs) and waits:
-                    return True
+            steps_by_law = self._lets_laws_step(awake)
+            intervals = self._cut(self._left) if steps_by_law else self._cut(self._left)[:1]
+            runs = [robot.runs.begin(intervals) for robot in awake]
+            if not steps_by_law:
+                self._step_in_python(awake, runs)
+            elif self._prepare(awake, runs) and waits:
+                return True
+            else:
                 self.compiled.run()
                 self._take_over()
-            else:
-                if not self._begun:
-                    self._steps.begin()
-                    self._begun = True
-                self._left -= self._tick(awake)
-                for robot in awake:
-                    robot.check_laws()
             awake = self._awake() if self._left else awake
         if not self._is_computed:
             self._steps.finish()
         return False
 
-    def _begin_runs(self, awake: Sequence[SimulatedRobot]) -> list[RobotRun]:
-        """Begin a run of compiled control and physics of robots, if there can be one."""
-        if not awake or not self._steps.lets_laws_step or self._free_roots.is_needed:
-            return []
-        if not self.compiled.may_run(self._left):
-            return []
-        runs, intervals = [], self._cut(self._left)
-        for robot in awake:
-            run = robot.runs.begin(intervals)
-            if run is None:
-                return []
-            runs.append(run)
-        return runs
+    def _lets_laws_step(self, awake: Sequence[SimulatedRobot]) -> bool:
+        """Return whether compiled code runs the next steps."""
+        # Without a robot that acts, nothing is compiled.
+        return ((len(awake) > 0 or is_loaded()) and not self._free_roots.is_needed
+                and self._steps.lets_laws_step and self.compiled.may_step)
 
     def _prepare(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> bool:
         """Prepare compiled code for robots; return whether it runs the whole period."""
-        intervals = min([run.intervals for run in runs], key=len)
+        whole = self._cut(self._left)
+        intervals = min([whole, *[run.intervals for run in runs]], key=len)
+        if self._left > MOST_STEPS:
+            intervals = intervals[:max(1, np.searchsorted(intervals.cumsum(), MOST_STEPS))]
         begins = not self._begun
-        ends = (not self._later and len(intervals) == len(self._cut(self._left))
+        ends = (not self._later and len(intervals) == len(whole)
                 and self._steps.efforts.room is not None)
-        self.compiled.prepare(runs, intervals, self._left, begins, ends)
+        self.compiled.prepare(runs, intervals, min(self._left, MOST_STEPS), begins, ends)
         self._prepared, self._begun = (robots, runs, ends), True
         return begins and ends
 
@@ -342,36 +302,31 @@ class ControlPeriods:
         for robot, run in zip(robots, runs):
             robot.runs.end(run)
             robot.check_laws()
-        steps, good = self._took_steps()
+        steps, good, notes = self.compiled.outcome()
+        self._steps.took_steps(notes.counts, notes.rows, notes.roots)
         self._left -= steps
         if ends and not self._left:
             self._is_computed, self._is_good = True, good
             self._steps.end_by_law()
 
-    def _took_steps(self) -> tuple[int, bool]:
-        """Record what compiled code has noted; return its steps, and whether their end is good."""
-        steps, good, notes = self.compiled.outcome()
-        self._steps.took_steps(bool(notes.present[1]), notes.counts, notes.rows, notes.roots)
-        return steps, good
-
-    def _tick(self, awake: Sequence[SimulatedRobot]) -> int:
-        """Let robots act and run the physics until they act again; return how many steps."""
-        steps = self._left
-        if any([robot.moving for robot in awake]):
-            steps = self._chunk(steps)
-        for robot in awake:
-            robot.tick(steps * self._timestep_s)
-        physics, lifts = self._steps, self._free_roots.is_needed
-        # Without a robot that acts, nothing is compiled.
-        if awake and not lifts and physics.lets_laws_step and self.compiled.may_run(steps):
-            self.compiled.prepare((), np.array([steps]), steps)
+    def _step_in_python(self, awake: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> None:
+        """Let compiled code write the controls of an interval, and run its steps one by one."""
+        if not self._begun:
+            self._steps.begin()
+            self._begun = True
+        steps = int(min([self._cut(self._left)[0], *[run.intervals[0] for run in runs]]))
+        if runs:
+            self.compiled.prepare(runs, np.array([steps]), steps, stepping=False)
             self.compiled.run()
-            self._took_steps()
-        else:
-            if lifts:
-                self._free_roots.apply()
-            physics.run((steps,))
-        return steps
+        for robot in awake:
+            robot.joints.begin_python_steps(steps, self._clock.control_s)
+        if self._free_roots.is_needed:
+            self._free_roots.apply()
+        self._steps.run((steps,))
+        self._left -= steps
+        for robot, run in zip(awake, runs):
+            robot.runs.end(run)
+            robot.check_laws()
 
     def _chunk(self, left: int) -> int:
         """Return the steps of the next interval; they divide the rest of a period evenly."""

@@ -321,8 +321,7 @@ def _bytes(text: str) -> bytes:
 
 
 _BYTES = ('physics', 'computed_from')
-_NUMBERS = ('versions', 'model', 'step_count', 'control_steps', 'contacts_change', 'diverged',
-            'seed', 'layout')
+_NUMBERS = ('versions', 'model', 'step_count', 'control_steps', 'diverged', 'seed', 'layout')
 
 
 class NumberedHandles:

@@ -631,17 +631,6 @@ class SimulatedRobot:
         """``running``, ``protective_stop``, ``emergency_stop`` or ``recovering``."""
         return self.reflexes.safety_state
 
-    def tick(self, duration_s: float) -> None:
-        """
-        Write the controls of the next interval.
-
-        :param duration_s: length of the interval [s]
-        """
-        self.joints.tick(self._physics.data, self._clock.control_s, duration_s)
-        for gripper in self.grippers.values():
-            if gripper.moving:
-                gripper.tick(self._physics.data, self._clock.control_s, duration_s)
-
     def stand(self, run: RobotRun) -> float | None:
         """
         Let compiled code go on with a control period of this robot, if it may.

@@ -22,9 +22,6 @@ from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import Physics
 
-#: The compiled law moves so many grippers.
-_MOST_GRIPPERS = 2
-
 
 class RunRoom(NamedTuple):
     """
@@ -89,19 +86,14 @@ class RobotRuns:
         self._physics, self._joints, self._grippers = physics, joints, grippers
         self._clock, self._derived = clock, Derived()
 
-    def begin(self, intervals: IntArray) -> RobotRun | None:
+    def begin(self, intervals: IntArray) -> RobotRun:
         """
         Begin intervals that the compiled law runs.
 
         :param intervals: physics steps of each, shape (k,)
-        :returns: None if the law does not know what this robot does
         """
-        if len(self._grippers) > _MOST_GRIPPERS:
-            return None
-        run, data = self._joints.begin_run(intervals, self._clock), self._physics.data
-        if run is None:
-            return None
-        joints, targets, count = run
+        data = self._physics.data
+        joints, targets, count = self._joints.begin_run(intervals, self._clock)
         if count < len(intervals):
             intervals = intervals[:count]
         grippers, moving, now_s = [], [], self._clock.control_s
@@ -137,11 +129,12 @@ class RobotRuns:
 
     def end(self, run: RobotRun) -> None:
         """
-        Take over the changes of compiled code.
+        Take over the changes of compiled code, after the steps of the intervals.
 
         :param run: the intervals, of :meth:`begin`
         """
-        self._joints.end_run(run.joints, run.targets, run.room.moved_s.item())
+        self._joints.end_run(run.joints, run.targets, run.room.moved_s.item(),
+                             self._physics.data, self._clock.control_s)
         for controller, gripper in run.moving:
             controller.end_run(gripper)
 

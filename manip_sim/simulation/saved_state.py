@@ -56,7 +56,6 @@ class SimulationState:
     :ivar start: of the joints at the next reset, by name [rad or m]
     :ivar step_count: physics steps since construction
     :ivar control_steps: physics steps since the last reset
-    :ivar contacts_change: whether contacts came or went in the last period
     :ivar diverged: why the physics is on hold, or None
     :ivar sensing: of each robot, noise and measurements that have not arrived, pickled
     :ivar drawn: the values drawn for the episode, by name
@@ -75,7 +74,6 @@ class SimulationState:
     start: Mapping[str, float]
     step_count: int
     control_steps: int
-    contacts_change: bool
     diverged: str | None
     sensing: bytes
     drawn: Mapping[str, Any] = field(default_factory=dict)
@@ -131,8 +129,7 @@ class SavedStates:
             physics=steps.state().tobytes(), computed_from=steps.computed_from.tobytes(),
             gains=gains(self._physics.model), control=self.control.save(),
             start=dict(start.positions), step_count=self._clock.step_count,
-            control_steps=self._clock.control_steps, contacts_change=steps.contacts_change,
-            diverged=diverged,
+            control_steps=self._clock.control_steps, diverged=diverged,
             sensing=pickle.dumps([robot.sensing.save() for robot in self._robots.values()]),
             drawn=start.randomized.drawn, seed=start.seed, layout=self.control.layout,
             keyframe=start.settings)
@@ -171,7 +168,6 @@ class SavedStates:
         self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
         self._start.positions, self._start.seed = dict(state.start), state.seed
         self._start.settings = state.keyframe
-        self._steps.contacts_change = state.contacts_change
         for name, content in state.gains.items():
             array = getattr(model, name)
             array.flat[:] = np.frombuffer(content, array.dtype)

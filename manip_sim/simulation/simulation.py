@@ -310,18 +310,6 @@ class Simulation:
         """
         self.periods.advance(whole_number(steps, 1, 'steps', CommandError))
 
-    def advance_idle(self, steps: int, periods: int) -> None:
-        """
-        Run several control periods at once; only while :attr:`idle`.
-
-        The result is that of as many calls of :meth:`advance`, to the last bit.
-
-        :param steps: number of physics steps of a period
-        :param periods: number of control periods
-        :raises DivergenceError: if the physics diverges
-        """
-        self.periods.run_idle(steps, periods)
-
     def estimate_payload(self, arm: str, robot: str | None = None, steps: int = 5
                          ) -> PayloadEstimate:
         """
@@ -391,7 +379,6 @@ class Simulation:
         self.faults.begin(self.seed)
         self.periods.diverged = None
         self.pulls.end()
-        self._steps.contacts_change = False
         self._steps.compute()
         self._steps.compute_anew()
         self.efforts.restart()

@@ -51,6 +51,20 @@ worlds = Worlds(compose('Panda'), 1, 1)
 for _ in range(4):  # By Python, and where there is compiled code by itself.
     worlds.advance(5)
 digest.update(worlds.digest()[0].encode())
+from manip_sim.simulation import Simulation
+simulation = Simulation(compose('Panda', arena='table', cube=True))
+robot = simulation.robot
+joints = robot.joints.names[:7]
+place = simulation.data.qpos[:7] + 0.1
+robot.apply(*robot.parse.joint_command(joints, place), robot.parse.action('right/gripper', [1.0]))
+for period in range(20):
+    if period == 10:
+        robot.apply(robot.parse.trajectory(
+            'arm', joints, [0.05, 0.09], [place, place - 0.01], now_ns=simulation.time_ns))
+    if period == 15:
+        robot.apply(robot.parse_cartesian.action('right', [0.2, 0.0, 0.1, 0.0, 0.3, 0.0]))
+    simulation.advance(10)
+digest.update(simulation.digest().encode())
 print(type(accelerate).__name__, digest.hexdigest())
 """
 

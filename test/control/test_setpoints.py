@@ -3,6 +3,7 @@
 
 """Tests of setpoints against closed forms and limits, at every instant, without any physics."""
 
+import numba
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from manip_sim.control.law.joint_records import readable, SERVO
 from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law import setpoint_motion
+from manip_sim.control.law.setpoint_changes import follow
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.physics.physics import Kinematics, WorldArrays
 
@@ -22,6 +24,18 @@ PERIOD_S, INTERVALS_S = 0.01, (0.004, 0.004, 0.002)
 def generator(count=1, velocity=V, acceleration=A, low=-50.0, high=50.0):
     return SetpointGenerator(np.tile([low, high], (count, 1)).astype(float),
                              np.full(count, velocity), np.full(count, acceleration))
+
+
+@numba.njit
+def lead(joints, indices, motion):
+    """Let joints be led as in compiled periods."""
+    follow(joints, indices, motion)
+
+
+def led(setpoints, motion):
+    """Set the first joint by a position, a velocity and an acceleration, as a trajectory does."""
+    lead(setpoints.joints, ONE, np.array([motion]))
+    setpoints.moving = True
 
 
 class Course:
@@ -426,7 +440,7 @@ def test_setpoint_too_fast_for_the_rest_of_its_range_slows_down_evenly_in_it(beg
 def test_setpoint_that_brakes_at_the_end_of_its_range_rests_after_one_interval(sign, first_s):
     setpoints = generator(low=-1.0, high=1.0)
     setpoints.interval_s = first_s
-    setpoints.follow(ONE, np.array([[sign], [2.0 * sign], [0.0]]))
+    led(setpoints, [sign, 2.0 * sign, 0.0])
     setpoints.brake(ONE)
     assert setpoints.acceleration[0] == pytest.approx(-2.0 * sign / first_s)
     setpoints.advance(first_s)
@@ -460,7 +474,7 @@ def test_setpoint_does_not_run_ahead_of_a_joint_that_is_held():
 
 def test_followed_setpoint_comes_to_rest_where_the_motion_ends():
     setpoints = generator()
-    setpoints.follow(ONE, np.array([[0.4], [0.8], [3.0]]))
+    led(setpoints, [0.4, 0.8, 3.0])
     assert (setpoints.position[0], setpoints.velocity[0], setpoints.acceleration[0]) == (
         0.4, 0.8, 3.0)
     course = Course(setpoints).advance(*[0.004] * 100)

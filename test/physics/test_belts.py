@@ -87,23 +87,6 @@ def test_a_command_acts_at_once_though_contacts_were_computed_also_when_restored
     assert -0.15 < ends[0][0] < -0.11
 
 
-def test_idle_periods_go_on_after_a_command_as_others_do(simulation):
-    ends = []
-    for idle in (False, True):
-        simulation.reset()
-        advance(simulation, 100)
-        run(simulation, 0.05)
-        assert not simulation.idle  # Contacts are those of the speed before.
-        advance(simulation, 1)
-        assert simulation.idle
-        if idle:
-            simulation.advance_idle(5, 20)
-        else:
-            advance(simulation, 20)
-        ends.append(simulation.data.qpos.tobytes())
-    assert ends[0] == ends[1]
-
-
 def test_belts_of_many_worlds_run_at_speeds_of_their_own(simulation):
     worlds = Worlds(conveyor(), 3)
     for index, one in enumerate(worlds.simulations):

@@ -21,7 +21,7 @@ def watched():
     return model, data, DivergenceWatch(model, data)
 
 
-def test_undo_restores_the_state_and_the_counts_of_warnings(watched):
+def test_hold_restores_the_state_and_old_warnings_are_no_reason(watched):
     model, data, watch = watched
     mujoco.mj_step(model, data)
     data.warning[BAD_CONTROL].number = 3  # Of former steps.
@@ -31,13 +31,13 @@ def test_undo_restores_the_state_and_the_counts_of_warnings(watched):
     mujoco.mj_step(model, data)
     assert data.warning[BAD_CONTROL].number == 4
     assert 'bad position, velocity, acceleration or control' in watch.reason()
-    watch.undo()
-    data.ctrl[0] = 0.1
-    # A warning that was undone is no reason in the next step, and a new one is.
-    assert data.warning[BAD_CONTROL].number == 3
-    assert watch.reason() is None
+    watch.hold()
     np.testing.assert_array_equal([*data.qpos, *data.qvel, data.time],
-                                  [*good[0], *good[1], good[2]])
+                                  [*good[0], *np.zeros_like(good[1]), good[2]])
+    data.ctrl[0] = 0.1
+    # A warning of before is no reason in the next period, and a new one is.
+    watch.remember()
+    assert watch.reason() is None
     mujoco.mj_step(model, data)
     assert watch.reason() is None
     data.ctrl[0] = np.nan

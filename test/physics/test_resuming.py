@@ -63,7 +63,7 @@ def count(monkeypatch):
             parts.append(name)
             function(model, data)
         return call
-    for name in ('mj_step2', 'mj_Euler', 'mj_implicit'):
+    for name in ('mj_step2', 'mj_implicit'):
         monkeypatch.setattr(mujoco, name, counted(name, getattr(mujoco, name)))
     take = PhysicsSteps.take_resumes
 
@@ -76,7 +76,7 @@ def count(monkeypatch):
 
     def ran(period):
         run_law(period)
-        begins, _, resumes, _ = period.orders.tolist()
+        begins, _, resumes, *_ = period.orders.tolist()
         parts.extend(['mj_step2'] * (begins and resumes))
     monkeypatch.setattr(CompiledPeriod, 'run', ran)
     advance, go_on, advanced = ControlPeriods.advance, control_period.go_on, []
@@ -88,7 +88,7 @@ def count(monkeypatch):
     def going_on(table, *rest):
         go_on(table, *rest)
         if table[0, BECAME] != STOOD:
-            _, _, resumes, _ = advanced[0].compiled.orders.tolist()
+            _, _, resumes, *_ = advanced[0].compiled.orders.tolist()
             parts.extend(['', 'mj_step2', 'mj_implicit'][resumes:resumes + 1] * (resumes > 0))
     monkeypatch.setattr(ControlPeriods, 'advance', advancing)
     monkeypatch.setattr(control_period, 'go_on', going_on)
@@ -112,7 +112,7 @@ def test_the_states_are_those_of_whole_steps_to_the_last_bit(
 @pytest.mark.full
 @pytest.mark.parametrize('name', ['Panda', 'Baxter', 'PandaOmron'])
 @pytest.mark.parametrize('integrator, part', [
-    ('EULER', 'mj_Euler'), ('IMPLICITFAST', 'mj_implicit')])
+    ('EULER', 'mj_step2'), ('IMPLICITFAST', 'mj_implicit')])
 def test_periods_at_rest_only_integrate_first_and_are_whole_steps_to_the_last_bit(
         name, integrator, part, monkeypatch, count):
     def rest():
@@ -128,9 +128,8 @@ def test_periods_at_rest_only_integrate_first_and_are_whole_steps_to_the_last_bi
             states.append(whole_state(simulation))
         return np.array(states)
     resumed = rest()
-    # Compiled code, which may be there already, takes the second half of a step of Euler.
     assert set(count) == {part, 'mj_step2'}
-    assert count.count(part) > (20 if integrator == 'IMPLICITFAST' else 0)
+    assert count.count(part) > 20
     count.clear()
     monkeypatch.setattr(module, '_RESUMABLE', ())
     assert np.array_equal(resumed, rest())
@@ -158,44 +157,19 @@ def test_positions_and_velocities_that_were_changed_from_outside_are_noticed(mon
     assert np.array_equal(resumed, whole)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize('name', KINDS)
-def test_idle_periods_at_once_are_those_one_by_one_to_the_last_bit(name):
-    one_by_one, at_once = (
-        Simulation(compose(name, arena=create_arena('table', cube=True))) for _ in range(2))
-    for simulation in (one_by_one, at_once):
-        simulation.advance(5)
-        # Something falls, so that all has to be computed.
-        simulation.data.joint('cube_joint').qpos[2] += 0.1
-        simulation.advance(5)
-    for periods in (1, 3, 40, 7):
-        for _ in range(periods):
-            one_by_one.advance(3)
-        assert at_once.idle
-        at_once.advance_idle(3, periods)
-        assert one_by_one.step_count == at_once.step_count
-        assert np.array_equal(whole_state(one_by_one), whole_state(at_once))
-
-
-def test_a_divergence_within_idle_periods_is_told_and_held_as_one_by_one():
-    held = []
-    for at_once in (False, True):
-        simulation = Simulation(compose('Panda', arena=create_arena('table', cube=True)))
-        simulation.advance(5)
-        # Faster and faster, until it is too fast in the 21st period.
-        simulation.data.xfrc_applied[simulation.model.body('cube').id, 0] = 0.1 * 5e4
-        with pytest.raises(DivergenceError):
-            if at_once:
-                assert simulation.idle
-                simulation.advance_idle(5, 30)
-            else:
-                for _ in range(30):
-                    simulation.advance(5)
-        held.append((simulation.diverged, simulation.step_count, simulation.idle,
-                     simulation.data.warning.number.tolist(), whole_state(simulation).tolist()))
-    assert held[0] == held[1]
-    assert held[0][0] == 'the physics diverged at 0.220 s: a velocity is above 10000'
-    assert held[0][1:3] == (110, False)
+@pytest.mark.parametrize('by_law', [True, False])
+def test_a_divergence_at_rest_is_told_and_held(by_law, monkeypatch):
+    monkeypatch.setattr(ControlPeriods, '_lets_laws_step', lambda periods, awake: by_law)
+    simulation = Simulation(compose('Panda', arena=create_arena('table', cube=True)))
+    simulation.advance(5)
+    # Faster and faster, until it is too fast in the 21st period.
+    simulation.data.xfrc_applied[simulation.model.body('cube').id, 0] = 0.1 * 5e4
+    with pytest.raises(DivergenceError):
+        for _ in range(30):
+            simulation.advance(5)
+    assert simulation.diverged == 'the physics diverged at 0.220 s: a velocity is above 10000'
+    assert simulation.step_count == 110 and not simulation.idle
+    assert not simulation.data.warning.number.any() and not simulation.data.qvel.any()
 
 
 def test_a_simulation_is_idle_only_while_no_command_is_under_way(panda_sim):

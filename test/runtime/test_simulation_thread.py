@@ -373,16 +373,18 @@ def test_a_reset_that_comes_with_the_last_command_of_lockstep_leaves_no_period_d
 def test_periods_that_nobody_sees_follow_each_other_at_once_and_what_comes_ends_that(free):
     thread, rounds, seen = free(stepping='free'), [], []
     simulation = thread._simulation
-    advance, advance_idle = simulation.advance, simulation.advance_idle
+    advance, period, advanced = simulation.advance, thread._period, []
 
     def one(steps):
-        rounds.append(1)
+        advanced.append(steps)
         advance(steps)
 
-    def several(steps, periods):
-        rounds.append(periods)
-        advance_idle(steps, periods)
-    simulation.advance, simulation.advance_idle = one, several
+    def several(most=1):
+        advanced.clear()
+        rounds.append(0)
+        period(most)
+        rounds[-1] = len(advanced)
+    simulation.advance, thread._period = one, several
     looked = Event()
     thread.observe(lambda _: seen.append(len(rounds)), look=looked.is_set)
     thread.start()
@@ -409,7 +411,12 @@ def test_periods_that_nobody_sees_follow_each_other_at_once_and_what_comes_ends_
 @pytest.mark.parametrize('stepping', ['realtime', 'lockstep'])
 def test_periods_that_are_due_one_by_one_are_never_run_at_once(free, stepping):
     thread = free(stepping=stepping, real_time_factor=10.0)
-    thread._simulation.advance_idle = None
+    period = thread._period
+
+    def at_most_one(most=1):
+        assert most == 1
+        period(most)
+    thread._period = at_most_one
     thread.start()
     wait_until(lambda: thread.progress.time_ns > 500_000_000)
     assert thread.error is None

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import math
-from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +24,8 @@ from manip_sim.control.cartesian.targets import Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.law.arm_records import (
-    Arm, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, RESTS, STREAMS, Targets, targets_of, TWISTS)
+    Arm, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, no_targets, RESTS, STREAMS, Targets,
+    targets_of, TWISTS)
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
@@ -56,7 +56,7 @@ class CartesianController:
     In position and velocity mode inverse kinematics runs on the setpoints, not on the measured
     joints: the servos resist a force at the end effector, which does not change where the
     setpoints go unless it exceeds the effort limits. In effort mode operational space control runs
-    in every tick, on the measured joints.
+    in every interval, on the measured joints.
 
     :param physics: of the world at the start, whose joint positions are the posture
     :param chains: by arm
@@ -312,12 +312,14 @@ class CartesianController:
         """
         Return the targets of commands for the compiled law.
 
-        :param commands: of two arms at most
+        :param commands: of the arms, two at most
         :param now_s: simulation time [s]
         :param durations_s: lengths of intervals [s], shape (k,)
         :param begins_s: returns when they begin, simulation time [s], shape (k,)
         :returns: the targets, and for how many intervals they are known
         """
+        if not commands:
+            return no_targets(), len(durations_s)
         targets, count = self._targets_for_law(commands), len(durations_s)
         targets.tasks['acts'] = IDLE
         for number, command in enumerate(commands):
@@ -521,32 +523,6 @@ class CartesianController:
         task = targets.tasks[number]
         target.rests, target.solve_s = bool(task['rests']), float(task['solve_s'])
         target.start = targets.starts[number].copy() if task['begun'] else None
-
-    def follow(self, command: CartesianCommand, now_s: float, duration_s: float, loads: Any,
-               efforts: FloatArray) -> None:
-        """
-        Set velocities of setpoints, or efforts, for the next interval.
-
-        :param now_s: simulation time [s]
-        :param duration_s: length of the interval [s]
-        :param loads: payloads, see :class:`~manip_sim.control.law.loads.Loads`
-        :param efforts: of all joints, changed in place [N m], shape (n,)
-        """
-        from manip_sim.control.law.leading import lead, press_on, put_ahead  # It imports numba.
-        world, model = self._physics.arrays, self._physics.model
-        targets, _ = self.begin_run(
-            [command], now_s, np.array([duration_s]), lambda: np.array([now_s]))
-        task = targets.tasks[0]
-        if task['acts'] == EXERTS:
-            press_on(world, loads, efforts, self.posture, targets, 0, 0, now_s, duration_s)
-        elif not task['settled'] and now_s >= task['solve_s'] - 1e-9:
-            scratch, joints = self._physics.scratch, self._setpoints.joints
-            put_ahead(world, scratch.kinematics, joints, targets, 0)
-            mujoco.mj_kinematics(model, scratch.data)
-            mujoco.mj_comPos(model, scratch.data)
-            lead(world, scratch.kinematics, joints, self.posture, targets, 0, now_s)
-            self._setpoints.moving = True
-        self.end_run([command], targets)
 
     @staticmethod
     def _end_twist(command: CartesianCommand, target: Target, now_s: float) -> None:

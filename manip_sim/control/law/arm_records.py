@@ -184,10 +184,6 @@ NEARER = 0.1
 ASIDE = 0.01
 
 
-#: The law leads the end effectors of so many arms.
-MOST_ARMS = 2
-
-
 class Targets(NamedTuple):
     """
     Targets of the arms of a robot, and what has become of them; of two arms at most.

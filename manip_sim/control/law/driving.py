@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.compiling import inner
 from manip_sim.control.law.setpoint_changes import ramp_to
 from manip_sim.control.law.small_matrices import clip
 from manip_sim.physics.physics import WorldArrays
 
 
-@compiled
+@inner
 def drive_base(world: WorldArrays, servos: Any, setpoints: Any, base: IntArray, owned: IntArray,
                wanted: FloatArray, duration: float) -> None:
     """

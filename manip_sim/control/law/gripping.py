@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.control.law.compiling import compiled, inlined, inner
+from manip_sim.control.law.compiling import inlined, inner
 from manip_sim.control.law.finger_records import (
     ACTS, Grip, Gripper, GRIPPER_RATE_HZ, MOVES, PAIR, RULED, TURNED)
 from manip_sim.control.law.small_matrices import clip
@@ -32,7 +32,7 @@ _STEADY = 1e-3
 _CALL_S = 1.0 / GRIPPER_RATE_HZ
 
 
-@compiled
+@inner
 def move_fingers(world: WorldArrays, gripper: Gripper, now: float, duration: float) -> None:
     """
     Write the controls of a gripper for an interval, if its setpoints move or centre fingers.

@@ -143,7 +143,7 @@ def act(kinematics: Kinematics, tip: int, tip_is_site: int, anchor: int, anchor_
     multiply_matrices(turn, before, rotation)
 
 
-@compiled
+@inner
 def put_ahead(world: WorldArrays, scratch: Kinematics, setpoints: Any, targets: Targets,
               number: int) -> None:
     """Set positions of joints, for the time when the next solution ends if they go on as now."""
@@ -224,7 +224,7 @@ def _note(targets: Targets, number: int, goal: Goal, now: float, progress: float
     task.solutions = k + 1
 
 
-@compiled
+@inner
 def lead(world: WorldArrays, scratch: Kinematics, setpoints: Any, postures: FloatArray,
          targets: Targets, number: int, now: float) -> None:
     """
@@ -307,7 +307,7 @@ def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobia
     return pace, progress, singular, slowed and goes
 
 
-@compiled
+@inner
 def press_on(world: WorldArrays, loads: Loads, efforts: FloatArray, postures: FloatArray,
              targets: Targets, number: int, k: int, now: float, duration: float) -> None:
     """

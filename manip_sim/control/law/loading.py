@@ -8,22 +8,17 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from manip_sim.control.law.arm_records import Arm, CHAIN, targets_of
-from manip_sim.control.law.driving import drive_base
-from manip_sim.control.law.finger_records import no_gripper
-from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import (
     blank_state, PLAIN, readable, records, SERVO)
 from manip_sim.control.law.kept import note_that_all_are_kept
-from manip_sim.control.law.leading import act, lead, press_on, put_ahead
+from manip_sim.control.law.leading import act
 from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.period import (
     renew, renew_actions, renew_grips, run_rows, SCRATCH)
 from manip_sim.control.law.rows import Row
-from manip_sim.control.law.servo_rates import drive, find_efforts_beside, find_rates
-from manip_sim.control.law.setpoint_changes import follow, place, ramp_to, set_velocity
+from manip_sim.control.law.servo_rates import find_efforts_beside, find_rates
+from manip_sim.control.law.setpoint_changes import place, ramp_to, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.stepping import may_step
 from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait, wait_in_worlds
 from manip_sim.physics.physics import WorldArrays
@@ -42,6 +37,8 @@ _WORLD = """
 
 def load_laws() -> None:
     """Load or compile what a simulation calls, in calls of no consequence; in any thread."""
+    if PLAIN:
+        return
     none, one, places = np.zeros(_COUNT), np.ones(_COUNT), np.arange(_COUNT)
     nowhere = np.full((_COUNT, _COUNT), -1)
     model = mujoco.MjModel.from_xml_string(_WORLD)
@@ -49,34 +46,21 @@ def load_laws() -> None:
     world, joints = WorldArrays.of(data), records(blank_state(one))
     counts, nobody = np.zeros((2, _COUNT), np.int64), readable(np.zeros(0, SERVO))
     wait(joints, places, none, 0.01, 1.0, 0.0, False)
-    if not PLAIN:
-        wait_in_worlds(places[:0].copy(), places, np.zeros((0, _COUNT)), none, 1.0, 0.0, False)
+    wait_in_worlds(places[:0].copy(), places, np.zeros((0, _COUNT)), none, 1.0, 0.0, False)
     advance(joints, counts, 0.0, 1.0)
-    drive(world, nobody, nowhere, joints[:0], no_loads(), none, none, 1.0)
     find_efforts_beside(world, nobody, joints[:0], no_loads(), none, none)
     find_rates(world, nobody, nowhere, joints[:0], none, 1.0, none, none)
     take_alone(joints, 0.0)
     set_velocity(joints, places, none)
     ramp_to(joints, places, none, 0.1, one)
     place(joints, places, none, none)
-    follow(joints, places, np.zeros((_COUNT, 3)))
-    drive_base(world, readable(np.zeros(3, SERVO)), joints, places[:3].copy(), places[:3].copy(),
-               np.zeros(3), 1.0)
-    arm = Arm(readable(np.zeros(_COUNT, CHAIN)), nowhere, 0)
-    targets = targets_of(_COUNT)._replace(arms=(arm, arm))
     act(world.kinematics, 0, 1, 0, 1, none, none.copy(), np.eye(3))
-    put_ahead(world, world.kinematics, joints, targets, 0)
-    press_on(world, no_loads(), none.copy(), none, targets, 0, 0, 0.0, 1.0)
-    lead(world, world.kinematics, joints, none, targets, 0, 0.0)
-    move_fingers(world, no_gripper(), 0.0, 0.1)
-    if may_step(data):
-        nowhere_yet, nobody_yet = np.zeros((0, 5), np.int64), places[:0].copy()
-        run_rows(nobody_yet, nowhere_yet, nobody_yet, 1, Row(SCRATCH).address)
-        renew(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)), 0.01, False)
-        renew_actions(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)))
-        renew_grips(nobody_yet, nobody_yet, 0, np.zeros((0, _COUNT)))
-    if not PLAIN:
-        note_that_all_are_kept()
+    nowhere_yet, nobody_yet = np.zeros((0, 5), np.int64), places[:0].copy()
+    run_rows(nobody_yet, nowhere_yet, nobody_yet, 1, Row(SCRATCH).address)
+    renew(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)), 0.01, False)
+    renew_actions(nowhere_yet, nobody_yet, nobody_yet, places, np.zeros((0, _COUNT)))
+    renew_grips(nobody_yet, nobody_yet, 0, np.zeros((0, _COUNT)))
+    note_that_all_are_kept()
 
 
 if __name__ == '__main__':

@@ -38,8 +38,9 @@ from manip_sim.physics.physics import (
 
 #: Orders for a period: remember the state that it begins with, compute all of the one that it ends
 #: in; what of the first step is computed, which is less if the state has changed; the same for a
-#: period that goes on like the one before.
-BEGINS, ENDS, RESUMES, RESUMES_AFTER = range(4)
+#: period that goes on like the one before; run the steps, or else just write the controls of the
+#: first interval.
+BEGINS, ENDS, RESUMES, RESUMES_AFTER, STEPPING = range(5)
 
 
 class Time(NamedTuple):
@@ -105,7 +106,7 @@ class Period(NamedTuple):
 
     :ivar place: addresses of the model and of its data
     :ivar time: of the world, which goes on
-    :ivar orders: by :data:`BEGINS` and those that follow it, shape (4,)
+    :ivar orders: by :data:`BEGINS` and those that follow it, shape (5,)
     :ivar intervals: steps of each, shape (k,)
     :ivar world: arrays of the data
     :ivar robots: addresses of the rows of those that act, shape (n,)
@@ -236,7 +237,7 @@ def _example() -> tuple[Period, ScratchArrays]:
     world, place = WorldArrays.of(data), (address_of(model), address_of(data))
     words = np.zeros(0, np.int32)
     period = Period(
-        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(4, np.int64), nobody, world, nobody,
+        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(5, np.int64), nobody, world, nobody,
         nobody, notes_of(data, np.zeros((0, 3), np.int64), 0),
         Watch(none, none, np.zeros((0, 2), np.int64), 0, data.qpos, data.qacc,
               words, words, LastStep.of(model, data, none, np.zeros(1, np.bool_))),
@@ -306,6 +307,8 @@ def _run(period: Period, scratch: ScratchArrays) -> None:
         begin_all(period.seats)
         if not _act_all(addresses, period, k, now, steps * time.step_s, scratch.kinematics):
             ends = False
+            break
+        if not orders[STEPPING]:
             break
         failed = take_steps(addresses, steps, orders[RESUMES] if k == 0 else 0, period.notes,
                             period.seats, now, time.step_s)

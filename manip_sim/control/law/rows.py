@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
+from weakref import WeakValueDictionary
 
 from numba import typeof, types
 from numba.core import cgutils
@@ -22,6 +23,7 @@ from numba.np import arrayobj
 import numpy as np
 
 from manip_sim.arrays import IntArray
+from manip_sim.control.law.joint_records import PLAIN
 
 
 class Layout:
@@ -36,6 +38,7 @@ class Layout:
 
     def __init__(self, example: Any) -> None:
         self.kind = typeof(example)
+        self._make = getattr(type(example), '_make', tuple)
         self._parts: list[tuple[slice, list[tuple[Any, int]]]] = []
         self.size = 0
         for part in example:
@@ -57,6 +60,8 @@ class Layout:
 
     def reader(self) -> Any:
         """Return a function for compiled code that makes arguments from the address of a row."""
+        if PLAIN:
+            return lambda address: self._make(_ROWS[address].parts)
         kind = self.kind
 
         @intrinsic  # type: ignore[untyped-decorator]
@@ -149,18 +154,24 @@ class Row:
 
     :param layout: of the arguments
     :ivar address: of the row
+    :ivar parts: that were written last
     """
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._words: IntArray = np.zeros(layout.size, np.int64)
         self.address = int(self._words.ctypes.data)
-        self._parts: list[Any] = []
+        self.parts: list[Any] = []
+        _ROWS[self.address] = self
 
     def write(self, parts: tuple[Any, ...]) -> None:
         """Write the parts that are not those that were written last."""
-        kept, self._parts = self._parts or [None] * len(parts), []
+        kept = self.parts or [None] * len(parts)
         for number, part in enumerate(parts):
             if part is not kept[number]:
                 self._layout.write(self._words, number, part)
-        self._parts = list(parts)
+        self.parts = list(parts)
+
+
+#: The rows by their addresses, where laws as plain Python read their arguments.
+_ROWS: WeakValueDictionary[int, Row] = WeakValueDictionary()

@@ -82,7 +82,7 @@ def place(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatA
         _place(joints[indices[k]], position[k], velocity[k], 0.0)
 
 
-@compiled
+@inner
 def follow(joints: Any, indices: IntArray, motion: FloatArray) -> None:
     """
     Set setpoints from another source; beyond the range they rest at its end.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Physics steps in compiled code, which note contacts and forces on tools.
+Physics steps in compiled code, which note forces on tools.
 
 Whole control periods remember the state that they begin with, and compute all of that they end in.
 """
@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import llvmlite.binding
 import mujoco
 from numba import types
-from numba.core import config
 import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.law.compiling import inlined, inner
+from manip_sim.control.law.joint_records import PLAIN
 from manip_sim.control.law.seat import exert_all, feel_all
 from manip_sim.physics.physics import Addresses
 
@@ -43,35 +43,46 @@ _CALLED = ('mj_step', 'mj_step1', 'mj_step2', 'mj_kinematics', 'mj_comPos', 'mj_
 _GET_STATE = 'mj_getState'
 
 
-def _load_steps() -> bool:
-    """Let compiled code call MuJoCo by name, so that numba can keep it; return False if not."""
-    for path in sorted(Path(mujoco.__path__[0]).glob('libmujoco*')):
-        library = ctypes.CDLL(str(path))
-        for name in (*_CALLED, _GET_STATE):
-            llvmlite.binding.add_symbol(
-                name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
-        return True
-    return False
+def _library() -> ctypes.CDLL:
+    """
+    Return MuJoCo's library, as its package has loaded it.
+
+    :raises ImportError: if it is neither in the package nor known by its name
+    """
+    folder = Path(mujoco.__path__[0])
+    paths = sorted((*folder.glob('libmujoco*'), *folder.glob('mujoco.dll')))
+    name = str(paths[0]) if paths else f'libmujoco.so.{mujoco.mj_versionString()}'
+    try:
+        return ctypes.CDLL(name)
+    except OSError as error:
+        raise ImportError(f"control laws call MuJoCo's library, which is not in {folder}, and "
+                          f'not known as {name}: {error}') from error
 
 
-#: False where MuJoCo's library lies elsewhere than in its package.
-_LOADED = _load_steps()
+def _function(name: str, *kinds: Any) -> Any:
+    """Return a function of MuJoCo, which compiled code calls by name, so that it can be kept."""
+    function = getattr(_library(), name)
+    if PLAIN:
+        return lambda *values: function(*[ctypes.c_size_t(int(value)) for value in values])
+    llvmlite.binding.add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
+    return types.ExternalFunction(name, types.void(*kinds))
+
+
 _mj_step, _mj_step1, _mj_step2, _mj_kinematics, _mj_com_pos, _mj_forward, _mj_implicit = (
-    types.ExternalFunction(name, types.void(types.uintp, types.uintp)) for name in _CALLED)
-_mj_get_state = types.ExternalFunction(
-    _GET_STATE, types.void(types.uintp, types.uintp, types.uintp, types.int32))
+    _function(name, types.uintp, types.uintp) for name in _CALLED)
+_mj_get_state = _function(
+    _GET_STATE, types.uintp, types.uintp, types.uintp, types.int32)
 
 
 class Notes(NamedTuple):
     """
-    Notes of contacts and of forces on tools in steps, and views of both in ``MjData``.
+    Notes of forces on tools in steps, and views in ``MjData``.
 
     :ivar contacts: number of all contacts, a view into ``MjData``, shape (1,)
     :ivar forces: ``cfrc_ext``, external forces on bodies, a view, shape (nbody, 6)
     :ivar centers: ``subtree_com``, a view [m], shape (nbody, 3)
     :ivar tools: of each tool the first body, the one after its last, and the root of its tree,
         shape (t, 3)
-    :ivar present: number of contacts after the last step, and 1 if that has changed, shape (2,)
     :ivar counts: in how many steps something has touched each tool, shape (t,)
     :ivar rows: the forces on its bodies in these, shape (t, steps, m, 6)
     :ivar roots: where the centre of mass of its tree was then, shape (t, steps, 3)
@@ -81,7 +92,6 @@ class Notes(NamedTuple):
     forces: FloatArray
     centers: FloatArray
     tools: IntArray
-    present: IntArray
     counts: IntArray
     rows: FloatArray
     roots: FloatArray
@@ -190,12 +200,7 @@ def options_of(model: mujoco.MjModel, count: int | None = None) -> NDArray[np.in
 def may_step(data: mujoco.MjData) -> bool:
     """Return whether compiled code may run steps."""
     # Out of memory, MuJoCo ends the process, where Python would get an exception.
-    return _may_step() and data.maxuse_arena <= _MEMORY * data.narena
-
-
-@cache
-def _may_step() -> bool:
-    return not config.DISABLE_JIT and _LOADED and _place_of_contacts() is not None
+    return _place_of_contacts() is not None and data.maxuse_arena <= _MEMORY * data.narena
 
 
 def notes_of(data: mujoco.MjData, tools: IntArray, steps: int) -> Notes:
@@ -208,14 +213,13 @@ def notes_of(data: mujoco.MjData, tools: IntArray, steps: int) -> Notes:
     contacts = words_of(data._address + (_place_of_contacts() or 0), 1)
     count, bodies = len(tools), int((tools[:, 1] - tools[:, 0]).max(initial=0))
     return Notes(contacts, data.cfrc_ext, data.subtree_com, tools,
-                 np.zeros(2, np.int64), np.zeros(count, np.int64),
+                 np.zeros(count, np.int64),
                  np.empty((count, steps, bodies, 6)), np.empty((count, steps, 3)))
 
 
 @inner
 def begin_notes(notes: Notes) -> None:
     """Begin to note what happens from now on."""
-    notes.present[0], notes.present[1] = notes.contacts[0], 0
     for tool in range(len(notes.counts)):
         notes.counts[tool] = 0
 
@@ -232,11 +236,9 @@ def _touches(forces: FloatArray, first: int, end: int) -> bool:
 
 @inlined
 def _note(notes: Notes) -> None:
-    """Note contacts that came or went, and the forces on tools that something touches."""
-    contacts, present, tools = notes.contacts[0], notes.present, notes.tools
-    if contacts != present[0]:
-        present[0], present[1] = contacts, 1
-    if contacts == 0:
+    """Note the forces on tools that something touches."""
+    tools = notes.tools
+    if notes.contacts[0] == 0:
         return
     for tool in range(len(tools)):
         first, end = tools[tool, 0], tools[tool, 1]
