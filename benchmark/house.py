@@ -105,7 +105,7 @@ class Call(NamedTuple):
     file: str
 
 
-class Calls:
+class CallQueue:
     """The functions of the package, and some of MuJoCo, that threads call while it records."""
 
     def __init__(self) -> None:
@@ -147,7 +147,7 @@ def calls_to_a_world() -> int:
     """Return how many functions composing the world of a node with a Panda calls."""
     from manip_sim.interface.composition import compose_world
     from manip_sim.interface.parameter_spec import GivenParameters
-    calls = Calls()
+    calls = CallQueue()
     calls.recording = True
     sys.setprofile(calls)
     compose_world(GivenParameters({'robot': 'Panda'}))
@@ -164,7 +164,7 @@ def print_calls_of_a_command() -> None:
 
     from manip_sim.ros.sim_node import SimNode
     from manip_sim.simulation.compiled_period import is_loaded
-    calls = Calls()
+    calls = CallQueue()
     threading.setprofile(calls)
     rclpy.init()
     node = SimNode(parameter_overrides=[Parameter('publish_rate', value=1.0 / PERIOD_S),

@@ -30,7 +30,7 @@ from targets.processes import memory_mb  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 from manip_sim.worlds import Worlds  # noqa: E402
-from manip_sim.worlds.template import Template  # noqa: E402
+from manip_sim.worlds.simulation_prototype import SimulationPrototype  # noqa: E402
 
 ROUNDS = 5
 
@@ -63,7 +63,7 @@ def main() -> None:
                 with panda_worlds(count, threads) as worlds:
                     print(row(worlds, kind), flush=True)
     count = max(arguments.worlds)
-    template = Template(Simulation(compose('Panda', arena='table')))
+    template = SimulationPrototype(Simulation(compose('Panda', arena='table')))
     before, copies, took = memory_mb(os.getpid()), [], []
     for _ in range(count):
         begin = time.perf_counter()

@@ -54,7 +54,7 @@ nitpick_ignore_regex = [
     # Classes and functions that the documented ones use.
     ('py:(class|func)', r'.*(Controller|Description|Frames|GripperJoints|HandFromFile|ModelFile'
                         r'|RobotPlan|RobotRun|Subsystems|ImageSettings|CameraModel|Camera'
-                        r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts'
+                        r'|InitializationNoise|create_camera|Files|AllowedRoots|ActuatorEfforts'
                         r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hold'
                         r'|KinematicChain|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike'
                         r'|CameraLike|AnswerTimeLike|Pictures|FrictionLaw|Friction|TorqueSpeed'

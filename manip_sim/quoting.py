@@ -22,7 +22,7 @@ def quoted(text: object, limit: int = _TEXT_LIMIT) -> str:
     return f'{text[:limit]!r}{"..." if len(text) > limit else ""}'
 
 
-def shown(value: object, limit: int = _TEXT_LIMIT) -> str:
+def format_value(value: object, limit: int = _TEXT_LIMIT) -> str:
     """Return a value that came from outside: a text in quotes, any other on one line."""
     return quoted(value, limit) if isinstance(value, str) else one_line(str(value), limit)
 
@@ -45,7 +45,7 @@ def one_line(text: str, limit: int = _LINE_LIMIT) -> str:
     return ''.join(c if c.isprintable() else repr(c)[1:-1] for c in cut)
 
 
-def counted(count: int, noun: str) -> str:
+def pluralize(count: int, noun: str) -> str:
     """Return a count and the counted noun, such as ``1 body`` and ``2 bodies``."""
     if count == 1:
         return f'{count} {noun}'

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.quoting import counted, shown
+from manip_sim.quoting import format_value, pluralize
 
 #: Greatest difference of the square of a quaternion's norm from one, as in tf2's ``BufferCore``.
 _NORM_TOLERANCE = 1e-2
@@ -50,7 +50,7 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
         return array
     if array.shape != (length,):
         got = str(array.size) if array.ndim == 1 else f'the shape {array.shape}'
-        raise error(f'{what} must have {counted(length, "number")}, got {got}')
+        raise error(f'{what} must have {pluralize(length, "number")}, got {got}')
     bad = int(np.flatnonzero(~np.isfinite(array))[0])
     raise error(f'{what} must be finite, got {array[bad]} at index {bad}')
 
@@ -63,7 +63,7 @@ def mapping(value: object, what: str, example: str) -> Mapping[str, Any]:
     :raises ModelError: if it is none
     """
     if not isinstance(value, Mapping):
-        raise ModelError(f'{what} must be a mapping, such as {example}, got {shown(value)}')
+        raise ModelError(f'{what} must be a mapping, such as {example}, got {format_value(value)}')
     return value
 
 
@@ -105,7 +105,7 @@ def whole_number(value: object, least: int, what: str, error: type[ManipSimError
     :raises ManipSimError: that exception, if it is not a whole number from there
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise error(f'{what} must be a whole number from {least}, got {shown(value)}')
+        raise error(f'{what} must be a whole number from {least}, got {format_value(value)}')
     return int(value)
 
 
@@ -120,7 +120,7 @@ def positive_number(value: Any, what: str, error: type[ManipSimError] = ModelErr
     if (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
             or not (0 < value <= sys.float_info.max or or_zero and value == 0)):
         raise error(f'{what} must be positive and finite{", or 0" if or_zero else ""}, '
-                    f'got {shown(value)}')
+                    f'got {format_value(value)}')
     return float(value)
 
 

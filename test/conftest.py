@@ -68,7 +68,7 @@ LONGEST = (
     'ros/test_documentation.py', 'simulation/test_compiled_periods.py', 'ros/test_viewer.py',
     'ros/test_process.py', 'worlds/test_planned_periods.py', 'ros/test_diagnostics.py',
     'experiments/test_comparison.py', 'test_bench.py',
-    'ros/test_neighbours.py', 'ros/test_soak.py', 'ros/test_camera_topics.py',
+    'ros/test_graph_monitor.py', 'ros/test_soak.py', 'ros/test_camera_topics.py',
     'ros/test_hostile_viewer.py', 'ros/test_pick_cube.py', 'ros/test_node_records.py',
     'ros/test_journal.py', 'ros/test_ros_commands.py', 'tasks/test_tasks.py',
     'ros/test_viewer_layout.py', 'ros/test_start.py', 'models/test_add_your_own.py',

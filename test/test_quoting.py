@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from manip_sim.quoting import counted, one_line, quoted, quoted_names
+from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 
 FORGED = 'x\n[ERROR] [1.0] [manip_sim]: the physics diverged\x1b[2J\u202e'
 
@@ -42,5 +42,5 @@ def test_of_many_names_the_first_are_shown():
 
 
 def test_what_is_counted_is_singular_or_plural():
-    assert [counted(n, 'number') for n in (0, 1, 2)] == ['0 numbers', '1 number', '2 numbers']
-    assert [counted(n, 'body') for n in (0, 1, 2)] == ['0 bodies', '1 body', '2 bodies']
+    assert [pluralize(n, 'number') for n in (0, 1, 2)] == ['0 numbers', '1 number', '2 numbers']
+    assert [pluralize(n, 'body') for n in (0, 1, 2)] == ['0 bodies', '1 body', '2 bodies']

@@ -27,7 +27,7 @@ from manip_sim.laws import law
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
-from manip_sim.worlds.template import Template
+from manip_sim.worlds.simulation_prototype import SimulationPrototype
 from targets.figures import Figure, Settings, Target
 from targets.processes import memory_mb, Process
 
@@ -259,7 +259,7 @@ def _environments(settings: Settings) -> Iterator[Figure]:
 
 
 def _copies(settings: Settings) -> Iterator[Figure]:
-    template, count = Template(Simulation(compose('Panda', arena='table'))), COUNTS[-1]
+    template, count = SimulationPrototype(Simulation(compose('Panda', arena='table'))), COUNTS[-1]
     took = []
     for _ in range(settings.rounds):
         copies, begin = [], 0.0

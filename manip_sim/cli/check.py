@@ -19,8 +19,8 @@ from manip_sim.models import World
 from manip_sim.models.files.urdf import is_urdf
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.robots.subsystems import SCALAR
-from manip_sim.models.world import lost_shapes
-from manip_sim.quoting import counted, quoted, quoted_names
+from manip_sim.models.world import skipped_geoms
+from manip_sim.quoting import pluralize, quoted, quoted_names
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.episode_start import start_without_control
 from manip_sim.simulation.start_check import find_start_defects
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         found, remarks = _defects_of(world)
         defects = [*found, *(StartDefect(
             'meshes', sentence, 'see there, or accept it by meshes: none in the YAML file of the '
-            'model') for sentence in lost_shapes(world))]
+            'model') for sentence in skipped_geoms(world))]
         if options.against is not None:
             wrong, others = differences(world, options.against, *states_on(options.against))
             defects, remarks = [*defects, *wrong], [*remarks, *others]
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     notes = [f'note: {sentence}' for sentence in remarks]
     if not defects:
         return '\n'.join([f'{name}: nothing is wrong with the start', *notes]), 0
-    lines = [f'{name}: {counted(len(defects), "defect")}',
+    lines = [f'{name}: {pluralize(len(defects), "defect")}',
              *(f'- {defect.text}\n  fix: {defect.remedy}' for defect in defects), *notes]
     return '\n'.join([*lines, note] if note else lines), 1
 

@@ -17,7 +17,7 @@ from manip_sim.experiments.comparison import (
     compare, Comparison, first_difference, Pairs, recorded_episode, seeds_to_add)
 from manip_sim.experiments.policies import policy_content
 from manip_sim.experiments.run_folder import read_run, StoredRun
-from manip_sim.quoting import counted
+from manip_sim.quoting import pluralize
 from manip_sim.records.video import write_side_by_side
 
 _INTERRUPTED = 130
@@ -136,7 +136,7 @@ def _differing(comparison: Comparison, width: int) -> str:
         columns += [(f'states of {run.path} differ',
                      *(_begin_of_difference(first, run, seed) for seed in seeds))
                     for run in others if run.records]
-    title = f'{counted(len(comparison.differing), "seed")} with different success'
+    title = f'{pluralize(len(comparison.differing), "seed")} with different success'
     if len(comparison.differing) > _LISTED:
         title += f'; the first {_LISTED}'
     header, *rows = zip(*columns)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from manip_sim.cli.output import ProgressBar
 from manip_sim.errors import ManipSimError
 from manip_sim.experiments.demonstrations import open_device
-from manip_sim.quoting import counted
+from manip_sim.quoting import pluralize
 from manip_sim.tasks import Setting
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
                 kept.append(one)
                 seed += 1
     equal = sum(one.repeats for one in kept)
-    return (f'{options.out}: {counted(len(kept), "demonstration")}, '
+    return (f'{options.out}: {pluralize(len(kept), "demonstration")}, '
             f'{sum(one.success for one in kept)} with success; {equal} of {len(kept)} repeat'
             ), int(equal < len(kept) or not kept)
 
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 def _line(one: Demonstration) -> str:
     """Return what became of a demonstration, and of its repetition."""
     outcome = 'success' if one.success else 'no success'
-    about = f'seed {one.seed}: {outcome} after {counted(one.periods, "control period")}'
+    about = f'seed {one.seed}: {outcome} after {pluralize(one.periods, "control period")}'
     if one.repetition is None:
         return f'{about}, discarded'
     if one.repeats:

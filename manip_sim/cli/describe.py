@@ -37,7 +37,7 @@ from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.physics.parts import Part
 from manip_sim.quaternion import wxyz_to_xyzw
-from manip_sim.quoting import counted
+from manip_sim.quoting import pluralize
 from manip_sim.sensing.instruments import sensor_type
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -368,11 +368,11 @@ def _as_yaml(world: World) -> str:
 
 def _summary(description: Row) -> str:
     lines = [f'{description["name"]} in arena {description["arena"]}, '
-             f'{description["mass_kg"]:.4g} kg, {counted(len(description["joints"]), "joint")}, '
-             f'{counted(len(description["actuators"]), "actuator")}']
+             f'{description["mass_kg"]:.4g} kg, {pluralize(len(description["joints"]), "joint")}, '
+             f'{pluralize(len(description["actuators"]), "actuator")}']
     defects = description['start_defects']
     if defects:
-        lines.append(f"The start has {counted(len(defects), 'defect')}, see 'manip_sim check'")
+        lines.append(f"The start has {pluralize(len(defects), 'defect')}, see 'manip_sim check'")
     return '\n'.join(lines)
 
 

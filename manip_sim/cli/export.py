@@ -20,7 +20,7 @@ from manip_sim.interface.offered_sensors import SensorSettings
 from manip_sim.interface.parameters import commanded_parts
 from manip_sim.interface.world_topics import hardware_of, remapped, topics_of_instruments
 from manip_sim.models import World
-from manip_sim.models.archive import said_of_text
+from manip_sim.models.archive import describe_rounding
 from manip_sim.models.urdf_writer import choose_robot, Hardware, urdf_of
 from manip_sim.simulation import Simulation
 
@@ -59,7 +59,7 @@ def _said(world: World, load: Callable[[], mujoco.MjModel]) -> str:
     """Return what the text of MJCF changes of a world, by reading it again."""
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
-        return said_of_text(world.compile(), load())
+        return describe_rounding(world.compile(), load())
 
 
 def _write_packages(options: argparse.Namespace) -> list[str]:

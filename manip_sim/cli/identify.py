@@ -23,7 +23,7 @@ from manip_sim.identification.least_squares import (
 from manip_sim.identification.recorded_motion import read_motion, RecordedMotion
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
-from manip_sim.quoting import counted, quoted_names
+from manip_sim.quoting import pluralize, quoted_names
 from manip_sim.simulation import Simulation
 
 #: The values that are written, by the parameter and its key.
@@ -75,8 +75,8 @@ def _names(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[str, st
         return {}
     names = options.names.split(',')
     if len(names) != len(joints):
-        raise ModelError(f'--names has {counted(len(names), "name")}, and {options.part} has '
-                         f'{counted(len(joints), "joint")}: {quoted_names(joints)}')
+        raise ModelError(f'--names has {pluralize(len(names), "name")}, and {options.part} has '
+                         f'{pluralize(len(joints), "joint")}: {quoted_names(joints)}')
     return dict(zip(joints, names))
 
 
@@ -85,7 +85,7 @@ def _excite(options: argparse.Namespace, simulation: Simulation) -> str:
     with ProgressBar('states') as progress:
         states = record_excitation(simulation, excitation, options.part, options.excite,
                                    progress.show)
-    return f'{options.excite} ({counted(states, "state")} in {excitation.duration_s:g} s)'
+    return f'{options.excite} ({pluralize(states, "state")} in {excitation.duration_s:g} s)'
 
 
 def _kept(value: Value) -> float:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from manip_sim.cli.output import ProgressBar
 from manip_sim.errors import RecordError
-from manip_sim.quoting import counted
+from manip_sim.quoting import pluralize
 from manip_sim.records.converting import convert as convert_records, records_in
 from manip_sim.records.recorded import Record
-from manip_sim.records.repeating import JournalReplay, Repetition, Replay
+from manip_sim.records.replay import JournalReplay, Repetition, Replay
 from manip_sim.ros_environment import check_ros_environment, missing_module
 
 
@@ -79,8 +79,8 @@ class _Repeated:
         self._equal += not replay.problems
         if self._verify:
             self.lines += [f'{record.path}: {problem}' for problem in replay.problems]
-        self.lines.append(f'{record.path}: {counted(replay.periods, "control period")} repeated, '
-                          f'with {counted(replay.changes, "change")} from outside')
+        self.lines.append(f'{record.path}: {pluralize(replay.periods, "control period")} '
+                          f'repeated, with {pluralize(replay.changes, "change")} from outside')
 
     def result(self) -> tuple[str, int]:
         if self._verify:
@@ -107,7 +107,7 @@ def convert(options: argparse.Namespace) -> tuple[str, int]:
         episodes, periods, notes = convert_records(
             records_in(options.files), options.to, options.out, progress.show,
             options.only_success)
-    summary = f'{counted(episodes, "episode")}, {counted(periods, "control period")}'
+    summary = f'{pluralize(episodes, "episode")}, {pluralize(periods, "control period")}'
     if notes:
         summary += f'; {len(notes)} incomplete'
     return '\n'.join([*notes, f'{options.out} ({summary})']), 0

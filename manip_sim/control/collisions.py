@@ -21,7 +21,7 @@ from manip_sim.errors import CommandError
 from manip_sim.physics.body_forces import RobotForces, subtree_size
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.physics import Physics
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 from manip_sim.validation import positive_number
 
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -130,7 +130,7 @@ def read_thresholds(value: ArrayLike, limits: FloatArray) -> tuple[float, ...]:
     thresholds = finite_command_numbers(numbers, len(limits), 'thresholds of collisions')
     if (thresholds < 0.0).any():
         raise CommandError(f'thresholds of collisions must be positive, or 0 for none, '
-                           f'got {shown(value)}')
+                           f'got {format_value(value)}')
     return tuple(thresholds.tolist()) if thresholds.any() else ()
 
 
@@ -139,4 +139,5 @@ def _numbers_of(text: str) -> list[float]:
         return [float(word) for word in text.removeprefix('[').removesuffix(']').split(',')]
     except ValueError:
         raise CommandError(f"thresholds of collisions must be '{OFF}', '{DEFAULT}', a number or "
-                           f'one for each joint such as [20, 20, 10], got {shown(text)}') from None
+                           f'one for each joint such as [20, 20, 10], '
+                           f'got {format_value(text)}') from None

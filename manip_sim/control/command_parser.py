@@ -24,7 +24,7 @@ from manip_sim.control.trajectory import check_times, Trajectory
 from manip_sim.errors import CommandError
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
-from manip_sim.quoting import counted
+from manip_sim.quoting import pluralize
 
 #: A trajectory with more points is rejected: checking it would take too long.
 MAX_POINTS = 10_000
@@ -177,8 +177,8 @@ def _points(part: str, field: str, values: ArrayLike, shape: tuple[int, int]) ->
     except CommandError:  # No numbers, or points of different lengths.
         numbers = np.empty(0)
     if numbers.shape != shape:
-        raise CommandError(f'{part}: {field} must have {counted(shape[1], "number")} at each of '
-                           f'{counted(shape[0], "point")}')
+        raise CommandError(f'{part}: {field} must have {pluralize(shape[1], "number")} at each of '
+                           f'{pluralize(shape[0], "point")}')
     if not np.isfinite(numbers).all():
         raise CommandError(f'{part}: {field} must be finite')
     return numbers

@@ -299,7 +299,7 @@ class GripperController:
 
         :param command: that was applied, nobody else has it
         """
-        renews = self._in_step and self.commands.rival(command) is None
+        renews = self._in_step and self.commands.current_owner(command) is None
         if renews:
             self._derived.of['renewed'] = command
         return renews

@@ -23,7 +23,7 @@ from manip_sim.control.joint_controller import JointController
 from manip_sim.control.modes import FIELDS, IMPEDANCE, MODES, POSITION
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
-from manip_sim.quoting import counted, quoted, shown
+from manip_sim.quoting import format_value, pluralize, quoted
 
 #: Number of lists of names whose meaning is cached; a client has a few.
 _REMEMBERED = 64
@@ -228,7 +228,7 @@ class JointCommandParser:
         takers = addressed.takers[field]
         observed = [i for i in takers[given.size:] if addressed.names[i] not in self._gripper_of]
         if given.ndim != 1 or given.size > len(takers) or observed:
-            raise CommandError(f'{what}: {field} must have {counted(count, "number")}, '
+            raise CommandError(f'{what}: {field} must have {pluralize(count, "number")}, '
                                f'got {given.size}: one for each joint')
         placed[takers[:given.size]] = given
         return placed
@@ -296,7 +296,7 @@ def _column(what: str, field: str, values: ArrayLike | None, count: int) -> Floa
     if numbers.ndim == 0 and field in ('stiffness', 'damping'):
         return np.full(count, float(numbers))
     if numbers.shape != (count,):
-        raise CommandError(f'{what}: {field} must have {counted(count, "number")}, one for each '
+        raise CommandError(f'{what}: {field} must have {pluralize(count, "number")}, one for each '
                            f'joint, got the shape {numbers.shape}')
     return np.array(numbers, dtype=float)
 
@@ -315,7 +315,8 @@ def as_names(names: Sequence[str], what: str) -> tuple[str, ...]:
             return texts
     except TypeError:
         pass
-    raise CommandError(f'{what}: names of joints must be a sequence of texts, got {shown(names)}')
+    raise CommandError(f'{what}: names of joints must be a sequence of texts, '
+                       f'got {format_value(names)}')
 
 
 def check_names(names: Sequence[str], available: Sequence[str], what: str) -> None:

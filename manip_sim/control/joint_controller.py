@@ -96,10 +96,10 @@ class JointController(ControlledJoints):
         self._efforts_due = False
         self._written = False
 
-    def look_at_joints(self) -> None:
+    def refresh_joint_parameters(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
-        self._servos.look_at_joints()
-        self.cartesian.look_at_joints()
+        self._servos.refresh_joint_parameters()
+        self.cartesian.refresh_joint_parameters()
 
     @property
     def payloads(self) -> Payloads:
@@ -208,7 +208,7 @@ class JointController(ControlledJoints):
 
     def _write_again(self) -> None:
         """Let the controls of joints at rest be written once more."""
-        self._setpoints.wake()
+        self._setpoints.resume()
         self._efforts_due = True
 
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
@@ -304,7 +304,7 @@ class JointController(ControlledJoints):
         if free.size:
             self._effort[free] = 0.0
             servos.give_effort(free, False)
-            setpoints.place(free, data.qpos[servos.qpos[free]], data.qvel[servos.dofs[free]])
+            setpoints.set_state(free, data.qpos[servos.qpos[free]], data.qvel[servos.dofs[free]])
             behind[:, free] = 0.0
         setpoints.brake(indices)
         braking = indices[setpoints.acceleration[indices] != 0.0]
@@ -358,7 +358,7 @@ class JointController(ControlledJoints):
         if meant is None:
             return
         if isinstance(meant, JointTrajectory):
-            self.commands.await_start(meant)
+            self.commands.enqueue(meant)
         elif isinstance(meant, TrajectoryStop):
             stopped = self.commands.stop(meant)
             self._setpoints.set_velocity(stopped, np.zeros(len(stopped)))

@@ -91,7 +91,7 @@ class Ledger:
         for index in indices.tolist():
             self._owners[index] = handle
 
-    def await_start(self, trajectory: JointTrajectory) -> None:
+    def enqueue(self, trajectory: JointTrajectory) -> None:
         """
         Let a trajectory wait; commands that run, or start before it, go on until it starts.
 
@@ -146,7 +146,7 @@ class Ledger:
         for command in (*self.running, *self.waiting):
             command.handle.end(status, reason)
 
-    def rival(self, command: Command) -> CommandHandle | None:
+    def current_owner(self, command: Command) -> CommandHandle | None:
         """
         Return what took joints from a command that has been applied, or None if it has them all.
 

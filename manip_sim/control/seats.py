@@ -130,9 +130,9 @@ class Seats:
         self._physics, self._servos, self._indices, self._tips = physics, servos, indices, tips
         self.of: dict[str, SeatState] = {}
         self._arms, self._derived = Arms(physics, servos), Derived()
-        physics.on_change(self._look_at_model)
+        physics.on_change(self._rebind)
 
-    def _look_at_model(self) -> None:
+    def _rebind(self) -> None:
         self._derived.of.clear()
 
     @property

@@ -133,7 +133,7 @@ class Servos:
         self._activation = model.actuator_actadr[ids].astype(np.int64)
         self._derived.of.clear()
 
-    def look_at_joints(self) -> None:
+    def refresh_joint_parameters(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
         model = self._physics.model
         self.passive_damping[:] = np.asarray(model.dof_damping).reshape(model.nv, -1)[
@@ -278,10 +278,10 @@ class Servos:
         self._integral_gains[indices] = gain
         if not gain:
             self.integrals[indices] = 0.0
-        self._look_at_integrals()
+        self._refresh_integrals()
         return True
 
-    def _look_at_integrals(self) -> None:
+    def _refresh_integrals(self) -> None:
         self.any_integrates = bool((self._integral_gains * self._integrates).any())
         self._derived.of.pop('records', None)
 
@@ -294,7 +294,7 @@ class Servos:
         self.integrals[indices] = 0.0
         if (self._integrates[indices] != integrates).any():
             self._integrates[indices] = integrates
-            self._look_at_integrals()
+            self._refresh_integrals()
 
     def _set_gains(self, indices: IntArray) -> None:
         model, ids, effort = self._physics.model, self._ids[indices], self._gives_effort[indices]

@@ -136,7 +136,7 @@ class SetpointGenerator:
         """Whether :meth:`advance` has nothing to do."""
         return not (self.moving or np.count_nonzero(self._numbers_of('held')))
 
-    def wake(self) -> None:
+    def resume(self) -> None:
         """Resume setpoints that were held back after they had come to rest."""
         joints = self.joints
         joints['moves'] = np.maximum(joints['moves'], joints['held'])
@@ -144,7 +144,7 @@ class SetpointGenerator:
 
     # ------------------------------------------------------------------ goals
 
-    def place(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
+    def set_state(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """
         Set position and velocity of setpoints, which come to rest from there.
 
@@ -153,8 +153,8 @@ class SetpointGenerator:
         :param position: [rad or m], shape of ``indices``
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        from manip_sim.control.law.setpoint_changes import place  # It imports numba.
-        place(self.joints, np.array(indices), _numbers(position), _numbers(velocity))
+        from manip_sim.control.law.setpoint_changes import set_state  # It imports numba.
+        set_state(self.joints, np.array(indices), _numbers(position), _numbers(velocity))
         self.moving = True
 
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:

@@ -58,9 +58,9 @@ class Surroundings:
         self.commands = {
             ARENA: DirectControls(physics, ARENA, 'joint of the arena', self.joints,
                                   {joint_of[name] or '': name for name in self.actuators})}
-        physics.on_change(self._look_at_model)
+        physics.on_change(self._rebind)
 
-    def _look_at_model(self) -> None:
+    def _rebind(self) -> None:
         model = self._physics.model
         self._mocap = {str(model.body(body).name): int(model.body_mocapid[body])
                        for body in np.flatnonzero(model.body_mocapid >= 0).tolist()}

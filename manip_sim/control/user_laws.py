@@ -19,7 +19,7 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.quoting import one_line, quoted, shown
+from manip_sim.quoting import format_value, one_line, quoted
 
 #: Names of the arguments of a law.
 ARGUMENTS = ('t', 'q', 'v', 'bias', 'mass', 'jacobian', 'wrench', 'setpoint', 'parameters',
@@ -65,7 +65,7 @@ class Law:
         if isinstance(memory, bool) or not isinstance(memory, int) or not (
                 0 <= memory <= _MOST_MEMORY):
             raise ModelError(f"law '{self.name}': memory must be a whole number from 0 to "
-                             f'{_MOST_MEMORY}, got {shown(memory)}')
+                             f'{_MOST_MEMORY}, got {format_value(memory)}')
         self.memory, self.is_compiled = memory, bool(compiled)
         self.reads = _reads(function)
         update_wrapper(self, function)
@@ -229,7 +229,7 @@ def _law_named(name: str) -> Law:
 def _checked_name(function: Callable[..., object]) -> str:
     name = getattr(function, '__name__', None)
     if not callable(function) or not (isinstance(name, str) and name.isidentifier()):
-        raise ModelError(f'a law must be a function with a name, got {shown(function)}')
+        raise ModelError(f'a law must be a function with a name, got {format_value(function)}')
     try:
         inspect.signature(function).bind(*ARGUMENTS)
     except TypeError as error:
@@ -254,7 +254,7 @@ def _reads(function: Callable[..., object]) -> BoolArray:
 def _checked_parameters(law_name: str, given: Mapping[str, float]) -> dict[str, float]:
     if not isinstance(given, Mapping):
         raise ModelError(f"law '{law_name}': parameters must be a dict of defaults by name, got "
-                         f'{shown(given)}')
+                         f'{format_value(given)}')
     for name in given:
         if not (isinstance(name, str) and name.isidentifier()):
             raise ModelError(f"law '{law_name}': the name of a parameter must be a word, got "
@@ -268,7 +268,8 @@ def _checked_parameters(law_name: str, given: Mapping[str, float]) -> dict[str, 
 def _finite(law_name: str, name: str, value: float) -> float:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real) or not (
             math.isfinite(value)):
-        raise ModelError(f"law '{law_name}': {name} must be a finite number, got {shown(value)}")
+        raise ModelError(f"law '{law_name}': {name} must be a finite number, "
+                         f'got {format_value(value)}')
     return float(value)
 
 

@@ -22,7 +22,7 @@ from manip_sim.env.task_env import (
 from manip_sim.errors import CommandError, describe_choices, ModelError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.placements import checked_seed
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import format_value, quoted
 from manip_sim.tasks import Episode, Setting, Task
 from manip_sim.tasks.late_answers import AnswerTimeLike, NO_ANSWER_TIME
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
@@ -173,7 +173,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         if mask is None or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
             raise ModelError(
                 f'{_MASK} must be an array of booleans of shape ({self.num_envs},), got ' + (
-                    shown(value) if mask is None else f'{mask.dtype} of shape {mask.shape}'))
+                    format_value(value) if mask is None else
+                    f'{mask.dtype} of shape {mask.shape}'))
         if not mask.any():
             raise ModelError(f'{_MASK} chooses no environment')
         if not (self._begun | mask).all():

@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.errors import describe_choices, ModelError, RecordError
 from manip_sim.experiments.run_folder import RECORDS, spans, StoredRun
 from manip_sim.experiments.summary import Row, wilson_interval, Z_95
-from manip_sim.quoting import counted, shown
+from manip_sim.quoting import format_value, pluralize
 from manip_sim.records.recorded import Record, RecordedEpisode
 
 #: Keys that may differ between runs that are compared; versions are noted.
@@ -187,13 +187,13 @@ class Comparison:
         for run in self.runs:
             if len(run.rows) < len(run.seeds):
                 remarks.append(f'{run.path} is not finished: it has {len(run.rows)} of '
-                               f'{counted(len(run.seeds), "episode")}')
+                               f'{pluralize(len(run.seeds), "episode")}')
             if left := [seed for seed in run.rows if seed not in compared]:
-                remarks.append(f'{run.path}: {counted(len(left), "seed")} left out, which another '
-                               f'run does not have: {shown(spans(left))}')
+                remarks.append(f'{run.path}: {pluralize(len(left), "seed")} left out, which '
+                               f'another run does not have: {format_value(spans(left))}')
             if failed := sum(bool(run.rows[seed].error) for seed in self.seeds):
-                remarks.append(f'{run.path}: {counted(failed, "episode")} without success because '
-                               'of an error')
+                remarks.append(f'{run.path}: {pluralize(failed, "episode")} without success '
+                               'because of an error')
             versions = _differences(first.description['versions'], run.description['versions'])
             remarks += [f'{run.path}: {name} is {theirs}, not {ours}'
                         for name, ours, theirs in versions]
@@ -232,7 +232,8 @@ def compare(runs: Sequence[StoredRun], across: Collection[str] = ()) -> Comparis
     for key in across:
         if not any(key in run.description for run in runs):
             known = sorted({key for run in runs for key in run.description} - _FREE)
-            raise ModelError(f'no run has the option {shown(key)}: {describe_choices(key, known)}')
+            raise ModelError(
+                f'no run has the option {format_value(key)}: {describe_choices(key, known)}')
     folders: set[Any] = set()
     for run in runs:
         if run.path.resolve() in folders:
@@ -243,11 +244,11 @@ def compare(runs: Sequence[StoredRun], across: Collection[str] = ()) -> Comparis
             if name not in _FREE and name not in across:
                 raise ModelError(
                     f'{run.path} is no run of the same episodes as {first.path}: its {name} is '
-                    f'{shown(theirs, 100)}, not {shown(ours, 100)}; --across {name} compares '
-                    'them all the same')
+                    f'{format_value(theirs, 100)}, not {format_value(ours, 100)}; '
+                    f'--across {name} compares them all the same')
     seeds = [seed for seed in first.rows if all(seed in run.rows for run in others)]
     if not seeds:
-        having = ', '.join(f'{run.path} has {shown(spans([*run.rows]) or "none")}'
+        having = ', '.join(f'{run.path} has {format_value(spans([*run.rows]) or "none")}'
                            for run in runs)
         raise ModelError(f'the runs have no seed in common: {having}')
     return Comparison(tuple(runs), tuple(seeds))

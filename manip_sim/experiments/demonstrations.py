@@ -27,7 +27,7 @@ from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
 from manip_sim.records import EpisodeRecorder
 from manip_sim.records.recorded import Record
-from manip_sim.records.repeating import Repetition, Replay
+from manip_sim.records.replay import Repetition, Replay
 from manip_sim.tasks import Episode
 from manip_sim.tasks.episode_actions import STEP_M, TURN_RAD
 

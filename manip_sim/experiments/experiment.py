@@ -22,8 +22,8 @@ import numpy as np
 
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.experiments.policies import (
-    failing_as, files_read, LIMIT_S, load_policy, LOCAL_LIMIT_S, policy_content, PolicyFailure,
-    ROS)
+    files_read, LIMIT_S, load_policy, LOCAL_LIMIT_S, policy_content, PolicyFailure, ROS,
+    wrap_errors)
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line, quoted
 from manip_sim.resources import package_version
@@ -244,13 +244,13 @@ class Worker:
             self._report(0.0)
 
     def _reset_policy(self, seed: int) -> None:
-        with self._reported(), failing_as('reset() of the policy', PolicyFailure):
+        with self._reported(), wrap_errors('reset() of the policy', PolicyFailure):
             self._policy.reset(seed)
 
     def _act(self, observations: Mapping[int, Any]) -> Sequence[Any]:
         """Return the answer of the policy for each seed."""
         policy: Any = self._policy
-        with self._reported(), failing_as('act() of the policy', PolicyFailure):
+        with self._reported(), wrap_errors('act() of the policy', PolicyFailure):
             if not self._experiment.batch:
                 return [np.asarray(policy.act(observation))
                         for observation in observations.values()]

@@ -196,7 +196,7 @@ def _source(module: str, folders: Iterable[Path | str]) -> Path | None:
 
 
 @contextlib.contextmanager
-def failing_as(what: str, kind: type[ManipSimError]) -> Iterator[None]:
+def wrap_errors(what: str, kind: type[ManipSimError]) -> Iterator[None]:
     """
     Let code of a user, which may raise anything, raise one error.
 
@@ -323,7 +323,7 @@ def _watch_opening() -> None:
 
 def _module(where: str) -> Any:
     """Import a module by its name or its file."""
-    with failing_as(f'policy: cannot import {quoted(where)}', ModelError):
+    with wrap_errors(f'policy: cannot import {quoted(where)}', ModelError):
         if not where.endswith('.py'):
             if '' not in sys.path:  # As python -m does, modules of the working directory count.
                 sys.path.insert(0, '')
@@ -346,9 +346,9 @@ def _module(where: str) -> Any:
 
 def _made(name: str, item: Any) -> Policy:
     if inspect.isclass(item):
-        with failing_as(f'policy {quoted(name)} cannot be created without arguments', ModelError):
+        with wrap_errors(f'policy {quoted(name)} cannot be created without arguments', ModelError):
             item = item()
-        with failing_as(f'policy {quoted(name)}', ModelError):
+        with wrap_errors(f'policy {quoted(name)}', ModelError):
             missing = [method for method in ('reset', 'act')
                        if not callable(getattr(item, method, None))]
         if missing:

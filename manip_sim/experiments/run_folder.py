@@ -18,7 +18,7 @@ from typing import Any
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.experiments.experiment import parse_seeds
 from manip_sim.experiments.summary import Row, summarize, TIMES
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 
 #: Files in the folder; the first says what the run is. The last is a folder.
 RUN, EPISODES, SUMMARY, RECORDS = 'run.json', 'episodes.parquet', 'summary.json', 'records'
@@ -86,7 +86,8 @@ class RunFolder:
             if there.get(key) != self._run.get(key):
                 raise ModelError(
                     f'{self.path} is the folder of another run: its {key} is '
-                    f'{shown(there.get(key), 100)}, not {shown(self._run.get(key), 100)}')
+                    f'{format_value(there.get(key), 100)}, '
+                    f'not {format_value(self._run.get(key), 100)}')
         self._add_seeds(parse_seeds(there['seeds']))
 
     def _add_seeds(self, there: list[int]) -> None:

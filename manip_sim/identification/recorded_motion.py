@@ -18,7 +18,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices, RecordError, UnknownNameError
 from manip_sim.models.regular_files import opened
-from manip_sim.quoting import counted, one_line, quoted, quoted_names
+from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 from manip_sim.records.record_file import decoder, full_name
 from manip_sim.records.recorded import Record
 from manip_sim.records.untrusted_records import check_topic, MAX_BYTES, MESSAGE_BYTES
@@ -103,8 +103,8 @@ def read_motion(path: Path, joints: Sequence[str], others: Sequence[str], topic:
         if not np.isfinite(efforts[joint]).any() or not np.any(efforts[joint]):
             raise RecordError(f'{where} has no efforts of {quoted(present[joint])}, without which '
                               'friction and inertia cannot be told')
-    notes = [] if finite.all() else [f'{counted(int((~finite).sum()), "state")} with numbers that '
-                                     'are not finite left out']
+    notes = [] if finite.all() else [f'{pluralize(int((~finite).sum()), "state")} with numbers '
+                                     'that are not finite left out']
     stretches = _stretches(times[finite], {name: values[finite] for name, values in (
         positions.items())}, {name: values[finite] for name, values in efforts.items()})
     return RecordedMotion(topic, stretches, [name for name in others if name not in present],

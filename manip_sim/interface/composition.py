@@ -26,7 +26,7 @@ from manip_sim.models import Arena, compose_robot, create_arena, set_model_path,
 from manip_sim.models.arenas import arena_parameters
 from manip_sim.models.cameras import (
     chosen_cameras, described_cameras, described_lidars, ImageSettings)
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.models.strict_yaml import parse_yaml
@@ -237,7 +237,7 @@ def compose_arena(parameters: ParameterSource) -> Arena:
     return create_arena(name, **options)
 
 
-def spawn_files(folders: Sequence[str]) -> FilesBelow:
+def spawn_files(folders: Sequence[str]) -> AllowedRoots:
     """
     Return the files that a request to spawn may name.
 
@@ -245,8 +245,8 @@ def spawn_files(folders: Sequence[str]) -> FilesBelow:
     :raises ModelError: if one is not a folder
     """
     # An empty list of strings is a list with an empty string in ROS.
-    return FilesBelow([folder for folder in folders if folder] or [share_directory() / 'assets'],
-                      'spawn_roots')
+    return AllowedRoots([folder for folder in folders if folder] or [share_directory() / 'assets'],
+                        'spawn_roots')
 
 
 def _objects(given: Sequence[str]) -> list[Any]:

@@ -22,7 +22,7 @@ import numpy as np
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MAX_ASSET_BYTES
 from manip_sim.models.loading import compile_spec, spec_from_string
-from manip_sim.models.regular_files import OneText, read_file
+from manip_sim.models.regular_files import InMemoryFile, read_file
 from manip_sim.models.untrusted_models import compile_held, LIGHT, try_to_do
 from manip_sim.models.xml_check import Budget, product, XmlModel
 from manip_sim.quoting import quoted
@@ -59,7 +59,7 @@ def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> dict[str, float]:
     return dict(sorted(differences.items(), key=lambda item: -item[1]))
 
 
-def said_of_text(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
+def describe_rounding(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
     """
     Return a sentence on what the text of MJCF changes.
 
@@ -189,7 +189,7 @@ def load_archive(data: bytes) -> mujoco.MjModel:
         raise ModelError(f'the archive has no {_MODEL}')
     contents[_MODEL], is_light = _checked_xml(contents[_MODEL], contents)
     xml, name = contents.pop(_MODEL).decode(), 'the model of the archive'
-    text = OneText(xml, name)
+    text = InMemoryFile(xml, name)
     XmlModel(text.file, Budget(), files=text)
     if not is_light:
         try_to_do(name, compile_held, xml, {}, contents, max_cpu_s=_MAX_CPU_S)

@@ -23,7 +23,7 @@ from manip_sim.models.randomization import RandomizationLike
 from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.models.world import World
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import format_value, quoted
 
 #: In place of a name: the default of the robot, and none at all.
 DEFAULT, NONE = 'default', 'none'
@@ -77,7 +77,7 @@ def read_gripper(text: str, where: str = 'gripper') -> str | dict[str, str]:
     for arm, choice in by_arm.items():
         if not isinstance(choice, str):
             raise ModelError(f'{where}: the gripper of arm {quoted(arm)} must be a name or a '
-                             f'file, got {shown(choice)}')
+                             f'file, got {format_value(choice)}')
     return by_arm
 
 

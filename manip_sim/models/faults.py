@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.errors import describe_choices, ModelError
 from manip_sim.models.strict_yaml import parse_yaml, read_yaml
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import format_value, quoted
 
 #: A YAML file, or what one holds.
 FaultsLike = Union[str, PathLike[str], Iterable[Mapping[str, Any]], 'FaultPlan']
@@ -110,7 +110,7 @@ class FaultPlan:
             where = fspath(given)
             given = _listed(read_yaml(given), where)
         if isinstance(given, Mapping) or not isinstance(given, Iterable):
-            raise ModelError(f'{where} must be a list of faults, got {shown(given)}')
+            raise ModelError(f'{where} must be a list of faults, got {format_value(given)}')
         self.given: list[Any] = [
             dict(fault) if isinstance(fault, Mapping) else fault for fault in given]
         self.faults: Sequence[PlannedFault] = [
@@ -145,16 +145,18 @@ def planned(given: Any, where: str) -> PlannedFault:
     :raises ModelError: if it cannot be used
     """
     if not isinstance(given, Mapping):
-        raise ModelError(f"{where}: expected keys such as 'what' and 'part', got {shown(given)}")
+        raise ModelError(f"{where}: expected keys such as 'what' and 'part', "
+                         f'got {format_value(given)}')
     for key in given:
         _known('key', key, _KEYS, where)
     for key in ('what', 'part'):
         if not isinstance(given.get(key), str):
-            raise ModelError(f"{where}: '{key}' must be a name, got {shown(given.get(key))}")
+            raise ModelError(f"{where}: '{key}' must be a name, "
+                             f'got {format_value(given.get(key))}')
     _known('fault', given['what'], KINDS, where)
     kind, robot = KINDS[given['what']], given.get('robot', '')
     if not isinstance(robot, str):
-        raise ModelError(f"{where}: 'robot' must be a name, got {shown(robot)}")
+        raise ModelError(f"{where}: 'robot' must be a name, got {format_value(robot)}")
     begin = _range(given.get('from', 0.0), 0.0, math.inf, f"{where}: 'from'")
     end = (math.inf, math.inf)
     if given.get('until') is not None:
@@ -188,7 +190,7 @@ def _range(given: Any, low: float, high: float, what: str) -> tuple[float, float
                 math.isfinite(end) and low <= end <= high):
             limits = f'from {low:g}' if math.isinf(high) else f'from {low:g} to {high:g}'
             raise ModelError(f'{what} must be a number {limits} or [low, high], got '
-                             f'{shown(given)}')
+                             f'{format_value(given)}')
     if ends[0] > ends[1]:
-        raise ModelError(f'{what}: low must not be above high, got {shown(given)}')
+        raise ModelError(f'{what}: low must not be above high, got {format_value(given)}')
     return float(ends[0]), float(ends[1])

@@ -22,7 +22,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.couplings import FrictionLaw
 from manip_sim.models.strict_descriptions import BeforeValidator, checked, model_validator, Strict
 from manip_sim.models.strict_yaml import read_yaml
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 
 CATALOGUE = 'catalogue'
 #: Beside the MJCF file of a robot.
@@ -131,7 +131,8 @@ class JointActuation:
         if isinstance(given, Mapping):
             return given
         if not isinstance(given, str):
-            raise ModelError(f'{kind} of {self._where} must be a mapping, got {shown(given)}')
+            raise ModelError(f'{kind} of {self._where} must be a mapping, '
+                             f'got {format_value(given)}')
         if given != CATALOGUE:
             raise UnknownNameError(f'{kind} of {self._where}', given, ['none', CATALOGUE])
         values = None if self._catalogue is None else self._catalogue.get(kind)
@@ -185,7 +186,7 @@ def single(value: float | Sequence[float], where: str) -> tuple[float, ...]:
     try:
         return _per_joint(value)
     except ValueError as error:
-        raise ModelError(f'armature of {where} {error}, got {shown(value)}') from error
+        raise ModelError(f'armature of {where} {error}, got {format_value(value)}') from error
 
 
 def read_catalogue(folder: Path, subsystem: str) -> dict[str, Any] | None:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.quoting import counted, quoted
+from manip_sim.quoting import pluralize, quoted
 
 #: First line of a file in a clone of a repository whose large files were not fetched.
 _POINTER = b'version https://git-lfs'
@@ -85,7 +85,7 @@ def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
         first = group[0]
         untouched = '; nothing touches these links there' if kind == 'collision shape' else ''
         remedy = f'; {first.error.remedy}' if first.error.remedy else ''
-        sentences.append(f'left out: {counted(len(group), kind)} of files that cannot be '
+        sentences.append(f'left out: {pluralize(len(group), kind)} of files that cannot be '
                          f'read, such as {quoted(first.mesh)} ({first.error.why}) of '
                          f'{first.element} in {file}{untouched}{remedy}')
     return sentences
@@ -181,9 +181,9 @@ def _mass_notes(masses: list[tuple[str, float]], file: Path) -> list[str]:
     named = ', '.join(f'{quoted(name)} {mass:.3g} kg' for name, mass in masses[:_NAMED_MASSES])
     more = f' and {len(masses) - _NAMED_MASSES} more' if len(masses) > _NAMED_MASSES else ''
     return [LostShape(
-        f'guessed: the mass of {counted(len(masses), "body")} of {file} from the distance to the '
-        f'next one, as it followed from missing meshes: {named}{more}; put the meshes there, or '
-        'give these bodies an <inertial>')]
+        f'guessed: the mass of {pluralize(len(masses), "body")} of {file} from the distance to '
+        f'the next one, as it followed from missing meshes: {named}{more}; put the meshes there, '
+        'or give these bodies an <inertial>')]
 
 
 def _delete_geoms(spec: mujoco.MjSpec, geoms: list[Any]) -> None:

@@ -21,11 +21,11 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import check_image, MAX_ASSET_BYTES
 from manip_sim.models.loading import compile_spec, load_spec, spec_from_string
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
-from manip_sim.models.regular_files import check_file, Files, OneText
+from manip_sim.models.regular_files import check_file, Files, InMemoryFile
 from manip_sim.models.sources import find_source, is_of_others
 from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
-from manip_sim.models.untrusted_models import HeldModel, hold_model, LIMITS
-from manip_sim.quoting import counted, quoted, shown
+from manip_sim.models.untrusted_models import LIMITS, load_self_contained, SelfContainedModel
+from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.resources import cache_folder, keep_in_cache
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def create_object(description: Description, files: Files | None = None) -> Objec
         :class:`FileDescription`, an MJCF file, or a YAML file that lists one object; an object is
         returned as it is
     :param files: those that may be read, for descriptions of somebody who is not trusted; they
-        are checked as ``hold_model`` does. None: all
+        are checked as ``load_self_contained`` does. None: all
     :raises ModelError: if something is wrong with it, on one line with file, object and key
     """
     if isinstance(description, ObjectModel):
@@ -70,7 +70,7 @@ def create_object(description: Description, files: Files | None = None) -> Objec
     return objects[0]
 
 
-def object_from_model(model: HeldModel, name: str | None = None) -> ObjectModel:
+def object_from_model(model: SelfContainedModel, name: str | None = None) -> ObjectModel:
     """
     Create an object from a model.
 
@@ -132,12 +132,12 @@ def load_objects(file: ObjectFile, files: Files | None = None) -> list[ObjectMod
             raise ModelError(f"{path}: unknown key {quoted(key)}: the only one here is 'objects'")
     listed = values.get('objects')
     if not isinstance(listed, list):
-        raise ModelError(f"{path}: 'objects' must be a list, got {shown(listed)}")
+        raise ModelError(f"{path}: 'objects' must be a list, got {format_value(listed)}")
     objects = []
     for number, entry in enumerate(listed, start=1):
         if not isinstance(entry, dict):
             raise ModelError(f'{path}: object {number} must be keys and values, got '
-                             f'{shown(entry)}')
+                             f'{format_value(entry)}')
         objects.append(_from_values(entry, f'{path}: ', path.parent, f'object {number}',
                                     files))
     check_object_names(objects)
@@ -211,12 +211,12 @@ def _file_spec(description: FileDescription, folder: Path, files: Files | None,
     else:
         file = folder / description.file
     return (load_spec(file, notes) if files is None
-            else hold_model(file, files).load(notes)), str(file)
+            else load_self_contained(file, files).load(notes)), str(file)
 
 
 def _read(file: Path, name: str | None = None, files: Files | None = None) -> ObjectModel:
     if files is not None:
-        return object_from_model(hold_model(file, files), name)
+        return object_from_model(load_self_contained(file, files), name)
     notes: list[str] = []
     spec = load_spec(file, notes)
     item = ObjectModel(name or _own_name(spec), spec, str(file))
@@ -229,7 +229,7 @@ def _own_name(spec: mujoco.MjSpec) -> str:
     return (roots[0].name if roots else '') or str(spec.modelname)
 
 
-def object_from_text(text: OneText) -> tuple[bool, Callable[[], ObjectModel]]:
+def object_from_text(text: InMemoryFile) -> tuple[bool, Callable[[], ObjectModel]]:
     """
     Return whether an object is quickly made for sure, and return what makes it.
 
@@ -238,7 +238,7 @@ def object_from_text(text: OneText) -> tuple[bool, Callable[[], ObjectModel]]:
     if not text.content.startswith(b'<'):
         values = parse_yaml(text.read(text.file, 'YAML', MAX_REQUESTED), str(text.file))
         return True, lambda: create_object({'name': UNNAMED, **values}, text)
-    model = hold_model(text.file, text)
+    model = load_self_contained(text.file, text)
     return model.is_light, lambda: named_by_itself(object_from_model(model, UNNAMED))
 
 
@@ -283,14 +283,14 @@ def mesh_spec(description: MeshDescription, folder: Path, where: str, files: Fil
         return spec, ['touched at its convex hull, as coacd, which finds convex parts, is not '
                       'installed']
     _add_parts(spec, parts, description, where)
-    return spec, [f'touched at {counted(len(parts), "convex part")}, found by coacd']
+    return spec, [f'touched at {pluralize(len(parts), "convex part")}, found by coacd']
 
 
 def _read_mesh(description: MeshDescription, folder: Path, where: str, files: Files | None
                ) -> mujoco.MjSpec:
     root = ElementTree.Element('mujoco')
     asset = ElementTree.SubElement(root, 'asset')
-    held = HeldModel(where, is_light=False)
+    held = SelfContainedModel(where, is_light=False)
     named = {'mesh': description.file}
     if description.texture is not None:
         named['texture'] = description.texture
@@ -318,7 +318,7 @@ def _read_mesh(description: MeshDescription, folder: Path, where: str, files: Fi
     return spec_from_string(held.xml, Path(where)) if files is None else held.load()
 
 
-def _file(kind: str, file: Path, where: str, files: Files | None, held: HeldModel) -> str:
+def _file(kind: str, file: Path, where: str, files: Files | None, held: SelfContainedModel) -> str:
     """Return the name of a file in MJCF, after checks."""
     if file.suffix.lower() not in _SUFFIXES[kind]:
         raise ModelError(f'{where}: the {kind} {quoted(str(file), 200)} must be '

@@ -19,7 +19,7 @@ from manip_sim.models.strict_descriptions import (
     BeforeValidator, checked, ConfigDict, Field, model_validator, Number, Strict, StrictBool,
     StrictInt)
 from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
-from manip_sim.quoting import counted, quoted, shown
+from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.sensing.images import (
     MAX_FOVY_DEG, MAX_PIXELS, MAX_RATE_HZ, MIN_FOVY_DEG, MIN_RATE_HZ)
 from manip_sim.sensing.lidars import MAX_NOISE_M, MAX_RANGE_M, MAX_RAYS, MAX_RINGS
@@ -171,7 +171,8 @@ class MeshDescription(SolidDescription):
     @model_validator(mode='after')
     def _check_scale(self) -> MeshDescription:
         if len(self.scale) not in (1, 3):
-            raise ValueError(f"'scale' must be a number or [x, y, z], got {shown(self.scale)}")
+            raise ValueError(f"'scale' must be a number or [x, y, z], "
+                             f'got {format_value(self.scale)}')
         return self
 
 
@@ -192,7 +193,7 @@ class ShapeDescription(SolidDescription):
         count, meaning = SIZES[self.shape]
         if len(self.size) != count:
             raise ValueError(f"'size' of a {self.shape} is {meaning} [m], got "
-                             f'{counted(len(self.size), "number")}: {shown(self.size)}')
+                             f'{pluralize(len(self.size), "number")}: {format_value(self.size)}')
         if not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:
             raise ValueError(f'weighs {self.mass_kg:g} kg by its density, it must be '
                              f'{MIN_MASS_KG:g} to {MAX_MASS_KG:g} kg')

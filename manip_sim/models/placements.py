@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices, ModelError, UnknownNameError
 from manip_sim.models.object_model import ObjectModel
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import format_value, quoted
 from manip_sim.sensing.randomness import generator
 from manip_sim.validation import whole_number
 
@@ -85,7 +85,7 @@ def _checked_magnitude(magnitude: Any) -> float:
     if (isinstance(magnitude, bool) or not isinstance(magnitude, numbers.Real)
             or not 0.0 <= float(magnitude) <= math.pi):
         raise ModelError('magnitude of initialization_noise must be a number from 0 to '
-                         f'{math.pi:.4g}, got {shown(magnitude)}')
+                         f'{math.pi:.4g}, got {format_value(magnitude)}')
     return float(magnitude)
 
 
@@ -152,29 +152,32 @@ class Extent:
 def read_placements(given: Any, where: str) -> list[Placement]:
     """Read areas by name."""
     if not isinstance(given, Mapping):
-        raise ModelError(f"{where}: 'placements' must hold areas by name, got {shown(given)}")
+        raise ModelError(f"{where}: 'placements' must hold areas by name, "
+                         f'got {format_value(given)}')
     return [_read(str(name), values, f'{where}: placement {quoted(name)}')
             for name, values in given.items()]
 
 
 def _read(name: str, values: Any, where: str) -> Placement:
     if not isinstance(values, Mapping):
-        raise ModelError(f'{where} needs keys and values, got {shown(values)}')
+        raise ModelError(f'{where} needs keys and values, got {format_value(values)}')
     for key in values:
         if key not in _KEYS:
             raise ModelError(f'{where}: unknown key {quoted(key)}: {describe_choices(key, _KEYS)}')
     objects = values.get('objects')
     if not isinstance(objects, list) or not objects or len(set(map(str, objects))) != len(objects):
         raise ModelError(f"{where}: 'objects' must be a list of names, each once, got "
-                         f'{shown(objects)}')
+                         f'{format_value(objects)}')
     spans = []
     for key in ('x', 'y'):
         span = values.get(key)
         if not isinstance(span, list) or len(span) != 2:
-            raise ModelError(f"{where}: '{key}' must be [low, high] in m, got {shown(span)}")
+            raise ModelError(f"{where}: '{key}' must be [low, high] in m, "
+                             f'got {format_value(span)}')
         low, high = (_number(number, key, where, -_MOST) for number in span)
         if low > high:
-            raise ModelError(f"{where}: '{key}' must be [low, high] in m, got {shown(span)}")
+            raise ModelError(
+                f"{where}: '{key}' must be [low, high] in m, got {format_value(span)}")
         spans.append((low, high))
     if 'z' not in values:
         raise ModelError(f"{where} needs 'z', the height of the surface in m")
@@ -188,7 +191,7 @@ def _number(value: Any, key: str, where: str, least: float) -> float:
     if (isinstance(value, bool) or not isinstance(value, (int, float))
             or not least <= value <= _MOST):
         raise ModelError(f"{where}: '{key}' needs numbers from {least:g} to {_MOST:g}, got "
-                         f'{shown(value)}')
+                         f'{format_value(value)}')
     return float(value)
 
 

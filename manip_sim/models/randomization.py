@@ -22,7 +22,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices, ModelError
 from manip_sim.models.placements import Placement, read_placements
 from manip_sim.models.strict_yaml import read_yaml, StrictLoader
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import format_value, quoted
 from manip_sim.sensing.randomness import generator
 from manip_sim.sensing.settings import QUANTITIES as PARAMETERS
 
@@ -255,7 +255,7 @@ class _Reader:
 
     def _mapping(self, value: Any, what: str, *path: str) -> Mapping[str, Any]:
         if not isinstance(value, Mapping) or not value:
-            raise ModelError(f'{self._where(*path)}: {what}, got {shown(value)}')
+            raise ModelError(f'{self._where(*path)}: {what}, got {format_value(value)}')
         return value
 
     def rules(self, given: Mapping[str, Any]) -> Iterable[Rule]:
@@ -288,7 +288,7 @@ class _Reader:
             path = *path, way
             inner = self._mapping(inner[way], need, *path)
         if len(inner) != 1:
-            raise ModelError(f'{self._where(*path)}: {need}, got {shown(dict(inner))}')
+            raise ModelError(f'{self._where(*path)}: {need}, got {format_value(dict(inner))}')
         kind, numbers = next(iter(inner.items()))
         self._known('distribution', kind, (*DISTRIBUTIONS, *(SCALE, OFFSET) * (way == ABSOLUTE)),
                     *path, kind)
@@ -307,7 +307,7 @@ class _Reader:
                 not numbers if kind == 'choice' else len(numbers) != 2):
             form = ('a list with choices' if kind == 'choice' else
                     '[mean, standard deviation]' if kind == 'normal' else '[low, high]')
-            raise ModelError(f'{where}: {kind} needs {form}, got {shown(numbers)}')
+            raise ModelError(f'{where}: {kind} needs {form}, got {format_value(numbers)}')
         rows = []
         for number in numbers:
             row = number if isinstance(number, (list, tuple)) else [number]
@@ -315,14 +315,14 @@ class _Reader:
                 if (isinstance(value, bool) or not isinstance(value, (int, float))
                         or not abs(value) <= mujoco.mjMAXVAL):
                     raise ModelError(f'{where}: {kind} needs numbers within {mujoco.mjMAXVAL:g}, '
-                                     f'got {shown(value)}')
+                                     f'got {format_value(value)}')
             if len(row) != 1 and (len(row) > limits.length or not row):
                 raise ModelError(f'{where}: {kind} needs a number or a list of up to '
-                                 f'{limits.length}, got {shown(number)}')
+                                 f'{limits.length}, got {format_value(number)}')
             rows.append(tuple(float(value) for value in row))
         if len({len(row) for row in rows}) != 1:
             raise ModelError(f'{where}: {kind} needs numbers or lists of one length, got '
-                             f'{shown(numbers)}')
+                             f'{format_value(numbers)}')
         return tuple(rows)
 
 

@@ -108,7 +108,7 @@ class Files:
         return sorted(folder.iterdir())
 
 
-class FilesBelow(Files):
+class AllowedRoots(Files):
     """
     Only the files that are below some folders, wherever symbolic links lead.
 
@@ -192,7 +192,7 @@ class FilesBelow(Files):
         return any(folder in real.parents for folder in self._folders)
 
 
-class OneText(Files):
+class InMemoryFile(Files):
     """
     No file but a text that somebody sent in place of one.
 
@@ -232,7 +232,7 @@ class OneText(Files):
         return False
 
 
-class KeptFiles(Files):
+class CachedFiles(Files):
     """
     Files that are read once, so that nobody can change them in between.
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, TypeVar
 
 from manip_sim.errors import describe_choices, ModelError
-from manip_sim.quoting import one_line, quoted, shown
+from manip_sim.quoting import format_value, one_line, quoted
 
 try:
     from pydantic import (
@@ -87,7 +87,7 @@ def _explained(error: Any, keys: Iterable[str]) -> str:
     if not key:
         return one_line(message)
     number = f'[{place[1]}]' if len(place) > 1 and place[1].isdigit() else ''
-    return one_line(f"'{key}'{number} {message}, got {shown(error['input'])}")
+    return one_line(f"'{key}'{number} {message}, got {format_value(error['input'])}")
 
 
 def _own_message(error: Any) -> str:

@@ -13,7 +13,7 @@ import yaml
 
 from manip_sim.errors import ModelError
 from manip_sim.models.regular_files import opened
-from manip_sim.quoting import one_line, quoted, shown
+from manip_sim.quoting import format_value, one_line, quoted
 
 _MAX_BYTES = 1_000_000
 #: Longest YAML of a request, which is slow to read.
@@ -98,7 +98,7 @@ def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = St
     if values is None:
         return {}
     if not isinstance(values, dict):
-        raise ModelError(f'{where} must hold keys and values, got {shown(values)}')
+        raise ModelError(f'{where} must hold keys and values, got {format_value(values)}')
     return values
 
 

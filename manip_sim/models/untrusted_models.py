@@ -63,7 +63,7 @@ _MAX_LIGHT_ELEMENTS = 100
 
 
 @dataclass
-class HeldModel:
+class SelfContainedModel:
     """
     A model and the contents of all files that it names.
 
@@ -169,7 +169,7 @@ class HeldModel:
         return name
 
 
-def hold_model(file: Path, files: Files, as_robot: bool = False) -> HeldModel:
+def load_self_contained(file: Path, files: Files, as_robot: bool = False) -> SelfContainedModel:
     """
     Read a model and the files that it names.
 
@@ -179,7 +179,7 @@ def hold_model(file: Path, files: Files, as_robot: bool = False) -> HeldModel:
         something is too large
     """
     model = XmlModel(file, Budget(ROBOT_LIMITS if as_robot else LIMITS), files=files, traced=True)
-    held = HeldModel(str(file), is_light=not as_robot)
+    held = SelfContainedModel(str(file), is_light=not as_robot)
     held.xml = held.hold(model, files, as_robot)
     held.origins[''] = model.origins_in_order
     held.is_light = held.is_light and not held.assets and model.elements <= _MAX_LIGHT_ELEMENTS

@@ -381,7 +381,7 @@ def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) ->
     Let actuators of robots with a free root carry the parts beyond them.
 
     :param spec: the ``mujoco.MjSpec`` of a world, changed in place; its model needs
-        ``FreeRoots`` in each step
+        ``FloatingBases`` in each step
     :param robots: the robots in it
     """
     driven = {actuator.target for actuator in spec.actuators}
@@ -419,7 +419,7 @@ def inferred_by_model(world: World, robot: RobotModel | None = None
         yield model.name, getattr(model, 'inferred', None) or []
 
 
-def lost_shapes(world: World, robot: RobotModel | None = None) -> list[str]:
+def skipped_geoms(world: World, robot: RobotModel | None = None) -> list[str]:
     """
     Return which shapes the models of a world lack because their files cannot be read.
 

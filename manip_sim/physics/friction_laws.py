@@ -46,14 +46,14 @@ class FrictionLaws:
         self._curved = np.isfinite(no_load)
         self._knee = np.where(self._curved, knee, 0.0)
         self._no_load = np.where(self._curved, no_load, 1.0)
-        physics.on_change(self._look_at_model)
+        physics.on_change(self._rebind)
 
-    def _look_at_model(self) -> None:
+    def _rebind(self) -> None:
         model = self._physics.model
         self._joints = np.array([model.joint(name).id for name in self._laws], dtype=np.int64)
         self._dofs = model.jnt_dofadr[self._joints]
 
-    def look_at_joints(self) -> None:
+    def refresh_joint_parameters(self) -> None:
         """Take over the dry friction of joints without a law of it, changed in the model."""
         self._friction = np.where(
             self._stribeck, self._friction, self._physics.model.dof_frictionloss[self._dofs])

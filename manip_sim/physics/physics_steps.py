@@ -94,26 +94,26 @@ class PhysicsSteps:
         self.tools: tuple[BodyForces, ...] = tuple(tools)
         self._laws, self.seats = tuple(laws), tuple(seats)
         self.measuring: Mapping[int, Callable[[], None]] = {}
-        physics.on_change(self._look_at_model)
+        physics.on_change(self._rebind)
 
-    def look_at_joints(self) -> None:
+    def refresh_joint_parameters(self) -> None:
         """Take over the dry friction of the joints, which was changed in the model."""
         for laws in self._laws:
-            laws.look_at_joints()
+            laws.refresh_joint_parameters()
 
-    def look_at_robots(self, tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws],
-                       seats: Sequence[StepLaws]) -> None:
+    def sync_robots(self, tools: Sequence[ExternalWrench], laws: Sequence[FrictionLaws],
+                    seats: Sequence[StepLaws]) -> None:
         """Take over the tools and laws of the robots that there are now."""
         self.tools, self._laws, self.seats = tuple(tools), tuple(laws), tuple(seats)
-        self._look_at_tools()
+        self._rebind_tools()
 
-    def look_at_forces(self, forces: Sequence[RobotForces]) -> None:
+    def watch_forces(self, forces: Sequence[RobotForces]) -> None:
         """Record the forces on all bodies of these robots too, and of no others."""
         # The record of a tool counts where it is one of these bodies too.
         self.tools = (*forces, *[tool for tool in self.tools if isinstance(tool, ExternalWrench)])
-        self._look_at_tools()
+        self._rebind_tools()
 
-    def _look_at_tools(self) -> None:
+    def _rebind_tools(self) -> None:
         self._touch = TouchWatch(self._model, self._data, self.tools)
         #: True if only contacts, and forces that :attr:`_touch` sees, act on tools.
         self._only_touched = all(tool.is_only_touched for tool in self.tools)
@@ -124,11 +124,11 @@ class PhysicsSteps:
             (tool.bodies.start, tool.bodies.stop, self._model.body_rootid[tool.bodies.start])
             for tool in self.tools], dtype=np.int64).reshape(-1, 3)
 
-    def _look_at_model(self) -> None:
+    def _rebind(self) -> None:
         model, data = self.physics.model, self.physics.data
         self._model, self._data, self._options = model, data, model.opt
         self.divergence = DivergenceWatch(model, data)
-        self._look_at_tools()
+        self._rebind_tools()
         self.computed_from: FloatArray = np.empty(mujoco.mj_stateSize(model, PHYSICS))
         mujoco.mj_getState(model, data, self.computed_from, PHYSICS)
         self._first_half = _places(model, _FIRST_HALF)

@@ -38,7 +38,7 @@ class Frame:
         """The id of the site or the body, and 1 if it is a site."""
         return (self.body, 0) if self.site is None else (self.site, 1)
 
-    def look_at_model(self, model: mujoco.MjModel) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Take over the ids in another model, in which the frame is the same."""
         if self.site is None:
             body = int(model.body(self.name).id)
@@ -101,10 +101,10 @@ class RobotFrames:
             site = int(model.site(name).id)
             self._frames[names.sites[site]] = Frame(name, int(model.site_bodyid[site]), site)
 
-    def look_at_model(self, model: mujoco.MjModel) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Take over the ids of all frames in another model."""
         for frame in self._frames.values():
-            frame.look_at_model(model)
+            frame.rebind(model)
 
     def find(self, name: str, what: str) -> Frame:
         """

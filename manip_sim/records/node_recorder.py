@@ -27,7 +27,7 @@ from std_msgs.msg import UInt8MultiArray
 import yaml
 
 from manip_sim.errors import describe_choices, RecordError
-from manip_sim.quoting import counted, quoted
+from manip_sim.quoting import pluralize, quoted
 from manip_sim.rclpy_internals import describe_unheard, RCLError, start_rclpy, without_source
 from manip_sim.records.record_file import installed, joined, RecordFile
 from manip_sim.records.recorder import MODEL, NODE
@@ -248,7 +248,7 @@ class _NodeRecorder:
         assert self._file is not None
         self._file.close()
         topics = sum(subscription is not None for subscription in self._subscriptions.values())
-        summary = f'{counted(self.messages, "message")} of {counted(topics, "topic")}'
+        summary = f'{pluralize(self.messages, "message")} of {pluralize(topics, "topic")}'
         return '\n'.join([*self._notes, f'{self._file.path} ({summary}, '
                           f'{time.monotonic() - self._begin_s:.1f} s, {self._size()})'])
 

@@ -28,7 +28,7 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of, topics_of_surroundings
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.quoting import counted, quoted
+from manip_sim.quoting import pluralize, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.feature import Feature, NodeContext, qos_options
@@ -236,8 +236,8 @@ class CommandSubscribers:
             self.statistics[name].arrivals = first_ns if number else now_ns, now_ns, number + 1
         if clamped:
             example = next((c.clamped_example for c in commands if c.clamped_example), '')
-            self._log.warn(topic, 'clamped', f'clamped {counted(clamped, "number")} of a message '
-                           f'on {topic}{": " + example if example else " to its limits"}')
+            self._log.warn(topic, 'clamped', f'clamped {pluralize(clamped, "number")} of a '
+                           f'message on {topic}{": " + example if example else " to its limits"}')
         for command in commands:
             if isinstance(command, TrajectoryCommand) and command.slowed > 1.0:
                 self.statistics[entry].slowed += 1
@@ -258,7 +258,7 @@ class CommandSubscribers:
         if len(message.data) != len(_IMPEDANCE) * len(names):
             raise CommandError(
                 f'{part}: an impedance must have {len(_IMPEDANCE)} numbers for each of '
-                f'{counted(len(names), "joint")}, got {len(message.data)}: '
+                f'{pluralize(len(names), "joint")}, got {len(message.data)}: '
                 f'{", ".join(_IMPEDANCE)} of all joints, row after row, NaN for what stays')
         rows = np.reshape(message.data, (len(_IMPEDANCE), -1))
         return self._parse.joint_impedance(names, part=part, **dict(zip(_IMPEDANCE, rows)))
@@ -428,7 +428,7 @@ class SurroundingsCommands(Feature):
                 len(message.points) != _ENDS or message.pose != _NOWHERE):
             raise CommandError('pull: expected an ARROW to ADD, with two points and no pose, or '
                                f'to DELETE, got action {message.action}, type {message.type} and '
-                               f'{counted(len(message.points), "point")}')
+                               f'{pluralize(len(message.points), "point")}')
         point, target = map(messages.numbers_of, message.points)
         pulls.check(message.ns, point, target)
         self._changes.at_next_period(

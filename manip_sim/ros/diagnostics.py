@@ -25,8 +25,8 @@ from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.command_subscribers import (
     CommandStatistics, CommandSubscribers, RobotCommands, SurroundingsCommands)
 from manip_sim.ros.feature import create_publisher, Feature, NodeContext
+from manip_sim.ros.graph_monitor import GraphMonitor
 from manip_sim.ros.messages import stamp_of
-from manip_sim.ros.neighbours import Neighbours
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -97,7 +97,7 @@ class Diagnostics(Feature):
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
         self._commands, self._surroundings, self._cameras = commands.robots, surroundings, cameras
         self._pace = Pace(context.thread)
-        self._neighbours = Neighbours(context.node, [c.scope for c in self._commands])
+        self._neighbours = GraphMonitor(context.node, [c.scope for c in self._commands])
         self._last_accepted: dict[str, int] = {}
         self._last_faults: dict[str, int] = {}
         self._last_s = time.monotonic()

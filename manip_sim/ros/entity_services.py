@@ -20,7 +20,7 @@ from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import one_line, quoted
 from manip_sim.ros.feature import NodeContext
 from manip_sim.ros.messages import filled, import_optional, numbers_of, stamp_of, WORLD
-from manip_sim.ros.standard_answers import (
+from manip_sim.ros.simulation_interfaces_messages import (
     answering, BoundsType, Category, change_unless_diverged, Rejection, ResultCode, SetEntityCode,
     StandardTypes, TagsMode)
 

@@ -47,7 +47,7 @@ class EpisodePublisher(Feature):
         #: Digests of the starts of all episodes that may be in a saved state, by what they are of.
         self._digests: dict[str, str] = {}
         self._published: tuple[int, Any] | None = None
-        self._look_again = context.thread.observers.look_again
+        self._refresh = context.thread.observers.refresh
         context.thread.changes.operations.restart = self._restart
         context.thread.observe(self._follow, look=self._is_another)
 
@@ -66,7 +66,7 @@ class EpisodePublisher(Feature):
         self._digests[self._key()] = self._simulation.digest()
         # It is published with the first states, as their stamp is not known yet.
         self._published = None
-        self._look_again()
+        self._refresh()
 
     def _is_another(self) -> bool:
         """Return whether another episode has begun, or a state of another one was restored."""

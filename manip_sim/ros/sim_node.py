@@ -43,11 +43,11 @@ from manip_sim.ros.feature import Feature, NodeContext, PublishingThread
 from manip_sim.ros.live_parameters import LiveParameters
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher, ModelPublisher
-from manip_sim.ros.scene import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
 from manip_sim.ros.startup_log import log_start
 from manip_sim.ros.until_contact import MotionsUntilContact
+from manip_sim.ros.visualization_topics import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -214,7 +214,7 @@ class SimNode(Node):
         with contextlib.suppress(SimulationEnded):
             for feature in self.shared.features:
                 feature.parameters_changed([] if self.declared.showing else parameters)
-            self.thread.observers.look_again()
+            self.thread.observers.refresh()
 
     def create_publisher(self, message_type: Any, topic: str, *arguments: Any, **keywords: Any
                          ) -> Publisher:

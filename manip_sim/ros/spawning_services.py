@@ -31,19 +31,19 @@ from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_creation import (
     create_object, named_by_itself, object_from_model, object_from_text, ObjectModel, UNNAMED)
 from manip_sim.models.object_model import check_object_name
-from manip_sim.models.regular_files import FilesBelow, OneText
+from manip_sim.models.regular_files import AllowedRoots, InMemoryFile
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
 from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml
-from manip_sim.models.untrusted_models import hold_model
+from manip_sim.models.untrusted_models import load_self_contained
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quaternion import xyzw_to_wxyz
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import format_value, quoted
 from manip_sim.ros.executor import in_background, RESULT_ROUNDS, Rounds
 from manip_sim.ros.feature import NodeContext
 from manip_sim.ros.messages import numbers_of, WORLD
-from manip_sim.ros.standard_answers import (
+from manip_sim.ros.simulation_interfaces_messages import (
     answering_later, change_unless_diverged, free_name, Rejection, resource_of, result_filled,
     ResultCode, SpawnAllCode, SpawnCode, StandardTypes)
 from manip_sim.ros.startup_log import log_robot
@@ -69,9 +69,9 @@ class RequestedRobot:
     #: The key that only robots have.
     KEY = 'robot'
 
-    def __init__(self, values: Mapping[str, Any], where: str, files: FilesBelow,
+    def __init__(self, values: Mapping[str, Any], where: str, files: AllowedRoots,
                  folder: Path | None = None) -> None:
-        self._given: Path | OneText | None = None
+        self._given: Path | InMemoryFile | None = None
         self._files = files
         known = {'name': None, self.KEY: robot_names(),
                  'gripper': [DEFAULT, NONE, *gripper_names()],
@@ -81,7 +81,7 @@ class RequestedRobot:
                 raise ModelError(f'{where}: {UnknownNameError("key", key, known)}')
             names = known[key]
             if not isinstance(value, str):
-                raise ModelError(f'{where}: {key}: expected a name, got {shown(value)}')
+                raise ModelError(f'{where}: {key}: expected a name, got {format_value(value)}')
             if names is None or value in names:
                 continue
             if key != self.KEY or not is_path(value):
@@ -92,7 +92,7 @@ class RequestedRobot:
         self._values = values
 
     @classmethod
-    def from_text(cls, text: OneText, files: FilesBelow) -> RequestedRobot:
+    def from_text(cls, text: InMemoryFile, files: AllowedRoots) -> RequestedRobot:
         """
         Return the robot that a URDF is, which a request sends as text.
 
@@ -238,7 +238,7 @@ class SpawningServices:
     :ivar group: of the services
     """
 
-    def __init__(self, context: NodeContext, files: FilesBelow, types: StandardTypes) -> None:
+    def __init__(self, context: NodeContext, files: AllowedRoots, types: StandardTypes) -> None:
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
         self._robots = SpawnedRobots(context)
         self._files, self._messages = files, types.messages
@@ -375,14 +375,14 @@ def _parsing() -> Iterator[None]:
 _Item = ObjectModel | RequestedRobot
 
 
-def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], _Item]]:
+def _prepared(request: Any, files: AllowedRoots) -> tuple[bool, Callable[[], _Item]]:
     """Return whether it is quickly made for sure, and return what makes it."""
     resource = resource_of(request, 'entity_resource')
     if resource.uri:
         path = _path(resource.uri)
         return False, lambda: _from_file(path, files)
     # The text is used without a file.
-    text = OneText(resource.resource_string.strip(), 'resource_string')
+    text = InMemoryFile(resource.resource_string.strip(), 'resource_string')
     if not text.content:
         raise Rejection(SpawnCode.NO_RESOURCE, 'give a file (uri) or a text (resource_string)')
     if len(text.content) > _MAX_QUICK:
@@ -390,7 +390,7 @@ def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], _Item
     return _from_text(text, files)
 
 
-def _from_text(text: OneText, files: FilesBelow) -> tuple[bool, Callable[[], _Item]]:
+def _from_text(text: InMemoryFile, files: AllowedRoots) -> tuple[bool, Callable[[], _Item]]:
     if is_moving_urdf(text.content):
         return False, lambda: RequestedRobot.from_text(text, files)
     if not text.content.startswith(b'<'):
@@ -400,7 +400,7 @@ def _from_text(text: OneText, files: FilesBelow) -> tuple[bool, Callable[[], _It
     return object_from_text(text)
 
 
-def _from_file(path: str, files: FilesBelow) -> _Item:
+def _from_file(path: str, files: AllowedRoots) -> _Item:
     file = files.first(files.places(path))
     if file.suffix in _YAML:
         values = parse_yaml(files.read(file, 'YAML file', MAX_REQUESTED), str(file))
@@ -409,7 +409,7 @@ def _from_file(path: str, files: FilesBelow) -> _Item:
         return create_object(file, files)
     if file.suffix in _URDF:
         return RequestedRobot({RequestedRobot.KEY: str(file)}, str(file), files)
-    return named_by_itself(object_from_model(hold_model(file, files), UNNAMED))
+    return named_by_itself(object_from_model(load_self_contained(file, files), UNNAMED))
 
 
 def _path(uri: str) -> str:

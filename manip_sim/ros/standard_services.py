@@ -18,7 +18,7 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models import arena_names, create_arena
 from manip_sim.models.arenas.arena import ARENAS
 from manip_sim.models.cameras import chosen_cameras
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.robots import robot_names
 from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.quoting import quoted
@@ -26,12 +26,12 @@ from manip_sim.ros.entity_services import EntityServices, has_tags
 from manip_sim.ros.executor import in_background, Rounds
 from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import filled, import_optional
-from manip_sim.ros.spawning_services import (
-    FORMATS, RequestedRobot, SpawnedRobots, SpawningServices, SUFFIXES)
-from manip_sim.ros.standard_answers import (
+from manip_sim.ros.simulation_interfaces_messages import (
     answering, answering_later, FeatureCode, LoadCode, NEEDED, reject_if_diverged, Rejection,
     resource_of, result_filled, ResultCode, ScopeCode, SetStateCode, StandardTypes, StateCode,
     WorldCode)
+from manip_sim.ros.spawning_services import (
+    FORMATS, RequestedRobot, SpawnedRobots, SpawningServices, SUFFIXES)
 from manip_sim.simulation.robot_spawning import plan_in_arena, RobotsPlan
 
 _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation time; scope ALL '
@@ -215,7 +215,7 @@ class WorldServices:
     :param group: of the services that spawn, because each plan is made from the one before
     """
 
-    def __init__(self, context: NodeContext, states: SimulationInterfaces, files: FilesBelow,
+    def __init__(self, context: NodeContext, states: SimulationInterfaces, files: AllowedRoots,
                  types: StandardTypes, group: CallbackGroup) -> None:
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
         self._states, self._files, self._types = states, files, types
@@ -362,7 +362,7 @@ class StandardServices(Feature):
     :param files: that a request may name
     """
 
-    def __init__(self, context: NodeContext, files: FilesBelow) -> None:
+    def __init__(self, context: NodeContext, files: AllowedRoots) -> None:
         if not AVAILABLE:
             context.missing['simulation_interfaces'] = 'standard simulation services'
             return

@@ -15,7 +15,7 @@ from manip_sim.models import World
 from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
-from manip_sim.models.world import inferred_by_model, lost_shapes
+from manip_sim.models.world import inferred_by_model, skipped_geoms
 from manip_sim.rclpy_internals import missing_for_publishing
 from manip_sim.ros.feature import NodeContext
 from manip_sim.ros.messages import missing_note
@@ -38,7 +38,7 @@ def log_start(context: NodeContext, world: World) -> None:
         log.info(note)
     for name in missing_for_publishing():
         log.warning(f'no {name}: Python does nothing else while a message is published')
-    for sentence in lost_shapes(world):
+    for sentence in skipped_geoms(world):
         log.warning(sentence)
     for defect in simulation.start_defects:
         log.warning(f'start: {defect}')
@@ -54,7 +54,7 @@ def log_robot(context: NodeContext, robot: SimulatedRobot) -> None:
     log, world = context.node.get_logger(), context.simulation.world
     for note in (*_inferred(world, robot.robot_model), *robot.joints.lowered):
         log.info(note)
-    for sentence in lost_shapes(world, robot.robot_model):
+    for sentence in skipped_geoms(world, robot.robot_model):
         log.warning(sentence)
 
 

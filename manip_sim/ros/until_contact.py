@@ -22,7 +22,7 @@ from manip_sim.control.commands import CommandHandle, Status
 from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.models.strict_yaml import parse_yaml
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 from manip_sim.ros.command_subscribers import RobotCommands
 from manip_sim.ros.executor import let_clients_know
 from manip_sim.ros.feature import create_publisher, Feature, NodeContext
@@ -124,7 +124,7 @@ class MotionsUntilContact(Feature):
                 motion.answer.set_result((False, _ENDING))
         next(commands for commands in self._commands.robots if commands.robot is robot).count(
             _SERVICE, command.arm, [command])
-        self._context.thread.observers.look_again()
+        self._context.thread.observers.refresh()
         response.success, response.message = await motion.answer
         return response
 
@@ -141,7 +141,8 @@ class MotionsUntilContact(Feature):
         values = {**_KEYS, **values}
         for key in ('robot', 'arm', 'frame'):
             if not isinstance(values[key], str):
-                raise CommandError(f"the motion: '{key}' must be a name, got {shown(values[key])}")
+                raise CommandError(f"the motion: '{key}' must be a name, "
+                                   f'got {format_value(values[key])}')
         robots = self._simulation.robots
         name = values['robot'] or self._simulation.robot.name
         if name not in robots:

@@ -118,7 +118,7 @@ class ActionGoal(ABC):
         elif simulation.diverged is not None:
             self.abort(simulation.diverged)
         elif handle.status is not Status.WAITING:
-            rival = self._ledger.rival(self.command)
+            rival = self._ledger.current_owner(self.command)
             if rival is None:
                 self._judge(simulation)
             else:
@@ -191,7 +191,7 @@ class GoalTracker:
         """Submit the command of a goal and watch it from now on."""
         with self._lock:
             self.goals = (*self.goals, goal)
-        self._thread.observers.look_again()
+        self._thread.observers.refresh()
         self._thread.submit([goal.command], robot=goal.robot.name)
 
     def cancel(self, goal: ActionGoal) -> bool:

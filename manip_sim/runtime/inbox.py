@@ -43,7 +43,7 @@ class Inbox:
 T = TypeVar('T')
 
 
-class Calls:
+class CallQueue:
     """
     Functions that wait for the simulation's thread, in the order in which they came.
 

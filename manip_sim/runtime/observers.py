@@ -42,14 +42,14 @@ class Observers:
         if every < 1:
             raise ValueError(f'the divider of an observer must be 1 or more, got {every}')
         self._all = (*self._all, _Entry(observer, every, look))
-        self.look_again()
+        self.refresh()
 
     def remove(self, observer: Observer) -> None:
         """Call an observer no more; to be called where :meth:`show` is."""
         self._all = tuple(entry for entry in self._all if entry.observer != observer)
         self._present = tuple(entry for entry in self._present if entry.observer != observer)
 
-    def look_again(self) -> None:
+    def refresh(self) -> None:
         """Check at the next state which observers have to be called; any thread may call this."""
         self._look_at = 0.0
 
@@ -67,7 +67,7 @@ class Observers:
         :param look: whether to check which observers have to be called even if that is not due
         """
         if look or now_s >= self._look_at:
-            # Set first, or a look_again() that comes meanwhile would be lost.
+            # Set first, or a refresh() that comes meanwhile would be lost.
             self._look_at = now_s + _LOOK_S
             self._present = tuple(
                 entry for entry in self._all if entry.look is None or entry.look())

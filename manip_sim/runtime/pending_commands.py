@@ -118,7 +118,7 @@ class PendingCommands:
         #: Stamp of the state that commands may answer [ns]; None until the next one is shown.
         self._present_ns: int | None = None
 
-    def look_at_robots(self) -> None:
+    def sync_robots(self) -> None:
         """
         Follow robots that have come or gone; lock-step does not wait for those that have come.
 

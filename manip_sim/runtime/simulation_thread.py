@@ -13,10 +13,10 @@ from typing import Any
 
 from manip_sim.control.commands import Command, CommandHandle
 from manip_sim.errors import CommandError, DivergenceError
-from manip_sim.runtime.inbox import Calls, Inbox, T
+from manip_sim.runtime.change_queue import ChangeQueue
+from manip_sim.runtime.inbox import CallQueue, Inbox, T
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer, Progress
-from manip_sim.runtime.pending_changes import PendingChanges
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
@@ -74,14 +74,14 @@ class SimulationThread:
         self.observers = Observers()
         # A stamp of zero means no stamp, so the first instant is that after one period.
         simulation.step_count = max(simulation.step_count, steps)
-        self.changes = PendingChanges(
+        self.changes = ChangeQueue(
             simulation, steps, (lockstep_parts or {}) if stepping == 'lockstep' else None,
             waits_for_arena, report_failure or (lambda what, error: None))
         self._paused = paused
         self._stopping = False
         self._lock = threading.RLock()
         self._inbox = inbox or Inbox()
-        self._calls = Calls(self._inbox)
+        self._calls = CallQueue(self._inbox)
         self._pacer = Pacer(self.period_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
         #: Observers are being called; one of them has changed the state meanwhile.
@@ -145,8 +145,8 @@ class SimulationThread:
         """
         def change() -> None:
             self._simulation.change_robots(plan)
-            self.changes.commands.look_at_robots()
-            self.observers.look_again()
+            self.changes.commands.sync_robots()
+            self.observers.refresh()
         self.call(change, what)
 
     def start(self) -> None:

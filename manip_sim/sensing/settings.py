@@ -11,7 +11,7 @@ import math
 from types import MappingProxyType
 
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,8 @@ class SensingSettings:
         most = QUANTITIES[name].maximum
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not (
                 math.isfinite(value) and 0.0 <= value <= most):
-            raise CommandError(f'{name} must be a number from 0 to {most:g}, got {shown(value)}')
+            raise CommandError(f'{name} must be a number from 0 to {most:g}, '
+                               f'got {format_value(value)}')
         self._values[name] = float(value)
         self._look()
 

@@ -14,10 +14,10 @@ import numpy as np
 from manip_sim.arrays import IntArray
 from manip_sim.errors import DivergenceError
 from manip_sim.physics.clock import Clock
-from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON
 from manip_sim.physics.physics_steps import PhysicsSteps
-from manip_sim.physics.pulls import Pulls
+from manip_sim.physics.spring_forces import SpringForces
 from manip_sim.simulation.compiled_period import CompiledPeriod, go_on, is_loaded, MOST_STEPS
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_runs import RobotRun
@@ -38,7 +38,7 @@ class ControlPeriods:
 
     :param steps: runs the physics
     :param robots: whose control acts, by name
-    :param free_roots: the weight of free robots
+    :param floating_bases: the weight of free robots
     :param pulls: on bodies, for a number of periods
     :param clock: of the simulation
     :param timestep_s: length of a physics step [s]
@@ -47,12 +47,13 @@ class ControlPeriods:
     """
 
     def __init__(self, steps: PhysicsSteps, robots: Mapping[str, SimulatedRobot],
-                 free_roots: FreeRoots, pulls: Pulls, clock: Clock, timestep_s: float) -> None:
+                 floating_bases: FloatingBases, pulls: SpringForces, clock: Clock,
+                 timestep_s: float) -> None:
         self._steps, self._robots_by_name = steps, robots
-        self._free_roots, self._pulls, self._clock = free_roots, pulls, clock
+        self._floating_bases, self._pulls, self._clock = floating_bases, pulls, clock
         self._timestep_s = timestep_s
         self.diverged: str | None = None
-        self.look_at_robots()
+        self.sync_robots()
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         self._cuts: dict[int, IntArray] = {}
         self.compiled = CompiledPeriod(steps, clock, timestep_s)
@@ -70,7 +71,7 @@ class ControlPeriods:
         #: Steps of the period after that.
         self._later = 0
 
-    def look_at_robots(self) -> None:
+    def sync_robots(self) -> None:
         """Take over which robots there are now."""
         self._robots = tuple(self._robots_by_name.values())
         #: Robots whose momentum is observed.
@@ -86,7 +87,7 @@ class ControlPeriods:
     def resting(self) -> bool:
         """True if control has nothing to do."""
         self._steps.physics.interrupt()
-        return not self._free_roots.is_needed and not self._awake()
+        return not self._floating_bases.is_needed and not self._awake()
 
     def advance(self, steps: int) -> None:
         """
@@ -147,7 +148,7 @@ class ControlPeriods:
         observed = tuple([robot for robot in self._robots if robot.reflexes.observes])
         if observed != self._observed:
             self._observed = observed
-            self._steps.look_at_forces([robot.reflexes.collisions.forces for robot in observed])
+            self._steps.watch_forces([robot.reflexes.collisions.forces for robot in observed])
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         self._prepared, self._is_computed, self._is_good = None, False, False
@@ -279,7 +280,7 @@ class ControlPeriods:
     def _lets_laws_step(self, awake: Sequence[SimulatedRobot]) -> bool:
         """Return whether compiled code runs the next steps."""
         # Without a robot that acts, nothing is compiled.
-        return ((len(awake) > 0 or is_loaded()) and not self._free_roots.is_needed
+        return ((len(awake) > 0 or is_loaded()) and not self._floating_bases.is_needed
                 and self._steps.lets_laws_step and self.compiled.may_step)
 
     def _prepare(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> bool:
@@ -320,8 +321,8 @@ class ControlPeriods:
             self.compiled.run()
         for robot in awake:
             robot.joints.begin_python_steps(steps, self._clock.control_s)
-        if self._free_roots.is_needed:
-            self._free_roots.apply()
+        if self._floating_bases.is_needed:
+            self._floating_bases.apply()
         self._steps.run((steps,))
         self._left -= steps
         for robot, run in zip(awake, runs):

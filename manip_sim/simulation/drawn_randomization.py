@@ -21,11 +21,11 @@ from manip_sim.models.randomization import (
     GROUPS, OF_NODE, Randomization, RandomizationLike, Rule)
 from manip_sim.physics.physics import Physics
 from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 from manip_sim.sensing.settings import QUANTITIES
 
 #: Drawn values, by ``group/name/quantity``: a number or several, in SI units.
-Drawn = Mapping[str, Any]
+Sample = Mapping[str, Any]
 _KINDS = {'bodies': 'body', 'geoms': 'geom', 'joints': 'joint', 'lights': 'light',
           'cameras': 'cam'}
 #: The field of a model that a quantity is, and its place in a row; None for the whole row.
@@ -114,7 +114,7 @@ def split(key: str) -> tuple[str, str, str]:
         return group, rest, ''
     name, _, quantity = rest.rpartition('/')
     if quantity not in GROUPS.get(group, {}):
-        raise ModelError(f'nothing that is drawn is called {shown(key)}')
+        raise ModelError(f'nothing that is drawn is called {format_value(key)}')
     return group, name, quantity
 
 
@@ -135,7 +135,7 @@ def element_names(model: mujoco.MjModel) -> dict[str, list[str]]:
                 ('lights', 'light', 'light'), ('cameras', 'camera', 'cam'))}
 
 
-def apply_to_model(model: mujoco.MjModel, nominal: mujoco.MjModel, drawn: Drawn,
+def apply_to_model(model: mujoco.MjModel, nominal: mujoco.MjModel, drawn: Sample,
                    before: Iterable[str] = ()) -> None:
     """
     Write drawn values to a model, and compute what MuJoCo derives from them.
@@ -168,7 +168,7 @@ def apply_to_model(model: mujoco.MjModel, nominal: mujoco.MjModel, drawn: Drawn,
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-class Randomized:
+class DomainRandomizer:
     """
     The draws for the episodes of one simulation.
 
@@ -183,7 +183,7 @@ class Randomized:
     def __init__(self, given: RandomizationLike | None, physics: Physics,
                  sensing: Mapping[str, Measured], lawful: Iterable[str] = ()) -> None:
         self._physics, self._sensing = physics, dict(sensing)
-        self.drawn: Drawn = {}
+        self.drawn: Sample = {}
         self._seed = 0
         self._given = None if given is None else Randomization(given)
         if self._given is None:
@@ -252,7 +252,7 @@ class Randomized:
             value = rule.applied(value, draw)
         return value.tolist() if len(value) > 1 else float(value[0])
 
-    def set(self, drawn: Drawn) -> None:
+    def set(self, drawn: Sample) -> None:
         """
         Change model and settings to drawn values.
 
@@ -353,7 +353,7 @@ def turned(quat_wxyz: FloatArray, by: FloatArray) -> FloatArray:
     return product
 
 
-def _sizes_in(drawn: Drawn) -> dict[str, Sequence[float]]:
+def _sizes_in(drawn: Sample) -> dict[str, Sequence[float]]:
     return {split(key)[1]: np.atleast_1d(value).tolist() for key, value in drawn.items()
             if split(key)[::2] == ('geoms', 'size')}
 

@@ -13,11 +13,11 @@ import numpy as np
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.models.world import World
 from manip_sim.physics.belts import Belts
-from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 from manip_sim.sensing.robot_sensing import RobotSensing
-from manip_sim.simulation.drawn_randomization import Randomized
+from manip_sim.simulation.drawn_randomization import DomainRandomizer
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
 #: Duration of the simulation in which coupled joints settle at their start [s].
@@ -63,7 +63,7 @@ class EpisodeStart:
     :param world: that has it
     :param physics: of the world
     :param surroundings: which are held where they start
-    :param free_roots: of the robots
+    :param floating_bases: of the robots
     :param belts: which run at their speed at the start
     :ivar positions: of joints, by name [rad or m]
     :ivar seed: that the present episode was drawn from
@@ -71,21 +71,21 @@ class EpisodeStart:
     """
 
     def __init__(self, world: World, physics: Physics, surroundings: Surroundings,
-                 free_roots: FreeRoots, belts: Belts) -> None:
+                 floating_bases: FloatingBases, belts: Belts) -> None:
         self.world, self._physics, self._belts = world, physics, belts
-        self._surroundings, self._free_roots = surroundings, free_roots
+        self._surroundings, self._floating_bases = surroundings, floating_bases
         self.positions = world.init_qpos()
         self.seed = world.seed
-        self.randomized = Randomized(None, physics, {})
+        self.randomized = DomainRandomizer(None, physics, {})
         self._keyframe, self._changes = world.keyframe, False
 
-    def let_draw(self, sensing: Mapping[str, RobotSensing]) -> None:
+    def randomize(self, sensing: Mapping[str, RobotSensing]) -> None:
         """
         Let episodes draw what the ``randomization`` of the world says.
 
         :param sensing: of each robot, by name
         """
-        self.randomized = Randomized(
+        self.randomized = DomainRandomizer(
             self.world.randomization, self._physics, sensing,
             [name for robot in self.world.robots for name, law in robot.friction_laws.items()
              if np.isfinite(law.stribeck_velocity)])
@@ -150,7 +150,7 @@ class EpisodeStart:
         self.randomized.place(data)
         mujoco.mj_forward(model, data)
         self._surroundings.hold_actuators()
-        self._free_roots.apply()
+        self._floating_bases.apply()
 
     def settle(self, grippers: Iterable[Part]) -> None:
         """

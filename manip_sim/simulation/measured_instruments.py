@@ -33,9 +33,9 @@ class MeasuredInstruments:
         self._physics, self._robots = physics, robots
         self._noise: dict[str, float] = {}
         self.sensors = Sensors(physics, self.measured)
-        physics.on_change(self.look_at_model)
+        physics.on_change(self.rebind)
 
-    def look_at_model(self) -> None:
+    def rebind(self) -> None:
         """Find the instruments of the model, and the robots that they belong to."""
         self._sensing: dict[str, RobotSensing] = {}
         robots = [*self._robots.values()]
@@ -59,7 +59,7 @@ class MeasuredInstruments:
             the instrument
         """
         self._noise = dict(noise)
-        self.look_at_model()
+        self.rebind()
 
     def sensing_of(self, body: int) -> RobotSensing:
         """

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.object_creation import object_from_text
 from manip_sim.models.object_model import check_object_name, ObjectModel
-from manip_sim.models.regular_files import OneText
+from manip_sim.models.regular_files import InMemoryFile
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import quoted
@@ -215,7 +215,7 @@ def _created(name: str, text: str | None, position: list[float], quat_wxyz: list
     """Return the object that a text describes, with another name and pose."""
     if text is None:
         raise ModelError(f'{quoted(name)} was spawned from a file')
-    item = object_from_text(OneText(text, 'resource_string'))[1]()
+    item = object_from_text(InMemoryFile(text, 'resource_string'))[1]()
     item.name = name
     check_object_name(name, 'name')
     item.place(position, quat_wxyz)

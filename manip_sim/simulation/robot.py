@@ -104,7 +104,7 @@ class SimulatedRobot:
             self.reader.add_odometry(self.name, self.twist_joints)
 
     def _find_frames(self) -> None:
-        self.parse_cartesian.look_at_model(self._physics.model)
+        self.parse_cartesian.rebind(self._physics.model)
 
     @property
     def period_s(self) -> float:

@@ -34,7 +34,7 @@ from manip_sim.physics.friction_laws import FrictionLaws
 from manip_sim.physics.object_spawning import plan_world, WorldPlan
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.state_transfer import ElementMap
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 from manip_sim.simulation.robot import SimulatedRobot
 
 #: Robots that a world may have, so that requests cannot fill the memory.
@@ -70,7 +70,7 @@ def compose_base(world: World, visual: bool = False) -> Any:
     """
     if not isinstance(world, World):
         raise ModelError(
-            f"a simulation needs a World, such as compose('Panda'), got {shown(world)}")
+            f"a simulation needs a World, such as compose('Panda'), got {format_value(world)}")
     spec = world.compose(visual, objects=False)
     add_setpoint_activation(spec, [
         *(name for robot in world.robots for name in robot.joint_actuators),
@@ -181,7 +181,7 @@ def _follow(simulation: RunningWorld, world: World, start: Mapping[str, float] |
                       start or {})
 
 
-class PresentRobots:
+class RobotSet:
     """
     The robots of a world, with the updates that each of them needs when the model is replaced.
 

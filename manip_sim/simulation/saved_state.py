@@ -99,9 +99,9 @@ class SavedStates:
         self._physics, self._clock, self._steps, self._start = physics, clock, steps, start
         self._efforts, self._robots = efforts, robots
         self._control: ControlState | None = self._find_control()
-        physics.on_change(self.look_at_robots)
+        physics.on_change(self.sync_robots)
 
-    def look_at_robots(self) -> None:
+    def sync_robots(self) -> None:
         """Find all objects with a state again, as robots or the model changed, when asked for."""
         self._control = None
 

@@ -21,22 +21,22 @@ from manip_sim.physics.belts import Belts
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.entities import Entities
-from manip_sim.physics.free_base import FreeRoots
+from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.object_spawning import plan_world, WorldPlan
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.physics_steps import PhysicsSteps
-from manip_sim.physics.pulls import Pulls
+from manip_sim.physics.spring_forces import SpringForces
 from manip_sim.sensing.lidars import Lidars
 from manip_sim.simulation.control_period import ControlPeriods
 from manip_sim.simulation.control_state import Content
-from manip_sim.simulation.drawn_randomization import Drawn, Randomized
+from manip_sim.simulation.drawn_randomization import DomainRandomizer, Sample
 from manip_sim.simulation.episode_start import EpisodeStart
 from manip_sim.simulation.faults import Faults
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.payload_estimation import PayloadEstimate, PayloadEstimation
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_spawning import (
-    actuators_of, compose_base, plan_with_robot, plan_without_robot, PresentRobots, RobotsPlan)
+    actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotSet, RobotsPlan)
 from manip_sim.simulation.saved_state import SavedStates, SimulationState
 from manip_sim.simulation.start_check import check_start
 from manip_sim.validation import whole_number
@@ -80,20 +80,22 @@ class Simulation:
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self.timestep_s = float(self.model.opt.timestep)
-        self._free_roots = FreeRoots(self.physics, [robot.root_body for robot in world.robots])
+        self._floating_bases = FloatingBases(
+            self.physics, [robot.root_body for robot in world.robots])
         belts = Belts(self.physics)
         self.episode_start = EpisodeStart(
-            world, self.physics, self.surroundings, self._free_roots, belts)
+            world, self.physics, self.surroundings, self._floating_bases, belts)
         self.episode_start.place()
-        self._present = PresentRobots(self.physics, self.efforts, self._clock, world.robots)
+        self._present = RobotSet(self.physics, self.efforts, self._clock, world.robots)
         self.robots = self._present.by_name
         self.faults = Faults(self.physics, self._clock, self.robots, world.faults)
         self._steps = PhysicsSteps(
             self.physics, self._clock, self.efforts, self._present.tools, self._present.laws,
             self._present.seats, (belts, self.faults))
-        self.pulls = Pulls(self.physics, self._clock)
+        self.pulls = SpringForces(self.physics, self._clock)
         self.periods = ControlPeriods(
-            self._steps, self.robots, self._free_roots, self.pulls, self._clock, self.timestep_s)
+            self._steps, self.robots, self._floating_bases, self.pulls, self._clock,
+            self.timestep_s)
         self.instruments = MeasuredInstruments(self.physics, self.robots)
         self.sensors = self.instruments.sensors
         self.physics.on_change(self._find_entities)
@@ -102,13 +104,13 @@ class Simulation:
         self.lidars = Lidars(
             self.physics, world.lidars if self.robots else (),
             lambda body: self.instruments.sensing_of(int(self.model.body(body).id)))
-        self.episode_start.let_draw(
+        self.episode_start.randomize(
             {name: robot.sensing for name, robot in self.robots.items()})
         if self.randomized.draws:
             self._randomize(world.seed, None)
         self._settle()
         self._reset(world.seed)
-        self.start_defects = check_start(self.model, self.data, self._free_roots.roots)
+        self.start_defects = check_start(self.model, self.data, self._floating_bases.roots)
 
     def _find_entities(self) -> None:
         spawned = set(self.spawned_robots)
@@ -168,25 +170,25 @@ class Simulation:
         for name in self.robots.keys() - there:
             self._present.delete(name)
         self.episode_start.world = plan.world
-        self._free_roots.roots = tuple(robot.root_body for robot in plan.world.robots)
+        self._floating_bases.roots = tuple(robot.root_body for robot in plan.world.robots)
         self.surroundings.of_parts = set(actuators_of(plan.world))
-        self._look_at_robots()
+        self._sync_robots()
         self.change_objects(plan.plan)
         self.episode_start.change_robots(plan)
         for robot in plan.world.robots[len(self.robots):]:
             self._present.begin(robot, plan.start, self.seed)
-            self._free_roots.apply()
-            self._look_at_robots()
-            self.instruments.look_at_model()
+            self._floating_bases.apply()
+            self._sync_robots()
+            self.instruments.rebind()
             self._find_entities()
-            self.states.look_at_robots()
+            self.states.sync_robots()
             self._steps.compute()
             self._steps.compute_anew()
 
-    def _look_at_robots(self) -> None:
-        self._steps.look_at_robots(
+    def _sync_robots(self) -> None:
+        self._steps.sync_robots(
             self._present.tools, self._present.laws, self._present.seats)
-        self.periods.look_at_robots()
+        self.periods.sync_robots()
 
     @property
     def world(self) -> World:
@@ -229,7 +231,7 @@ class Simulation:
         return self.episode_start.seed
 
     @property
-    def randomized(self) -> Randomized:
+    def randomized(self) -> DomainRandomizer:
         """The draws for the present episode, where the world has ``randomization``."""
         return self.episode_start.randomized
 
@@ -333,7 +335,7 @@ class Simulation:
             estimation.record()
         return estimation.result()
 
-    def reset(self, seed: int | None = None, drawn: Drawn | None = None) -> None:
+    def reset(self, seed: int | None = None, drawn: Sample | None = None) -> None:
         """
         Reset everything to the start and abort all commands; time goes on.
 
@@ -361,15 +363,15 @@ class Simulation:
             self._settle()
         self._reset(seed)
 
-    def _randomize(self, seed: int, drawn: Drawn | None) -> None:
+    def _randomize(self, seed: int, drawn: Sample | None) -> None:
         """Draw what differs between episodes, or take drawn values."""
         if drawn is None:
             self.randomized.draw(seed)
         else:
             self.randomized.set(drawn)
-        self._steps.look_at_joints()
+        self._steps.refresh_joint_parameters()
         for robot in self.robots.values():
-            robot.joints.look_at_joints()
+            robot.joints.refresh_joint_parameters()
 
     def _reset(self, seed: int | None = None) -> None:
         self.episode_start.place()

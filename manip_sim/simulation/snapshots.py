@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.models.cameras import camera_names
 from manip_sim.physics.object_spawning import compile_visual, WorldPlan
-from manip_sim.simulation.drawn_randomization import apply_to_model, Drawn
+from manip_sim.simulation.drawn_randomization import apply_to_model, Sample
 from manip_sim.simulation.simulation import Simulation
 
 
@@ -37,7 +37,7 @@ class Snapshot:
     qpos: FloatArray
     mocap_pos: FloatArray
     mocap_quat: FloatArray
-    drawn: Drawn
+    drawn: Sample
 
     def shows_the_same_as(self, other: Snapshot) -> bool:
         """Return whether another one is of the same instant and the same state."""
@@ -72,7 +72,7 @@ class VisibleWorld:
         self.model: Any = compile_visual(plan)
         self.data: Any = mujoco.MjData(self.model)
         self.cameras = camera_names(self.model)
-        self._drawn: Drawn = {}
+        self._drawn: Sample = {}
         self._nominal = self.model
 
     def show(self, snapshot: Snapshot) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.placements import checked_seed
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.drawn_randomization import Drawn
+from manip_sim.simulation.drawn_randomization import Sample
 from manip_sim.tasks.episode_actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
@@ -84,7 +84,7 @@ class Episode:
         """Number of timesteps of a control period."""
         return self._steps
 
-    def reset(self, seed: int, drawn: Drawn | None = None) -> None:
+    def reset(self, seed: int, drawn: Sample | None = None) -> None:
         """
         Begin the episode of a seed.
 
@@ -196,7 +196,7 @@ class Episode:
         return self.simulation.digest()
 
 
-def start(task: Task, simulation: Simulation, seed: int, drawn: Drawn | None = None) -> None:
+def start(task: Task, simulation: Simulation, seed: int, drawn: Sample | None = None) -> None:
     """
     Reset a simulation to the start that a seed draws.
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 from manip_sim.sensing.delays import Delay, ROUNDING
 from manip_sim.tasks.episode import Episode
 from manip_sim.tasks.latency import LONGEST_S
@@ -71,7 +71,7 @@ class AnswerTime:
             raise ModelError('a measured answer_time has no jitter')
         if rate is not None and (isinstance(rate, bool) or not isinstance(rate, (int, float))
                                  or not 0.0 < rate < math.inf):
-            raise ModelError(f'chunk_hz must be above 0 Hz, got {shown(rate)}')
+            raise ModelError(f'chunk_hz must be above 0 Hz, got {format_value(rate)}')
         return cls(mean_s, jitter_s, measured, None if rate is None else float(rate),
                    whole_number(values.get('ask_ahead', 0), 0, 'ask_ahead'))
 
@@ -92,7 +92,7 @@ AnswerTimeLike = Union[AnswerTime, float, str, Mapping[str, Any]]
 def _seconds(value: Any, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not (
             0.0 <= value <= LONGEST_S):  # NaN is not either.
-        raise ModelError(f'{what} from 0 to {LONGEST_S:g} s, got {shown(value)}')
+        raise ModelError(f'{what} from 0 to {LONGEST_S:g} s, got {format_value(value)}')
     return float(value)
 
 

@@ -15,7 +15,7 @@ import math
 from typing import Union
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 from manip_sim.sensing.delays import ROUNDING
 
 #: Longest latency [s]; a longer one is a mistake in the unit.
@@ -59,7 +59,7 @@ class Latency:
                     or not 0.0 <= value <= LONGEST_S):  # NaN is not either.
                 kind = key.replace('_', ', ')
                 raise ModelError(f'latency of a {kind} must be from 0 to {LONGEST_S:g} s, got '
-                                 f'{shown(value)}')
+                                 f'{format_value(value)}')
         return cls(*(float(values.get(key, 0.0)) for key in _KEYS))
 
     def as_mapping(self) -> dict[str, float]:

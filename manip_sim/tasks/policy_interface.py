@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import describe_choices, ModelError
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import format_value, quoted
 from manip_sim.tasks.episode import Episode
 from manip_sim.tasks.observation import IMAGE
 
@@ -83,7 +83,7 @@ def read_interface(file: Path) -> dict[str, Any]:
         raise ModelError(f'{file} cannot be read: {error}') from error
     _check_keys(content, '', file)
     if content.get('format', FORMAT) != FORMAT:
-        raise ModelError(f'{file} has the format {shown(content["format"])}, not {FORMAT}')
+        raise ModelError(f'{file} has the format {format_value(content["format"])}, not {FORMAT}')
     if 'action' in content:
         _check_keys(content['action'], 'action', file)
     observed = content.get('observation', {})
@@ -142,4 +142,4 @@ def _compare(name: str, needed: Any, present: Any, where: str) -> None:
         and abs(needed - present) <= 1e-6 * abs(present))
     if not same:
         raise ModelError(f'{where}: the policy was made for other episodes: {name}: it needs '
-                         f'{shown(needed, 100)}, this is {shown(present, 100)}')
+                         f'{format_value(needed, 100)}, this is {format_value(present, 100)}')

@@ -17,7 +17,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.faults import FaultPlan
 from manip_sim.models.randomization import Randomization
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.episode import Episode
 from manip_sim.tasks.late_answers import AnswerTime, AnswerTimeLike, LateAnswers, NO_ANSWER_TIME
@@ -65,7 +65,7 @@ class Setting:
         rate = self.control_hz
         if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not (
                 0.0 < rate < math.inf):
-            raise ModelError(f'control_hz must be above 0 Hz, got {shown(rate)}')
+            raise ModelError(f'control_hz must be above 0 Hz, got {format_value(rate)}')
         object.__setattr__(self, 'latency', Latency.of(self.latency))
         object.__setattr__(self, 'answer_time', AnswerTime.of(self.answer_time))
         object.__setattr__(self, 'image_kinds', checked_kinds(self.image_kinds))

@@ -22,7 +22,7 @@ from manip_sim.models.randomization import Randomization
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 from manip_sim.models.world import World
-from manip_sim.quoting import counted
+from manip_sim.quoting import pluralize
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert
 
@@ -119,8 +119,8 @@ class Task(ABC):
         moved = not {'position'}.isdisjoint(self.arguments)
         if len(arms) < self.arms_needed:
             kit = 'with grippers that grasp' if self.needs_fingers else 'with grippers'
-            reason = (f'{self.name} needs {counted(self.arms_needed, "arm")} {kit}, {robot.name} '
-                      f'has {len(arms)} here')
+            reason = (f'{self.name} needs {pluralize(self.arms_needed, "arm")} {kit}, '
+                      f'{robot.name} has {len(arms)} here')
         elif kind in self.unable and not moved:
             reason = f'{self.name}: {kind} cannot do it, {self.unable[kind]}'
         else:

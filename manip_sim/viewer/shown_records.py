@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.quoting import counted
+from manip_sim.quoting import pluralize
 from manip_sim.records.converting import records_in
 from manip_sim.records.record_file import full_name
 from manip_sim.records.recorded import Record, Recorded, RecordedEpisode, RecordedWorld
@@ -317,9 +317,10 @@ def described(entries: Iterable[Entry]) -> str:
     entries = list(entries)
     episodes = [entry for entry in entries if not entry.node]
     failed = sum(entry.success is False for entry in episodes)
-    counts = [f'{counted(len(episodes), "episode")}, {failed} of them failed'] if episodes else []
+    counts = [f'{pluralize(len(episodes), "episode")}, {failed} of them failed'
+              ] if episodes else []
     worlds = len(entries) - len(episodes)
-    return ' and '.join(counts + [f'{counted(worlds, "world")} of nodes'] * bool(worlds))
+    return ' and '.join(counts + [f'{pluralize(worlds, "world")} of nodes'] * bool(worlds))
 
 
 def _is_joints(topic: str) -> bool:

@@ -22,7 +22,7 @@ from manip_sim.physics.physics import EPOCH, STEPS
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.compiled_period import renew, renew_actions, renew_grips
 from manip_sim.validation import positive_number
-from manip_sim.worlds.rows import chosen, rows
+from manip_sim.worlds.rows import as_batch, world_mask
 
 #: So many streams of a robot are known at most.
 _MOST_STREAMS = 8
@@ -77,7 +77,7 @@ class RowByRow:
 
     def _apply(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]],
                where: ArrayLike | None, period_s: float | None) -> None:
-        for robot, commands in self._parsed(parse, chosen(where, len(self._robots))):
+        for robot, commands in self._parsed(parse, world_mask(where, len(self._robots))):
             robot.apply(*commands, period_s=period_s)
 
     def _parsed(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]], mask: BoolArray
@@ -92,7 +92,7 @@ class RowByRow:
         return made
 
     def _rows(self, values: ArrayLike, what: str) -> FloatArray:
-        return rows(values, len(self._robots), what)
+        return as_batch(values, len(self._robots), what)
 
     def _act(self, part: str, numbers: FloatArray, mask: BoolArray, period_s: float | None,
              parse: Callable[[SimulatedRobot, FloatArray], Command],
@@ -189,7 +189,7 @@ class Commands(RowByRow):
 
         def renew(going_on: GoingOn, worlds: IntArray, _: IntArray) -> None:
             renew_grips(going_on.robots, worlds, number, numbers)
-        self._act(part, numbers, chosen(where, len(self._robots)), period_s,
+        self._act(part, numbers, world_mask(where, len(self._robots)), period_s,
                   lambda robot, action: robot.parse.action(part, action),
                   lambda robot, command: robot.renews_grip(part, command), renew)
 
@@ -211,7 +211,7 @@ class Commands(RowByRow):
         columns = {field: self._rows(values, f'{part or "joint_command"}: {field}')
                    for field, values in (('position', position), ('velocity', velocity),
                                          ('effort', effort)) if values is not None}
-        mask = chosen(where, len(self._robots))
+        mask = world_mask(where, len(self._robots))
         alike, goal = np.zeros(len(self._robots), dtype=bool), None
         if len(columns) == 1:
             (field, values), = columns.items()
@@ -464,7 +464,7 @@ class CartesianCommands(RowByRow):
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         numbers = self._rows(action, f'{arm}: pose actions')
-        mask = chosen(where, len(self._robots))
+        mask = world_mask(where, len(self._robots))
         if not isinstance(arm, str) or numbers.shape[1:] != (6,):
             self._apply(lambda robot, world: [robot.parse_cartesian.action(arm, numbers[world])],
                         mask, period_s)

@@ -21,7 +21,7 @@ from manip_sim.physics.payload import Payload
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
 from manip_sim.worlds.commands import CartesianCommands, Commands
-from manip_sim.worlds.rows import chosen, rows
+from manip_sim.worlds.rows import as_batch, world_mask
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class RobotInWorlds:
         :raises CommandError: if the part is a gripper, or ``where`` has another shape or type
         :raises UnknownNameError: if the part or mode is unknown
         """
-        for robot, included in zip(self._robots, chosen(where, len(self))):
+        for robot, included in zip(self._robots, world_mask(where, len(self))):
             if included:
                 robot.set_control_mode(part, mode)
 
@@ -106,7 +106,7 @@ class RobotInWorlds:
         :raises UnknownNameError: if the part or parameter is unknown
         """
         checked = law_of(law)
-        worlds = np.flatnonzero(chosen(where, len(self))).tolist()
+        worlds = np.flatnonzero(world_mask(where, len(self))).tolist()
         by_world = {name: self._each(name, values) for name, values in parameters.items()}
         sets = [{name: values[world] for name, values in by_world.items()} for world in worlds]
         for values in sets:
@@ -142,7 +142,7 @@ class RobotInWorlds:
             shape; no world has changed then
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        worlds = np.flatnonzero(chosen(where, len(self))).tolist()
+        worlds = np.flatnonzero(world_mask(where, len(self))).tolist()
         masses = self._each('mass', mass)
         places, turns = (self._each_of(name, values, length) for name, values, length in (
             ('center_of_mass', center_of_mass, 3), ('inertia', inertia, 6)))
@@ -169,7 +169,7 @@ class RobotInWorlds:
         if numbers.ndim > 1:
             raise CommandError(f'{name} must be a number or one for each world, got the shape '
                                f'{numbers.shape}')
-        return [float(number) for number in rows(numbers, len(self), name)]
+        return [float(number) for number in as_batch(numbers, len(self), name)]
 
     def state(self) -> RobotStates:
         """Return a snapshot of the present instant, copies."""

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.clamping import command_numbers
 from manip_sim.errors import CommandError
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 
 
-def chosen(where: ArrayLike | None, count: int) -> BoolArray:
+def world_mask(where: ArrayLike | None, count: int) -> BoolArray:
     """
     Return a mask of worlds.
 
@@ -28,14 +28,14 @@ def chosen(where: ArrayLike | None, count: int) -> BoolArray:
         mask = np.asarray(where)
     except ValueError as error:
         raise CommandError(f'where must be {count} truth values, one for each world, got '
-                           f'{shown(where)}') from error
+                           f'{format_value(where)}') from error
     if mask.shape != (count,) or mask.dtype != np.bool_:
         raise CommandError(f'where must be {count} truth values, one for each world, got '
                            f'{mask.dtype} of shape {mask.shape}')
     return mask
 
 
-def rows(values: ArrayLike, count: int, what: str) -> FloatArray:
+def as_batch(values: ArrayLike, count: int, what: str) -> FloatArray:
     """
     Return numbers with a leading axis of worlds.
 

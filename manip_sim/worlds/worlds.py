@@ -25,8 +25,8 @@ from manip_sim.simulation.compiled_period import go_on, load, run_prepared
 from manip_sim.validation import whole_number
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
-from manip_sim.worlds.rows import chosen
-from manip_sim.worlds.template import Template
+from manip_sim.worlds.rows import world_mask
+from manip_sim.worlds.simulation_prototype import SimulationPrototype
 
 
 class Worlds:
@@ -55,7 +55,7 @@ class Worlds:
         self._threads = PhysicsThreads(threads)
         load()
         first = Simulation(world, visual)
-        template = Template(first)
+        template = SimulationPrototype(first)
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
         self._closed = False
@@ -157,7 +157,7 @@ class Worlds:
         self._check_open()
         steps = whole_number(steps, 1, 'steps', CommandError)
         running = self._everything if where is None else np.flatnonzero(
-            chosen(where, len(self)))
+            world_mask(where, len(self)))
         count = min(self._threads.count, len(running))
         self._threads.run([partial(self._advance, running[begin::count].copy(), steps)
                            for begin in range(count)])
@@ -184,7 +184,7 @@ class Worlds:
         :raises SimulationEnded: after :meth:`close`
         """
         self._check_open()
-        mask, world_seeds = chosen(where, len(self)), self._seeds(seeds)
+        mask, world_seeds = world_mask(where, len(self)), self._seeds(seeds)
         for seed, included in zip(world_seeds, mask):
             if included and seed is not None:
                 checked_seed(seed)
@@ -247,7 +247,7 @@ class Worlds:
     def _of(self, where: ArrayLike | None) -> Sequence[Simulation]:
         if where is None:
             return self.simulations
-        mask = chosen(where, len(self))
+        mask = world_mask(where, len(self))
         return [simulation for simulation, included in zip(self.simulations, mask) if included]
 
 

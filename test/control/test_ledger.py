@@ -13,7 +13,7 @@ from manip_sim.control.ledger import Ledger
 from manip_sim.models import compose
 from manip_sim.runtime.pending_commands import CommandBuffer
 from manip_sim.simulation import Simulation
-from manip_sim.worlds.template import Template
+from manip_sim.worlds.simulation_prototype import SimulationPrototype
 
 HAND = 'right/gripper'
 
@@ -26,12 +26,12 @@ def test_a_command_is_withdrawn_from_its_own_joints_and_once(panda_sim):
     for command in (older, newer):
         ledger.take(command)
         ledger.running.append(command)
-    assert ledger.rival(older) is newer.handle and ledger.rival(newer) is None
+    assert ledger.current_owner(older) is newer.handle and ledger.current_owner(newer) is None
     assert ledger.withdraw(older.handle, 'no more').tolist() == [0, 1]
     assert ledger.withdraw(older.handle, 'no more').tolist() == []
     assert ledger.running == [newer] and newer.handle.is_active
     assert (older.handle.status, older.handle.reason) == (Status.ABORTED, 'no more')
-    assert ledger.rival(older).reason == 'no more'
+    assert ledger.current_owner(older).reason == 'no more'
 
 
 def test_a_command_for_one_finger_takes_the_gripper_and_goes_on_when_the_older_one_is_withdrawn():
@@ -148,7 +148,7 @@ def test_trajectories_that_wait_are_limited():
 @pytest.mark.full
 @pytest.mark.parametrize('latency_s', [0.0, 0.03])
 def test_the_order_of_arrival_within_an_instant_makes_no_difference(latency_s):
-    digests, two_arms = set(), Template(Simulation(compose('Baxter')))
+    digests, two_arms = set(), SimulationPrototype(Simulation(compose('Baxter')))
     for order in [*itertools.permutations(range(4))][::3]:
         simulation = two_arms.copy()
         robot = simulation.robot

@@ -399,7 +399,7 @@ def test_placed_setpoint_comes_to_rest_from_its_velocity():
     setpoints = generator()
     setpoints.go_to(ONE, np.array([3.0]), PERIOD_S)
     course = Course(setpoints).advance(*[0.004] * 50)
-    setpoints.place(ONE, np.array([-0.3]), np.array([1.2]))
+    setpoints.set_state(ONE, np.array([-0.3]), np.array([1.2]))
     assert (setpoints.position[0], setpoints.velocity[0]) == (-0.3, 1.2)
     course.advance(*[0.004] * 100)
     assert course.position[-1] == pytest.approx(-0.3 + 1.2**2 / (2.0 * A), abs=1e-12)
@@ -409,7 +409,7 @@ def test_placed_setpoint_comes_to_rest_from_its_velocity():
 @pytest.mark.parametrize('velocity', [1.5, -1.5, 0.0])
 def test_setpoint_is_placed_within_its_range_where_nothing_moves_on(velocity):
     setpoints = generator(2, low=-1.0, high=1.0)
-    setpoints.place(np.arange(2), np.array([1.3, -1.3]), np.full(2, velocity))
+    setpoints.set_state(np.arange(2), np.array([1.3, -1.3]), np.full(2, velocity))
     np.testing.assert_array_equal(setpoints.position, [1.0, -1.0])
     np.testing.assert_array_equal(setpoints.velocity, [min(velocity, 0.0), max(velocity, 0.0)])
 
@@ -425,7 +425,7 @@ def test_setpoint_is_placed_within_its_range_where_nothing_moves_on(velocity):
 def test_setpoint_too_fast_for_the_rest_of_its_range_slows_down_evenly_in_it(begins, sign):
     setpoints = generator(low=-1.0, high=1.0)
     # 0.5 m are left, and braking with the limit would take 1 m.
-    setpoints.place(ONE, np.array([0.5 * sign]), np.array([4.0 * sign]))
+    setpoints.set_state(ONE, np.array([0.5 * sign]), np.array([4.0 * sign]))
     begins(setpoints)
     course = Course(setpoints).advance(*INTERVALS_S * 40)
     assert np.abs(course.position).max() <= 1.0
@@ -449,7 +449,7 @@ def test_setpoint_that_brakes_at_the_end_of_its_range_rests_after_one_interval(s
 
 def test_setpoint_that_moves_brakes_and_comes_back():
     setpoints = generator()
-    setpoints.place(ONE, np.array([0.5]), np.array([1.5]))
+    setpoints.set_state(ONE, np.array([0.5]), np.array([1.5]))
     setpoints.come_back(ONE, np.array([0.5]))
     course = Course(setpoints).advance(*[0.004] * 400)
     assert 0.55 < course.position.max() < 0.5 + 1.5**2 / (2.0 * A) + 1e-3
@@ -530,7 +530,7 @@ def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0, constraint
 def test_a_setpoint_may_lead_by_the_effort_that_the_weight_leaves(sign):
     for carried, lead in ((0.0, 1.0), (0.4, 0.6), (-0.4, 1.4), (1.2, 0.05)):
         setpoints = generator(low=-9.0, high=9.0)
-        setpoints.place(ONE, np.array([sign * 3.0]), np.zeros(1))
+        setpoints.set_state(ONE, np.array([sign * 3.0]), np.zeros(1))
         hold_back(setpoints, np.array([sign * 0.5]), np.ones(1), carried=sign * carried)
         assert setpoints.position[0] == pytest.approx(sign * (0.5 + lead))
 
@@ -539,7 +539,7 @@ def test_a_setpoint_may_lead_by_the_effort_that_the_weight_leaves(sign):
 def test_a_setpoint_that_is_held_back_goes_on_with_its_joint_but_not_back(seeks):
     for speed, expected in ((0.2, 0.2), (9.0, 0.6), (-0.2, 0.0)):
         setpoints = generator(low=-9.0, high=9.0)
-        setpoints.place(ONE, np.array([3.0]), np.array([0.6]))
+        setpoints.set_state(ONE, np.array([3.0]), np.array([0.6]))
         if not seeks:
             setpoints.set_velocity(ONE, np.array([0.6]))
         setpoints.advance(0.002)
@@ -553,7 +553,7 @@ def test_a_setpoint_that_is_held_back_goes_on_with_its_joint_but_not_back(seeks)
 def test_a_setpoint_of_a_joint_that_presses_goes_on_with_its_mean_velocity():
     def held(speeds, constraint):
         setpoints = generator(low=-9.0, high=9.0)
-        setpoints.place(ONE, np.array([3.0]), np.array([0.6]))
+        setpoints.set_state(ONE, np.array([3.0]), np.array([0.6]))
         for speed in speeds:
             setpoints.joints['position'], setpoints.joints['velocity'] = 3.0, 0.6
             hold_back(setpoints, np.array([0.5]), np.ones(1), speed, constraint=constraint)
@@ -572,11 +572,11 @@ def test_a_setpoint_that_was_dragged_away_at_rest_goes_back_when_it_is_woken():
     while setpoints.moving:
         setpoints.advance(0.002)
     assert setpoints.position[0] == pytest.approx(0.5)
-    setpoints.wake()
+    setpoints.resume()
     assert not setpoints.moving  # There is nothing to do.
     hold_back(setpoints, np.array([0.2]), np.array([0.1]))
     assert setpoints.position[0] == pytest.approx(0.3) and not setpoints.moving
-    setpoints.wake()
+    setpoints.resume()
     assert setpoints.moving
     for _ in range(1000):
         setpoints.advance(0.002)
@@ -588,7 +588,7 @@ def test_a_ramp_ends_exactly_at_its_goal_whatever_its_slope():
     goal, slope = rng.uniform(-1.9, 1.9, (2, 2000))
     goal[::2], slope = 0.0, np.abs(slope) + 0.5
     setpoints, joints = generator(2000), np.arange(2000)
-    setpoints.place(joints, np.zeros(2000), rng.uniform(-1.9, 1.9, 2000))
+    setpoints.set_state(joints, np.zeros(2000), rng.uniform(-1.9, 1.9, 2000))
     setpoints.ramp_to(joints, goal, 1.0, slope)
     for _ in range(2100):
         setpoints.advance(0.004)

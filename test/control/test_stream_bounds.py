@@ -72,7 +72,7 @@ def followed(transport, goals, sent, period_s, interval_s, mode='position', stam
     setpoints = SetpointGenerator(np.tile([LOW, HIGH], (4, 1)), np.full(4, V), np.full(4, A))
     setpoints.set_stream(JOINTS, longest_s=longest_s)
     number, arrival = transport.deliver(sent)
-    setpoints.place(JOINTS, goals[0] if mode == 'position' else np.zeros(4), np.zeros(4))
+    setpoints.set_state(JOINTS, goals[0] if mode == 'position' else np.zeros(4), np.zeros(4))
     pieces = max(1, round(period_s / interval_s))
     rows, next_one = [(0.0, setpoints.position, setpoints.velocity)], 0
     for period in range(int((sent[-1] + AFTER_S) / period_s)):

@@ -20,7 +20,7 @@ from manip_sim.errors import ModelError  # noqa: E402
 from manip_sim.experiments import Experiment  # noqa: E402
 from manip_sim.experiments.comparison import (  # noqa: E402
     compare, difference_interval, first_difference, mcnemar_p, seeds_to_add)
-from manip_sim.experiments.run_folder import read_run, read_rows, spans  # noqa: E402
+from manip_sim.experiments.run_folder import read_rows, read_run, spans  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
 
 POLICIES = Path(__file__).with_name('policies_under_test.py')

@@ -14,9 +14,9 @@ import pytest
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose, load_robot
 from manip_sim.models.files.xacro_expansion import split_arguments
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.sources import is_path
-from manip_sim.models.untrusted_models import hold_model
+from manip_sim.models.untrusted_models import load_self_contained
 
 xacro = pytest.importorskip('xacro', reason='xacro is not installed')
 
@@ -117,7 +117,7 @@ def test_a_file_that_a_request_names_is_not_expanded(monkeypatch):
 
     monkeypatch.setattr(xacro, 'process_file', expand)
     with pytest.raises(ModelError):
-        hold_model(FILE, FilesBelow([FILE.parent], 'spawn_roots')).load()
+        load_self_contained(FILE, AllowedRoots([FILE.parent], 'spawn_roots')).load()
 
 
 @given(strategies.dictionaries(strategies.from_regex(r'[a-z_]\w{0,8}', fullmatch=True).filter(

@@ -16,7 +16,7 @@ from manip_sim.models import load_robot
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.mjcf_versions import _ATTRIBUTES, _ELEMENTS
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.files.requested_robot import load_requested
 
 ARM = """<mujoco model="old">
@@ -186,9 +186,9 @@ def test_arenas_and_objects_may_be_old_too(tmp_path):
     ball = write(tmp_path / 'ball.xml', '<mujoco><option apirate="3"/><worldbody><body name="b">'
                                         '<geom size="0.1"/></body></worldbody></mujoco>')
     for found in (create_arena(str(room)), create_object(ball),
-                  create_object(ball, FilesBelow([tmp_path], 'spawn_roots')),
+                  create_object(ball, AllowedRoots([tmp_path], 'spawn_roots')),
                   load_requested(write(tmp_path / 'arm.xml', arm('<option apirate="3"/>')),
-                                 FilesBelow([tmp_path], 'spawn_roots'))):
+                                 AllowedRoots([tmp_path], 'spawn_roots'))):
         assert notes_of(found)[0].startswith("ignored: apirate='3' of <option>")
 
 
@@ -223,7 +223,7 @@ def test_what_is_requested_names_file_and_line_too(tmp_path):
                'file="tool.xml"/></asset>\n<option collision="all"/>',
                inside='<attach model="tool" body="b" prefix="t_"/>')
     file = write(tmp_path / 'arm.xml', text)
-    notes = ' '.join(notes_of(load_requested(file, FilesBelow([tmp_path], 'spawn_roots'))))
+    notes = ' '.join(notes_of(load_requested(file, AllowedRoots([tmp_path], 'spawn_roots'))))
     line = text[:text.index('collision')].count('\n') + 1
     for place in (f'{part}, line 3', f'{tool}, line 2', f'{file}, line {line}'):
         assert f' in {place}, which' in notes

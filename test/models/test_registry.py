@@ -13,7 +13,7 @@ from manip_sim.models.arenas import TableArena
 from manip_sim.models.files.file_base import FileMobileBase, FileMount
 from manip_sim.models.files.file_gripper import FileGripper
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot
-from manip_sim.models.files.hand_model import OwnHand
+from manip_sim.models.files.hand_model import BuiltInGripper
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import Panda
 
@@ -74,7 +74,7 @@ def test_abstract_classes_and_variants_are_not_offered():
 
 @pytest.mark.parametrize(('kind', 'cls'), [
     ('robot', FileRobot), ('robot', FileManipulator), ('gripper', FileGripper),
-    ('gripper', OwnHand), ('base', FileMount), ('base', FileMobileBase)])
+    ('gripper', BuiltInGripper), ('base', FileMount), ('base', FileMobileBase)])
 def test_classes_that_models_from_files_are_made_of_have_no_name_in_a_catalogue(kind, cls):
     _, create, _ = CATALOGUES[kind]
     with pytest.raises(UnknownNameError, match=f"^unknown {kind} '{cls.__name__}': "):

@@ -23,7 +23,7 @@ from manip_sim.models import compose
 from manip_sim.models.files import load_robot, requested_robot
 from manip_sim.models.files.requested_robot import load_requested
 from manip_sim.models.missing_meshes import LostShape
-from manip_sim.models.regular_files import FilesBelow, KeptFiles, OneText
+from manip_sim.models.regular_files import AllowedRoots, CachedFiles, InMemoryFile
 from manip_sim.models.urdf_writer import urdf_of
 
 DATA = Path(__file__).resolve().parents[1] / 'data/files'
@@ -63,7 +63,7 @@ def here(monkeypatch):
 
 
 def requested(file, folder, **arguments):
-    return load_requested(Path(file), FilesBelow([folder], 'spawn_roots'), **arguments)
+    return load_requested(Path(file), AllowedRoots([folder], 'spawn_roots'), **arguments)
 
 
 def rejection(file, folder):
@@ -125,11 +125,11 @@ def test_a_hand_a_keyframe_and_a_description_of_an_mjcf_file_count(roots):
 
 def test_a_text_is_a_robot_and_names_no_file(roots, here):
     text = re.sub('<visual>.*?</visual>', '', urdf())
-    files = FilesBelow([roots], 'spawn_roots')
-    robot = load_requested(OneText(text, 'resource_string'), files, 'left')
+    files = AllowedRoots([roots], 'spawn_roots')
+    robot = load_requested(InMemoryFile(text, 'resource_string'), files, 'left')
     assert len(robot.joints) == 2
     text = urdf(f'{roots}/lab_arm/meshes/link.stl')
-    robot = load_requested(OneText(text, 'resource_string'), files)
+    robot = load_requested(InMemoryFile(text, 'resource_string'), files)
     assert robot.naming_prefix == 'robot0_' and not robot.compile().nmesh
     assert 'a text must not name files' in ''.join(robot.inferred)
 
@@ -265,7 +265,7 @@ def test_a_file_that_changes_after_it_was_read_makes_no_difference(roots, monkey
 def test_kept_files_ask_once_and_a_copy_asks_nothing(tmp_path):
     file = tmp_path / 'a'
     file.write_text('first')
-    kept = KeptFiles(FilesBelow([tmp_path], 'spawn_roots'))
+    kept = CachedFiles(AllowedRoots([tmp_path], 'spawn_roots'))
     assert kept.read(file, 'file', 10) == b'first' and not kept.is_file(tmp_path / 'b')
     file.write_text('second')
     (tmp_path / 'b').write_text('')
@@ -345,7 +345,7 @@ def test_no_robot_reads_what_is_private_or_ends_in_anything_but_one_line(
         file.with_suffix('.yaml').write_text(yaml.safe_dump(description))
     before, requested_robot.try_to_do = requested_robot.try_to_do, lambda *_, **__: None
     try:
-        load_requested(file, FilesBelow([folder], 'spawn_roots'))
+        load_requested(file, AllowedRoots([folder], 'spawn_roots'))
     except ManipSimError as error:
         assert str(error) and '\n' not in str(error) and len(str(error)) < 3000
     finally:

@@ -14,7 +14,7 @@ from manip_sim.models import compose, load_robot, World
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.world import lost_shapes
+from manip_sim.models.world import skipped_geoms
 from manip_sim.simulation import Simulation
 
 ARM = """<mujoco model="arm"><compiler meshdir="meshes" autolimits="true" {compiler}/>
@@ -113,7 +113,7 @@ def test_objects_and_arenas_load_without_missing_meshes_and_the_world_tells_it(t
     assert f"'picture' (no such file: {tmp_path}/m/picture.obj) of body 'wall'" in lost(arena)[0]
     assert "'mug' 0.0625 kg" in lost(item)[1]
     world = World([load_robot(arm(tmp_path))], arena=arena, objects=[item])
-    assert {sentence.partition(':')[0] for sentence in lost_shapes(world)} >= {'room', 'mug'}
+    assert {sentence.partition(':')[0] for sentence in skipped_geoms(world)} >= {'room', 'mug'}
     world.compile()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from manip_sim.errors import ModelError
 from manip_sim.models.strict_yaml import parse_yaml
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 
 hypothesis = pytest.importorskip('hypothesis', reason='needs hypothesis')
 
@@ -53,4 +53,4 @@ def test_any_text_is_a_mapping_or_an_error_in_one_line(text):
     except ModelError as error:
         assert str(error).isprintable()
     else:
-        assert isinstance(found, dict) and shown(found).isprintable()
+        assert isinstance(found, dict) and format_value(found).isprintable()

@@ -19,8 +19,8 @@ from manip_sim.errors import ModelError
 from manip_sim.models import untrusted_models, World
 from manip_sim.models.asset_files import check_content
 from manip_sim.models.object_creation import create_object, object_from_model
-from manip_sim.models.regular_files import Files, FilesBelow, OneText, read_file
-from manip_sim.models.untrusted_models import hold_model, LIMITS
+from manip_sim.models.regular_files import AllowedRoots, Files, InMemoryFile, read_file
+from manip_sim.models.untrusted_models import LIMITS, load_self_contained
 
 pytestmark = pytest.mark.full
 
@@ -115,7 +115,7 @@ def below(tmp_path):
     """Return a folder, and the files that may be read: those below it."""
     folder = tmp_path / 'roots'
     folder.mkdir()
-    return folder, FilesBelow([folder], 'spawn_roots')
+    return folder, AllowedRoots([folder], 'spawn_roots')
 
 
 @pytest.fixture
@@ -127,10 +127,10 @@ def tried_here(monkeypatch):
 def doors(text, below):
     """Yield what takes a model from a stranger: as a text, and as a file that may be read."""
     folder, files = below
-    sent = OneText(text, 'resource_string')
+    sent = InMemoryFile(text, 'resource_string')
     (folder / 'object.xml').write_text(text)
-    yield lambda: hold_model(sent.file, sent)
-    yield lambda: hold_model(folder / 'object.xml', files)
+    yield lambda: load_self_contained(sent.file, sent)
+    yield lambda: load_self_contained(folder / 'object.xml', files)
 
 
 def nothing_is_opened(text, below, opened):
@@ -199,19 +199,19 @@ def test_no_attribute_at_all_reads_a_file_outside(secret, below, tried_here):
         element = f'<{path[-1]} {name}="{file}"/>'
         for tag in reversed(path[1:-1]):
             element = f'<{tag}>{element}</{tag}>'
-        text = OneText(mjcf(element), 'text')
+        text = InMemoryFile(mjcf(element), 'text')
         with contextlib.suppress(ModelError):
-            object_from_model(hold_model(text.file, text), 'o')
+            object_from_model(load_self_contained(text.file, text), 'o')
     assert opened.take() == set()
 
 
 def test_a_text_names_no_file_even_where_files_may_be_read(below):
     (below[0] / 'm.stl').write_bytes(tetrahedron())
-    text = OneText(mjcf(f'<asset><mesh name="m" file="{below[0]}/m.stl"/></asset>'), 'text')
+    text = InMemoryFile(mjcf(f'<asset><mesh name="m" file="{below[0]}/m.stl"/></asset>'), 'text')
     with pytest.raises(ModelError, match=r"^text names the mesh file '.*/m.stl': a text must not"):
-        hold_model(text.file, text)
+        load_self_contained(text.file, text)
     with pytest.raises(ModelError, match="^object 'o': text names the MJCF file '/m.xml': a"):
-        create_object({'name': 'o', 'file': '/m.xml'}, OneText('', 'text'))
+        create_object({'name': 'o', 'file': '/m.xml'}, InMemoryFile('', 'text'))
 
 
 # ---------------------------------------------------------------------- what may be read
@@ -233,7 +233,7 @@ def test_a_model_below_the_folders_brings_all_that_it_names(below):
         '<mesh name="m" file="tin can.STL"/><model name="lid" file="lid.xml"/></asset>',
         body='<attach model="lid" body="lid" prefix="lid_"/>',
         geom='<geom type="mesh" mesh="m" material="m"/>'))
-    held = hold_model(folder / 'can.xml', files)
+    held = load_self_contained(folder / 'can.xml', files)
     assert set(held.assets.values()) == {tetrahedron(), png()}
     item = object_from_model(held, 'can')
     # The suffix says what a file is, not the one who names it.
@@ -258,7 +258,7 @@ def test_the_six_images_of_a_cube_are_held(below):
         (below[0] / f'{side}.png').write_bytes(png(number + 1, number + 1))
     (below[0] / 'o.xml').write_text(mjcf('<asset><texture name="t" type="cube" ' + ' '.join(
         f'file{side}="{side}.png"' for side in sides) + '/></asset>'))
-    assert len(hold_model(below[0] / 'o.xml', below[1]).assets) == 6
+    assert len(load_self_contained(below[0] / 'o.xml', below[1]).assets) == 6
 
 
 def test_a_mesh_of_a_urdf_is_held_wherever_its_package_is(below):
@@ -267,7 +267,7 @@ def test_a_mesh_of_a_urdf_is_held_wherever_its_package_is(below):
     (below[0] / 'cans' / 'can.xml').write_text(
         '<robot name="r"><link name="l"><visual><geometry>'
         '<mesh filename="package://cans/meshes/m.stl"/></geometry></visual></link></robot>')
-    held = hold_model(below[0] / 'cans' / 'can.xml', below[1])
+    held = load_self_contained(below[0] / 'cans' / 'can.xml', below[1])
     assert list(held.assets.values()) == [tetrahedron()]
 
 
@@ -330,7 +330,7 @@ def test_a_file_that_becomes_a_pipe_does_not_stop_the_reader(read, tmp_path, mon
 
 def test_a_folder_that_is_missing_is_told():
     with pytest.raises(ModelError, match='^no such folder in spawn_roots: /nowhere$'):
-        FilesBelow(['/nowhere'], 'spawn_roots')
+        AllowedRoots(['/nowhere'], 'spawn_roots')
 
 
 # ---------------------------------------------------------------------- what files hold
@@ -379,15 +379,15 @@ def test_files_together_are_bounded(below, monkeypatch):
     (below[0] / 'o.xml').write_text(mjcf(
         '<asset><mesh file="a.stl"/><mesh file="b.stl"/></asset>'))
     with pytest.raises(ModelError, match='names files of more than 0 MB$'):
-        hold_model(below[0] / 'o.xml', below[1])
+        load_self_contained(below[0] / 'o.xml', below[1])
 
 
 # ---------------------------------------------------------------------- what models ask for
 
 
 def text_model(text):
-    sent = OneText(text, 'text')
-    return hold_model(sent.file, sent)
+    sent = InMemoryFile(text, 'text')
+    return load_self_contained(sent.file, sent)
 
 
 @pytest.mark.parametrize(('text', 'problem'), [
@@ -442,12 +442,12 @@ def test_what_compiles_quickly_for_sure_is_not_tried_before(text, light, monkeyp
 def test_a_model_is_tried_once(below, monkeypatch):
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.2))
     (below[0] / 'o.xml').write_text(mjcf('<asset><mesh file="m.stl"/></asset>'))
-    hold_model(below[0] / 'o.xml', below[1]).load()
+    load_self_contained(below[0] / 'o.xml', below[1]).load()
     monkeypatch.setattr(untrusted_models, '_tried', lambda *_: 'was tried again')
-    hold_model(below[0] / 'o.xml', below[1]).load()
+    load_self_contained(below[0] / 'o.xml', below[1]).load()
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.3))
     with pytest.raises(ModelError, match='o.xml was tried again'):
-        hold_model(below[0] / 'o.xml', below[1]).load()
+        load_self_contained(below[0] / 'o.xml', below[1]).load()
 
 
 def try_it(text):

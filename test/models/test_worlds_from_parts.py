@@ -19,7 +19,7 @@ from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.models import compose, create_object, load_arena, placements
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.placements import draw_places, Extent, Placement, read_placements
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
@@ -120,7 +120,7 @@ def test_a_request_gets_meshes_below_its_folders_only(tmp_path):
     (tmp_path / 'in').mkdir()
     for name in ('ring.obj', 'red.png'):
         (tmp_path / 'in' / name).write_bytes((KITCHEN / name).read_bytes())
-    files = FilesBelow([tmp_path / 'in'], 'spawn_roots')
+    files = AllowedRoots([tmp_path / 'in'], 'spawn_roots')
     inside = {**RING, 'file': str(tmp_path / 'in' / 'ring.obj'),
               'texture': str(tmp_path / 'in' / 'red.png')}
     item = create_object(inside, files)

@@ -7,8 +7,8 @@ import pytest
 
 from manip_sim.errors import ModelError
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.regular_files import FilesBelow
-from manip_sim.models.untrusted_models import hold_model
+from manip_sim.models.regular_files import AllowedRoots
+from manip_sim.models.untrusted_models import load_self_contained
 from manip_sim.models.xml_check import Budget, excess, Limits, product, XmlModel
 
 USERS = [f'nuser_{kind}' for kind in (
@@ -84,7 +84,7 @@ def test_the_text_of_a_stranger_has_a_thousand_elements_at_most(tmp_path):
     file.write_text('<mujoco><worldbody><body name="o">' + 20_000 * '<geom size="0.1"/>'
                     + '</body></worldbody></mujoco>')
     with pytest.raises(ModelError, match='a model may have at most 1000 elements'):
-        hold_model(file, FilesBelow([tmp_path], 'spawn_roots'))
+        load_self_contained(file, AllowedRoots([tmp_path], 'spawn_roots'))
 
 
 def test_elements_of_copies_and_of_attached_models_count(tmp_path):

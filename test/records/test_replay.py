@@ -21,7 +21,7 @@ from manip_sim.records import EpisodeRecorder  # noqa: E402
 from manip_sim.records.record_file import encoder  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.records.recorder import ACTION, FORMAT  # noqa: E402
-from manip_sim.records.repeating import Replay  # noqa: E402
+from manip_sim.records.replay import Replay  # noqa: E402
 
 _SIZE_ARRAY = 'std_msgs/Float64MultiArray'
 

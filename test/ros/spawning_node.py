@@ -22,11 +22,11 @@ from rcl_interfaces.srv import SetParametersAtomically
 import rclpy
 from rclpy.parameter import Parameter
 
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
+from manip_sim.ros.simulation_interfaces_messages import StandardTypes
 from manip_sim.ros.spawning_services import SpawningServices
-from manip_sim.ros.standard_answers import StandardTypes
 
 DEFAULTS = {'name': '', 'allow_renaming': False, 'uri': '', 'resource_string': '',
             'entity_namespace': '', 'entity': '', 'frame': '', 'position': [0.0] * 3,
@@ -43,7 +43,7 @@ class SpawningByParameters:
 
     def __init__(self, node: Any, folder: Any) -> None:
         self._node = node
-        SpawningServices(replace(node.shared, node=self), FilesBelow([folder], 'spawn_roots'),
+        SpawningServices(replace(node.shared, node=self), AllowedRoots([folder], 'spawn_roots'),
                          StandardTypes(Plain(SpawnEntity=SetParametersAtomically,
                                              DeleteEntity=SetParametersAtomically), None, None))
 

@@ -12,7 +12,7 @@ import time
 import pytest
 
 from manip_sim.ros import entity_services
-from manip_sim.ros.standard_answers import Rejection, ResultCode
+from manip_sim.ros.simulation_interfaces_messages import Rejection, ResultCode
 from manip_sim.ros.entity_services import matching
 
 TEXTS = ['', 'a', 'b', 'ab', 'ba', 'aab', 'abb', 'abab', 'bbb', 'cube', 'robot0_link1', 'a-b',

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rclpy.parameter import Parameter
 
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.sim_node import SimNode
@@ -87,7 +87,7 @@ def test_features_are_told_of_the_start_of_robots_parameters_and_the_end(recorde
     assert events(calls, 'parameters') == [('parameters',)]
     spawned = SpawnedRobots(node.shared)
     plan = plan_with_robot(node.simulation, RequestedRobot(
-        {'robot': 'UR5e'}, 'test', FilesBelow([], 'spawn_roots')).create(
+        {'robot': 'UR5e'}, 'test', AllowedRoots([], 'spawn_roots')).create(
             'left', Pose(np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))))
     in_executor(node, client, spawned.add, 'left', plan)
     added = next(i for i, call in enumerate(calls) if call[0] != 'parameters')

@@ -14,7 +14,7 @@ from manip_sim.interface.composition import compose_world, declare_cameras, decl
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS
 from manip_sim.interface.world_topics import topics_of_world
-from manip_sim.ros import scene
+from manip_sim.ros import visualization_topics
 from manip_sim.ros.messages import message_class
 
 OF_ROS = {'/rosout', '/parameter_events'}
@@ -49,7 +49,8 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
         simulation, dict(zip(scopes, robots)),
         {name: images.depth for name, images in cameras.items()}, composition.task is not None)
     missing = [package for package, types in (
-        ('tf2_msgs', scene.TFMessage), ('moveit_msgs', scene.moveit_msgs))
+        ('tf2_msgs', visualization_topics.TFMessage),
+        ('moveit_msgs', visualization_topics.moveit_msgs))
         if types is None]
     for direction, seen in (
             (PUBLISHED, client.node.get_publisher_names_and_types_by_node),

@@ -13,7 +13,7 @@ from spawning_node import ask, SpawningByParameters
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.spawning_services import RequestedRobot, SpawnedRobots
@@ -306,7 +306,7 @@ def test_a_dump_starts_a_node_after_noise_was_switched_off(serve):
 def come(node, folder):
     """Let a robot with the name left come."""
     SpawnedRobots(node.shared).add('left', plan_with_robot(node.simulation, RequestedRobot(
-        {'robot': 'Panda'}, 'here', FilesBelow([folder], 'here')).create('left', Pose(
+        {'robot': 'Panda'}, 'here', AllowedRoots([folder], 'here')).create('left', Pose(
             np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])))))
 
 

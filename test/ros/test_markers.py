@@ -10,10 +10,10 @@ import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.ros import scene
+from manip_sim.ros import visualization_topics
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.rejection_log import RejectionLog
-from manip_sim.ros.scene import FORCE_SCALE, MarkerPublisher, TORQUE_SCALE
+from manip_sim.ros.visualization_topics import FORCE_SCALE, MarkerPublisher, TORQUE_SCALE
 
 WEIGHT_N = 0.1 * 9.81
 
@@ -91,7 +91,7 @@ def test_a_newton_is_a_centimetre_and_a_newton_metre_a_decimetre():
 
 def test_a_force_of_no_direction_has_no_arrow_and_leaves_those_of_others(client, monkeypatch):
     positions, forces = np.eye(3), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-    monkeypatch.setattr(scene, 'read_contacts',
+    monkeypatch.setattr(visualization_topics, 'read_contacts',
                         lambda *_: SimpleNamespace(position=positions, force=forces))
     node = client.node
     publisher = MarkerPublisher(SimpleNamespace(

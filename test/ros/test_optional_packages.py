@@ -5,7 +5,7 @@
 
 import pytest
 
-from manip_sim.ros import action_servers, scene, standard_services
+from manip_sim.ros import action_servers, standard_services, visualization_topics
 from manip_sim.ros.messages import import_optional
 
 
@@ -25,8 +25,8 @@ def test_packages_that_are_missing_are_noted_in_one_line_with_the_way_to_get_the
     monkeypatch.setenv('ROS_DISTRO', 'kilted')
     monkeypatch.setattr(action_servers, 'ACTION_TYPES', None)
     monkeypatch.setattr(standard_services, 'AVAILABLE', False)
-    monkeypatch.setattr(scene, 'TFMessage', None)
-    monkeypatch.setattr(scene, 'PLANS', False)
+    monkeypatch.setattr(visualization_topics, 'TFMessage', None)
+    monkeypatch.setattr(visualization_topics, 'PLANS', False)
     log = client.log()
     serve()
     client.spin_until(lambda: any('not installed' in line for line in log))

@@ -20,7 +20,7 @@ import yaml
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.urdf_writer import urdf_of
 from manip_sim.physics.object_spawning import plan_with, plan_without
-from manip_sim.ros import scene
+from manip_sim.ros import visualization_topics
 from manip_sim.simulation.planning_scene import BOX, MESH, Obstacle, Solid
 
 needs_moveit_msgs = pytest.mark.skipif(
@@ -84,10 +84,10 @@ def test_the_shapes_of_an_obstacle_are_primitives_or_meshes(monkeypatch):
         return SimpleNamespace(header=SimpleNamespace(), primitives=[], primitive_poses=[],
                                meshes=[], mesh_poses=[], **fields)
     message.ADD = b'\0'
-    monkeypatch.setattr(scene, 'moveit_msgs',
+    monkeypatch.setattr(visualization_topics, 'moveit_msgs',
                         SimpleNamespace(CollisionObject=message))
     places = np.arange(14.0).reshape(2, 7)
-    added = scene._added(Obstacle('part', 1, (
+    added = visualization_topics._added(Obstacle('part', 1, (
         Solid(BOX, (0.1, 0.2, 0.3), places[0]), Solid(MESH, (), places[1], np.eye(3)[None])), 1.0),
         'world', places[0], None)
     assert [(shape.type, list(shape.dimensions)) for shape in added.primitives] == [
@@ -215,7 +215,7 @@ def test_messages_agree_with_the_physics_while_the_arm_works(serve, client, plan
 def test_a_mesh_has_each_corner_once_and_the_same_triangles():
     corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0], [0, 1, 0]]],
                        dtype=float)
-    mesh = scene._mesh(Solid(MESH, (), np.zeros(7), corners))
+    mesh = visualization_topics._mesh(Solid(MESH, (), np.zeros(7), corners))
     assert len(mesh.vertices) == 4
     again = [[(mesh.vertices[i].x, mesh.vertices[i].y, mesh.vertices[i].z)
               for i in triangle.vertex_indices] for triangle in mesh.triangles]

@@ -12,7 +12,7 @@ import pytest
 from rclpy.qos import QoSDurabilityPolicy
 
 from manip_sim.interface.topics import ACTIONS, SERVICES
-from manip_sim.ros import scene
+from manip_sim.ros import visualization_topics
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = '\n'.join((ROOT / 'docs' / 'reference' / page).read_text()
@@ -71,9 +71,9 @@ def test_topics_are_documented_with_their_types(serve, client):
     table -= {(service.name, service.type) for service in SERVICES}
     frames = documented({'tf2_msgs'})
     assert {name for name, _ in frames} == {'/tf', '/tf_static'}
-    if scene.TFMessage is not None:
+    if visualization_topics.TFMessage is not None:
         table |= frames
-    if scene.moveit_msgs is not None:
+    if visualization_topics.moveit_msgs is not None:
         table |= documented({'moveit_msgs'})
     assert found <= table
     # A Panda has no mobile base, and none of these sensors; this node has no task, and its arena

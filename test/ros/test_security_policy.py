@@ -19,7 +19,7 @@ from rclpy.node import Node
 from manip_sim.interface.topics import PUBLISHED, SERVICES, TOPICS
 from manip_sim.interface.world_topics import actions_of
 from manip_sim.resources import share_directory
-from manip_sim.ros import scene, standard_services
+from manip_sim.ros import standard_services, visualization_topics
 
 FILES = Path(__file__).parents[1] / 'data/files'
 #: Together they have all parts that there are, objects, what an arena moves, and tendons.
@@ -41,7 +41,7 @@ STANDARD_SERVICES = {f'/manip_sim/{name}' for name in (
 #: With or without tf2_msgs in this environment.
 FRAMES = {'/tf', '/tf_static'}
 #: With or without moveit_msgs in this environment.
-SCENE = {f'/{name}' for name in scene.PLANNING_SCENE_TOPICS}
+SCENE = {f'/{name}' for name in visualization_topics.PLANNING_SCENE_TOPICS}
 
 
 def granted(enclave, kind, permission):
@@ -92,10 +92,10 @@ def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
             allowed -= STANDARD_SERVICES
     if permission == 'publish':
         assert allowed >= FRAMES
-        if scene.TFMessage is None:
+        if visualization_topics.TFMessage is None:
             allowed -= FRAMES
         assert allowed >= SCENE
-        if scene.moveit_msgs is None:
+        if visualization_topics.moveit_msgs is None:
             allowed -= SCENE
     assert allowed == graph[permission]
 

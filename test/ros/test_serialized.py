@@ -20,7 +20,7 @@ from manip_sim.channels.kinds import clock_channel, controller_numbers
 from manip_sim.control.controlled_joints import ControllerState, JointReference
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.physics.frame_tree import TreeFrame
-from manip_sim.ros import channel_publishers, messages, scene
+from manip_sim.ros import channel_publishers, messages, visualization_topics
 from manip_sim.ros.channel_publishers import ChannelPublishers
 from manip_sim.ros.feature import Output
 from manip_sim.ros.messages import SerializedMessage
@@ -64,8 +64,8 @@ KINDS = {
     'controller_state': (lambda prefix: controllers([prefix + name for name in NAMES]),
                          ROWS * len(NAMES)),
     'controller_state_of_one': (lambda prefix: controllers([prefix + 'x']), ROWS)}
-if scene.TFMessage is not None:
-    KINDS['transforms'] = (lambda prefix: partial(scene.transforms, FRAMES, prefix),
+if visualization_topics.TFMessage is not None:
+    KINDS['transforms'] = (lambda prefix: partial(visualization_topics.transforms, FRAMES, prefix),
                            7 * len(FRAMES))
 TIMES_NS = [0, 1, 999_999_999, 1_000_000_000, 123_456_789_012, (2**31 - 1) * 10**9 + 999_999_999]
 

@@ -31,7 +31,7 @@ from simulation_interfaces.srv import (  # noqa: E402
     ResetSimulation, SetEntityInfo, SetEntityState, SetSimulationState, SpawnEntity,
     StepSimulation)
 
-from manip_sim.ros import standard_answers as codes  # noqa: E402
+from manip_sim.ros import simulation_interfaces_messages as codes  # noqa: E402
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 STOPPED, PLAYING, PAUSED = (

@@ -27,13 +27,13 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import spawn_files
 from manip_sim.models import untrusted_models
 from manip_sim.models.files import requested_robot
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
 from manip_sim.ros.executor import BACKGROUND_THREAD, begin, in_background
+from manip_sim.ros.simulation_interfaces_messages import StandardTypes
 from manip_sim.ros.spawning_services import RequestedRobot, SpawningServices
-from manip_sim.ros.standard_answers import StandardTypes
 from manip_sim.startup import leave
 
 pytestmark = pytest.mark.full
@@ -58,7 +58,7 @@ class TriggeredSpawning:
     def __init__(self, node, folder):
         self._node = node
         self.request = request()
-        SpawningServices(replace(node.shared, node=self), FilesBelow([folder], 'spawn_roots'),
+        SpawningServices(replace(node.shared, node=self), AllowedRoots([folder], 'spawn_roots'),
                          StandardTypes(Plain(SpawnEntity=Trigger, DeleteEntity=Trigger),
                                        None, None))
 
@@ -212,7 +212,8 @@ def test_what_is_tried_is_given_up_by_a_process_that_ends(tmp_path, monkeypatch)
     monkeypatch.setattr(untrusted_models, 'MAX_CPU_S', 60)
     (tmp_path / 'm.stl').write_bytes(slow_mesh(100_000))
     (tmp_path / 'o.xml').write_text(MESH)
-    held = untrusted_models.hold_model(tmp_path / 'o.xml', FilesBelow([tmp_path], 'spawn_roots'))
+    held = untrusted_models.load_self_contained(
+        tmp_path / 'o.xml', AllowedRoots([tmp_path], 'spawn_roots'))
     loading = begin(held.load)
     while not untrusted_models._running:
         assert not loading.done()
@@ -336,7 +337,7 @@ def tried_here(monkeypatch):
 @given(uri=PATHS)
 def test_no_uri_leads_outside_or_stops_the_reader(hostile, tried_here, uri):
     roots, private, opened = hostile
-    files = FilesBelow([roots], 'spawn_roots')
+    files = AllowedRoots([roots], 'spawn_roots')
     found = door(files, uri=uri.replace('PRIVATE', str(private)).replace(
         'file://', f'file://{roots}/'))
     assert found is None or 'good' in uri
@@ -348,11 +349,11 @@ def test_no_uri_leads_outside_or_stops_the_reader(hostile, tried_here, uri):
 def test_no_text_and_no_file_reads_what_is_private(hostile, tried_here, text):
     roots, private, opened = hostile
     text = text.replace('PRIVATE', str(private))
-    door(FilesBelow([roots], 'spawn_roots'), text)
+    door(AllowedRoots([roots], 'spawn_roots'), text)
     for name in ('try.xml', 'try.yaml', 'try.urdf'):
         (roots / name).write_bytes(text.encode(errors='replace'))
-        door(FilesBelow([roots], 'spawn_roots'), uri=name)
-        door(FilesBelow([roots], 'spawn_roots'), f'{{robot: {name}}}')
+        door(AllowedRoots([roots], 'spawn_roots'), uri=name)
+        door(AllowedRoots([roots], 'spawn_roots'), f'{{robot: {name}}}')
     assert opened.take() == set()
 
 
@@ -362,7 +363,7 @@ def test_materials_that_a_mesh_names_are_not_read(hostile, tried_here):
         f'mtllib {private}/key\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl key\n'
         'f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n')
     (roots / 'try.xml').write_text(MESH.replace('m.stl', 'm.obj'))
-    assert door(FilesBelow([roots], 'spawn_roots'), uri='try.xml').mass_kg > 1.0
+    assert door(AllowedRoots([roots], 'spawn_roots'), uri='try.xml').mass_kg > 1.0
     assert opened.take() == set()
 
 
@@ -376,6 +377,6 @@ def test_a_file_that_is_a_trap_is_told_in_one_line(hostile, name):
         f'<mujoco><asset><{kind} name="m" file="{name}"/></asset>{BODY}</mujoco>')
     with pytest.raises(ManipSimError) as error:
         spawning_services._prepared(
-            request(uri='try.xml'), FilesBelow([roots], 'spawn_roots'))[1]()
+            request(uri='try.xml'), AllowedRoots([roots], 'spawn_roots'))[1]()
     assert Path(name).stem in str(error.value) and '\n' not in str(error.value)
     assert opened.take() == set()

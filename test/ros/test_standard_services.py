@@ -19,15 +19,15 @@ from std_msgs.msg import Header
 
 from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.physics import object_spawning
 from manip_sim.ros import spawning_services
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.feature import NodeContext
-from manip_sim.ros.spawning_services import SpawningServices
-from manip_sim.ros.standard_answers import (
+from manip_sim.ros.simulation_interfaces_messages import (
     BoundsType, Category, FeatureCode, LoadCode, ResultCode, ScopeCode, SetEntityCode,
     SetStateCode, SpawnAllCode, SpawnCode, StandardTypes, StateCode, TagsMode, WorldCode)
+from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_services import SimulationInterfaces, WorldServices
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
@@ -92,7 +92,7 @@ class Standard:
                 Plain(world_changed=lambda: self.followed.append(self.simulation))])
         states = SimulationInterfaces(context, TYPES)
         self.entity_services = EntityServices(context, TYPES)
-        files = FilesBelow([folder], 'spawn_roots')
+        files = AllowedRoots([folder], 'spawn_roots')
         spawning = SpawningServices(context, files, TYPES)
         WorldServices(context, states, files, TYPES, spawning.group)
         self.thread.start()

@@ -19,7 +19,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with, plan_without
-from manip_sim.ros import scene
+from manip_sim.ros import visualization_topics
 from manip_sim.ros.messages import nanoseconds_of, SerializedMessage, stamp_of
 
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.05, 'mass': 0.1, 'position': [1.5, 0.0, 0.5]}
@@ -62,9 +62,9 @@ def records(monkeypatch):
         # As plain messages have no bytes, look at what those of tf2_msgs are made of.
         found[0].frames = [t.child_frame_id for t in make(stamp_of(0), np.zeros(count)).transforms]
         return SerializedMessage(make, count)
-    monkeypatch.setattr(scene, 'SerializedMessage', serialized)
-    monkeypatch.setattr(scene, 'TFMessage', PlainMessage)
-    monkeypatch.setattr(scene, 'create_outputs', lambda node: found)
+    monkeypatch.setattr(visualization_topics, 'SerializedMessage', serialized)
+    monkeypatch.setattr(visualization_topics, 'TFMessage', PlainMessage)
+    monkeypatch.setattr(visualization_topics, 'create_outputs', lambda node: found)
     return found
 
 
@@ -215,7 +215,7 @@ def test_while_nobody_listens_no_frames_are_made(serve, client, records):
 
 
 def test_without_tf2_msgs_one_line_says_so_and_all_else_works(serve, client, monkeypatch):
-    monkeypatch.setattr(scene, 'TFMessage', None)
+    monkeypatch.setattr(visualization_topics, 'TFMessage', None)
     log = client.log()
     node = serve(tf_rate=50.0)
     client.state()

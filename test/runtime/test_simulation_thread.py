@@ -442,7 +442,7 @@ def test_a_reader_that_comes_is_seen_within_the_interval_of_the_looks_and_costs_
     observers.show('held', 0, 100.022, look=True)
     assert observers.absent and (len(looks), seen) == (3, ['due'])
     there.append('reader')
-    observers.look_again()
+    observers.refresh()
     assert not observers.absent
     observers.show('asked for', 0, 100.023, look=False)
     assert seen == ['due', 'asked for']

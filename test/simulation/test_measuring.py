@@ -45,7 +45,7 @@ def test_a_digest_does_not_depend_on_who_reads_late_states_and_on_what_came_and_
     for reads in (True, False):
         if not reads:
             sensing.add('odom', lambda: np.ones(3))  # As the node does.
-            simulation.instruments.look_at_model()
+            simulation.instruments.rebind()
         simulation.reset(1)
         for _ in range(10):
             simulation.advance(STEPS)

@@ -27,7 +27,7 @@ from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.json_state import plain_state, restore_plain
 from manip_sim.simulation.operations import Operations
-from manip_sim.worlds.template import Template
+from manip_sim.worlds.simulation_prototype import SimulationPrototype
 
 NOISE = {'type': 'uniform', 'magnitude': 0.1}
 #: What may happen in a run.
@@ -387,7 +387,7 @@ SETTINGS = [
 @pytest.fixture(scope='module')
 def nothing_was_read():
     """Return a function that copies a simulation of which no digest was ever read."""
-    template = Template(Simulation(compose('Panda', arena='table')))
+    template = SimulationPrototype(Simulation(compose('Panda', arena='table')))
     return template.copy
 
 
@@ -404,7 +404,7 @@ def test_every_setting_is_a_part_of_digests_saved_states_and_journals(setting, n
     restore_plain(repeated, json.loads(journal))
     # In an index that is new, what was replaced is what the index refers to.
     for simulation in (elsewhere, repeated):
-        simulation.states.look_at_robots()
+        simulation.states.sync_robots()
         assert simulation.digest() == first.digest()
 
 
@@ -421,7 +421,7 @@ def test_nothing_that_states_refer_to_by_its_place_is_ever_replaced(name):
         simulation.advance(5)
     operations.run('tare')
     operations.run('reset', 3, False)
-    simulation.states.look_at_robots()
+    simulation.states.sync_robots()
     now = [found for found in simulation.states.control.fixed if not isinstance(found, deque)]
     assert len(now) == len(before) and all(map(operator.is_, now, before))
 

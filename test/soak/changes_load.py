@@ -15,7 +15,7 @@ from target import Row, SoakError
 
 from manip_sim.errors import DivergenceError, ManipSimError
 from manip_sim.models import compose
-from manip_sim.models.regular_files import FilesBelow
+from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.robots import robot_names
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.spawning_services import RequestedRobot
@@ -41,7 +41,7 @@ class _Changed:
         name, kind, y = rng.choice(_NAMES), rng.choice(robot_names()), rng.uniform(-9.0, 9.0)
         if rng.random() < 0.3:
             name, kind, y = rng.choice(TEXTS), rng.choice((kind, *TEXTS)), rng.choice(NUMBERS)
-        robot = RequestedRobot({'robot': kind}, 'request', FilesBelow([], 'spawn_roots')).create(
+        robot = RequestedRobot({'robot': kind}, 'request', AllowedRoots([], 'spawn_roots')).create(
             name, Pose.checked([0.0, y, 0.0], [0.0, 0.0, 0.0, 1.0]))
         simulation.change_robots(plan_with_robot(simulation, robot))
 

@@ -22,14 +22,14 @@ class Scene:
 
     def add_arrows(self, name, points, color, **sizes):
         assert name not in self.drawn and len(points) and min(sizes.values()) > 0.0
-        return Drawn(self, name, points)
+        return Sample(self, name, points)
 
     def add_point_cloud(self, name, points, color, **looks):
         assert name not in self.drawn and len(points)
-        return Drawn(self, name, points)
+        return Sample(self, name, points)
 
 
-class Drawn:
+class Sample:
     """An element of the scene."""
 
     def __init__(self, scene, name, points):

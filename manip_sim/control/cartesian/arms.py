@@ -28,9 +28,9 @@ class Arms:
     def __init__(self, physics: Physics, servos: Servos) -> None:
         self._physics, self._servos, self._derived = physics, servos, Derived()
         self._low, self._high = servos.position_clamp().T
-        physics.on_change(self.look_at_joints)  # They may have other addresses.
+        physics.on_change(self.refresh_joint_parameters)  # They may have other addresses.
 
-    def look_at_joints(self) -> None:
+    def refresh_joint_parameters(self) -> None:
         """Take over addresses and damping of the joints, which were changed."""
         self._derived.of.clear()
 

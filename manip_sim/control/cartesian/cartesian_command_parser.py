@@ -40,9 +40,9 @@ class CartesianParser:
         self._joints = joints
         self._frames = frames
 
-    def look_at_model(self, model: mujoco.MjModel) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Take over the ids of the robot's frames in another model."""
-        self._frames.look_at_model(model)
+        self._frames.rebind(model)
 
     @property
     def _settings(self) -> Mapping[str, CartesianSettings]:

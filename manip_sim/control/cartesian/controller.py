@@ -92,21 +92,21 @@ class CartesianController:
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in chains}
         self._derived = Derived()
         self._arms = Arms(physics, servos)
-        physics.on_change(self._look_at_model)
+        physics.on_change(self._rebind)
 
     @property
     def readers(self) -> Mapping[str, EndEffectorReader]:
         """The readers of the grippers, by arm."""
         return self._readers
 
-    def look_at_joints(self) -> None:
+    def refresh_joint_parameters(self) -> None:
         """Take over the damping of the joints, which was changed in the model."""
-        self._arms.look_at_joints()
+        self._arms.refresh_joint_parameters()
 
-    def _look_at_model(self) -> None:
+    def _rebind(self) -> None:
         for chain in self._chains.values():
-            chain.tip.look_at_model(self._physics.model)
-            chain.origin.look_at_model(self._physics.model)
+            chain.tip.rebind(self._physics.model)
+            chain.origin.rebind(self._physics.model)
 
     def set(self, arm: str, name: str, value: ArrayLike | str) -> None:
         """

@@ -17,7 +17,7 @@ from manip_sim.control.law.period import (
     renew, renew_actions, renew_grips, run_rows, SCRATCH)
 from manip_sim.control.law.rows import Row
 from manip_sim.control.law.servo_rates import find_efforts_beside, find_rates
-from manip_sim.control.law.setpoint_changes import place, ramp_to, set_velocity
+from manip_sim.control.law.setpoint_changes import ramp_to, set_state, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait, wait_in_worlds
@@ -53,7 +53,7 @@ def load_laws() -> None:
     take_alone(joints, 0.0)
     set_velocity(joints, places, none)
     ramp_to(joints, places, none, 0.1, one)
-    place(joints, places, none, none)
+    set_state(joints, places, none, none)
     act(world.kinematics, 0, 1, 0, 1, none, none.copy(), np.eye(3))
     nowhere_yet, nobody_yet = np.zeros((0, 5), np.int64), places[:0].copy()
     run_rows(nobody_yet, nowhere_yet, nobody_yet, 1, Row(SCRATCH).address)

@@ -69,7 +69,7 @@ def ramp_to(joints: Any, indices: IntArray, velocity: FloatArray, duration: floa
 
 
 @compiled
-def place(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
+def set_state(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
     """
     Set setpoints, which come to rest from there; beyond an end of the range they stop at it.
 

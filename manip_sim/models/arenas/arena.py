@@ -24,7 +24,7 @@ from manip_sim.models.placements import Placement
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.spec_edits import begin_like, TakenNames
-from manip_sim.quoting import shown
+from manip_sim.quoting import format_value
 from manip_sim.resources import asset_path
 from manip_sim.validation import finite_numbers
 
@@ -74,7 +74,7 @@ class ArenaParameter:
                     and self.low <= float(value) <= self.high)
         if not fits:
             raise ModelError(f"parameter '{self.name}' of the arena {arena} must be "
-                             f'{self.limits}, got {shown(value)}')
+                             f'{self.limits}, got {format_value(value)}')
 
 
 def check_arguments(parameters: Iterable[ArenaParameter], arena: str, **arguments: Any) -> None:

@@ -15,7 +15,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.link_masses import greatest_weight
 from manip_sim.models.setpoint_activation import position_servos
-from manip_sim.quoting import counted, quoted_names
+from manip_sim.quoting import pluralize, quoted_names
 
 #: Acceleration that a joint shall give its load beside the weight [rad/s^2 or m/s^2].
 _ACCELERATION = 5.0
@@ -37,7 +37,7 @@ def report_efforts(model: mujoco.MjModel, qpos: FloatArray) -> list[str]:
     if not len(weak):
         return []
     names = quoted_names([str(model.joint(joint).name) for joint in weak], _LISTED)
-    return [f'the effort limits of {counted(len(weak), "joint")} cannot hold the start pose: '
+    return [f'the effort limits of {pluralize(len(weak), "joint")} cannot hold the start pose: '
             f'{names}; if they are placeholders, efforts: guess in a YAML file replaces those '
             'that are too low']
 
@@ -239,5 +239,5 @@ def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
             servo.ctrlrange, servo.ctrllimited = model.jnt_range[joint], 1
         if force:
             servo.forcerange, servo.forcelimited = model.jnt_actfrcrange[joint], 1
-    return [f'position servos on {counted(len(driven), "joint")}, with rotor inertia where '
+    return [f'position servos on {pluralize(len(driven), "joint")}, with rotor inertia where '
             'there is none, because the file has no actuators'] if driven else []

@@ -20,7 +20,7 @@ from manip_sim.models.object_creation import (
     check_object_names, create_described, FixtureModel, load_objects, ObjectModel)
 from manip_sim.models.placements import check_placed, read_placements
 from manip_sim.models.robots.robot_model import RobotModel
-from manip_sim.quoting import counted, quoted
+from manip_sim.quoting import pluralize, quoted
 
 _YAML = ('.yaml', '.yml')
 
@@ -75,7 +75,7 @@ class FileArena(Arena, registered=False):
             spec.delete(key)
         unnamed = len(keys) - len(self._keyframes)
         if unnamed:
-            self.inferred.append(f'left out: {counted(unnamed, "keyframe")} without a name')
+            self.inferred.append(f'left out: {pluralize(unnamed, "keyframe")} without a name')
         return spec
 
     def _add_parts(self, folder: Path, where: str) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.bases import MobileBaseModel, RobotBaseModel
-from manip_sim.models.files.hand_model import OwnHand
+from manip_sim.models.files.hand_model import BuiltInGripper
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.grippers.gripper_model import GripperModel
@@ -36,7 +36,7 @@ class FileRobot(RobotModel, registered=False):
 
     def __init__(self, plan: RobotPlan, idn: int | str) -> None:
         self._plan = plan
-        self._own_hands: dict[str, OwnHand] = dict(plan.hands)
+        self._own_hands: dict[str, BuiltInGripper] = dict(plan.hands)
         self._subsystem_of_joint = plan.subsystems
         if plan.description.foot is not None:
             x, y, z = plan.description.foot

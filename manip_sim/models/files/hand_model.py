@@ -191,7 +191,7 @@ def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: l
     return notes
 
 
-class OwnHand(HandFromFile, registered=False):
+class BuiltInGripper(HandFromFile, registered=False):
     """
     A hand within a robot: its elements are the robot's and have its prefix.
 
@@ -309,7 +309,7 @@ class OwnHand(HandFromFile, registered=False):
         """Reject the pose: the robot's file says where its hand is."""
         raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
 
-    def clone(self, idn: int | str) -> OwnHand:
+    def clone(self, idn: int | str) -> BuiltInGripper:
         """Reject copying: there is one such hand."""
         raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
 

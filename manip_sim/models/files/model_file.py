@@ -28,8 +28,8 @@ from manip_sim.models.files.urdf_joints import support_couplings
 from manip_sim.models.loading import compile_alone, compile_copy, load_spec, name_unnamed_elements
 from manip_sim.models.missing_meshes import infer_inertias_once
 from manip_sim.models.regular_files import Files
-from manip_sim.models.untrusted_models import hold_model
-from manip_sim.quoting import counted
+from manip_sim.models.untrusted_models import load_self_contained
+from manip_sim.quoting import pluralize
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
@@ -171,7 +171,7 @@ def read_model(file: Path, description: Description, where: object,
     elif files is None:
         spec, notes = _load_mjcf(file, expects_meshes)
     else:
-        spec = hold_model(file, files, as_robot=True).load_tried(notes)
+        spec = load_self_contained(file, files, as_robot=True).load_tried(notes)
     notes += [*_gravity_of_file(spec), *touch_other_files(spec), *leave_out_dangling(spec)]
     name_unnamed_elements(spec)
     for joint in spec.joints:  # MuJoCo would leave the rotor out of dof_invweight0 of some slides.
@@ -203,7 +203,7 @@ def read_model(file: Path, description: Description, where: object,
     guesses = getattr(description, 'efforts', 'own') == 'guess'
     if guesses and model.nu:
         raise ModelError(f"'efforts: guess' of {where} is for files without actuators; {file} has "
-                         f'{counted(model.nu, "actuator")}')
+                         f'{pluralize(model.nu, "actuator")}')
     if servos and not model.nu and places:
         if guesses:
             notes += guess_efforts(spec, model)

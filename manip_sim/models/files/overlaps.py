@@ -14,7 +14,7 @@ import mujoco
 from manip_sim.errors import ModelError
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.regular_files import Files
-from manip_sim.quoting import counted, one_line, quoted
+from manip_sim.quoting import one_line, pluralize, quoted
 
 #: Links that are nearer to each other than this touch [m].
 _TOUCHING_M = 1e-4
@@ -42,7 +42,7 @@ def exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[
             spec.add_exclude(bodyname1=one, bodyname2=other)
             excluded += 1
     if excluded:
-        notes.append(f'left out: collisions of {counted(excluded, "pair")} of links, '
+        notes.append(f'left out: collisions of {pluralize(excluded, "pair")} of links, '
                      'as its SRDF says')
     for one, other in _overlapping(model, start, urdf):
         if _key(one, other) in pairs or spec.body(one) is None or spec.body(other) is None:

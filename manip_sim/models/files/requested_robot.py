@@ -27,8 +27,8 @@ from manip_sim.models.files.robot_plan import plan_robot
 from manip_sim.models.files.urdf import hold_urdf, is_urdf
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_model import NOT_SPAWNED
-from manip_sim.models.regular_files import Files, KeptFiles, OneText
-from manip_sim.models.untrusted_models import held_name, hold_model, try_to_do
+from manip_sim.models.regular_files import CachedFiles, Files, InMemoryFile
+from manip_sim.models.untrusted_models import held_name, load_self_contained, try_to_do
 from manip_sim.quoting import one_line
 
 #: Greatest number of degrees of freedom.
@@ -37,7 +37,7 @@ MAX_DOF = 100
 MAX_CPU_S = 10
 
 
-def load_requested(given: Path | OneText, files: Files, idn: int | str = 0) -> FileRobot:
+def load_requested(given: Path | InMemoryFile, files: Files, idn: int | str = 0) -> FileRobot:
     """
     Load a robot from a file that a request names, or from its text.
 
@@ -49,11 +49,11 @@ def load_requested(given: Path | OneText, files: Files, idn: int | str = 0) -> F
         is too large or is not a robot
     :raises UnknownNameError: if the description has a key or name that is not known
     """
-    if isinstance(given, OneText):
-        kept = KeptFiles(given)
+    if isinstance(given, InMemoryFile):
+        kept = CachedFiles(given)
         file, description, where = given.file, RobotDescription(), str(given.file)
     else:
-        kept = KeptFiles(files)
+        kept = CachedFiles(files)
         file, description, where = find_model(given, RobotDescription, 'robot', kept)
     _check_names(description, where)
     with _of_strangers(file):
@@ -61,13 +61,13 @@ def load_requested(given: Path | OneText, files: Files, idn: int | str = 0) -> F
             hold_urdf(file, description.xacro_values, kept)
             disabled_pairs(file, kept)
         else:
-            hold_model(file, kept, as_robot=True)
+            load_self_contained(file, kept, as_robot=True)
     held = file, description, where, copy.copy(kept), idn
     try_to_do(one_line(str(file), 200), load_held, *held, max_cpu_s=MAX_CPU_S)
     return load_held(*held)
 
 
-def load_held(file: Path, description: RobotDescription, where: str, files: KeptFiles,
+def load_held(file: Path, description: RobotDescription, where: str, files: CachedFiles,
               idn: int | str) -> FileRobot:
     """Load a robot from contents that were read before."""
     with _of_strangers(file):

@@ -19,7 +19,7 @@ from manip_sim.models.files.found_arms import (
     ALONE, classify_joints, find_arms, FoundArm, lone_hands_as_arms)
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.mount_frames import add_body_at, find_place, free_name
-from manip_sim.models.files.hand_model import OwnHand
+from manip_sim.models.files.hand_model import BuiltInGripper
 from manip_sim.models.files.limbs import is_unlimited, PALM_WORDS
 from manip_sim.models.files.mocap_bodies import MocapBodies
 from manip_sim.models.files.model_file import depth_in_floor, ModelFile, read_model
@@ -56,7 +56,7 @@ class RobotPlan:
     start: dict[str, float]
     subsystems: dict[str, str]
     ends: dict[str, str]
-    hands: dict[str, OwnHand]
+    hands: dict[str, BuiltInGripper]
     arms: dict[str, FoundArm]
     loose_actuators: set[str]
     inferred: list[str]
@@ -327,9 +327,10 @@ def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
 
 
 def _own_hand(spec: mujoco.MjSpec, tree: BodyTree, side: str, hand: FoundHand,
-              description: RobotDescription, where: str, start: dict[str, float]) -> OwnHand:
+              description: RobotDescription, where: str, start: dict[str, float]
+              ) -> BuiltInGripper:
     declared = _hand_description(description.arm(side)) or OwnHandDescription()
-    gripper = OwnHand(side, declared, where, start)
+    gripper = BuiltInGripper(side, declared, where, start)
     gripper.add_to(spec, tree, hand)
     return gripper
 

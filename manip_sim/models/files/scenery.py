@@ -18,7 +18,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.mount_frames import free_name
 from manip_sim.models.spec_edits import attach, delete_elements
-from manip_sim.quoting import counted, quoted, quoted_names
+from manip_sim.quoting import pluralize, quoted, quoted_names
 
 _OBJ, _EQ = mujoco.mjtObj, mujoco.mjtEq
 #: Elements that an equality constraint ties, by its tag, unless ``objtype`` names others.
@@ -105,7 +105,7 @@ def _left_out(spec: mujoco.MjSpec, what: str, elements: list[Any],
     if not dangling:
         return
     named = {name for _, of_element in dangling for name in of_element}
-    yield (f'left out: {counted(len(dangling), what)} with a reference to what is not in the '
+    yield (f'left out: {pluralize(len(dangling), what)} with a reference to what is not in the '
            f'file: {quoted_names(sorted(named))}; {_INCLUDED}, else correct the name')
     for element, _ in dangling:
         if what == 'material':
@@ -128,7 +128,7 @@ def _left_out_keyframes(spec: mujoco.MjSpec) -> list[str]:
             spec.delete(key)
         elif len(key.ctrl) not in (0, len(spec.actuators)):
             notes.append(f'left out: {len(key.ctrl)} controls of keyframe {quoted(key.name)}, as '
-                         f'the file has {counted(len(spec.actuators), "actuator")}')
+                         f'the file has {pluralize(len(spec.actuators), "actuator")}')
             key.ctrl = []
     return notes
 
@@ -162,14 +162,14 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
         raise ModelError(f'{file} must have a body, found none; if other files include it, load '
                          'the one of the whole robot')
     loose = [*world.geoms, *world.sites]
-    loose_counts = ' and '.join(counted(len(elements), noun) for noun, elements in (
+    loose_counts = ' and '.join(pluralize(len(elements), noun) for noun, elements in (
         ('shape', world.geoms), ('site', world.sites)) if elements)
     free = [body for body in roots if _is_free(body)]
     # A camera that follows an omitted body has nothing to look at.
     cameras = [camera for camera in cameras if camera.has_target(spec)]
     if cameras:
         names = quoted_names([camera.name for camera in cameras])
-        notes.append(f'left out: {counted(len(cameras), "camera")} of the world body ({names})'
+        notes.append(f'left out: {pluralize(len(cameras), "camera")} of the world body ({names})'
                      if free else
                      f'cameras of the world body on the root: {names}')
     if len(roots) == 1 and (free or not loose):
@@ -231,7 +231,7 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
         if elements is objects:  # Of mocap bodies, who reads the file says what becomes of them.
             names = [body.name for body in objects if not body.mocap]
         if names or (elements and elements is not objects):
-            notes.append(f'left out: {counted(len(names) or len(elements), kind)} of the world '
+            notes.append(f'left out: {pluralize(len(names) or len(elements), kind)} of the world '
                          'body' + (f' ({quoted_names(names)})' if names else ''))
         if elements is not objects:
             delete_elements(spec, elements)
@@ -255,7 +255,7 @@ def touch_other_files(spec: mujoco.MjSpec) -> list[str]:
     missing = {name for pair in pairs for name in (pair.geomname1, pair.geomname2)} - known
     notes = _keep_on_ground(spec, missing)
     delete_elements(spec, pairs)
-    return notes + ([f'left out: {counted(len(pairs), "contact pair")} with shapes that are not '
+    return notes + ([f'left out: {pluralize(len(pairs), "contact pair")} with shapes that are not '
                      f'in the file: {quoted_names(sorted(missing))}'] if pairs else [])
 
 
@@ -273,8 +273,8 @@ def _keep_on_ground(spec: mujoco.MjSpec, names: set[str]) -> list[str]:
             geom.friction, geom.solref, geom.solimp = pair.friction[[0, 2, 3]], pair.solref, (
                 pair.solimp)
             kept.append(geom.name)
-    return [f'contact of {counted(len(kept), "shape")} with the arena, where contact pairs named '
-            f'the ground: {quoted_names(kept)}'] if kept else []
+    return [f'contact of {pluralize(len(kept), "shape")} with the arena, where contact pairs '
+            f'named the ground: {quoted_names(kept)}'] if kept else []
 
 
 def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:

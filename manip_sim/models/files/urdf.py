@@ -20,10 +20,10 @@ from manip_sim.models.files.package_folders import find_meshes
 from manip_sim.models.files.urdf_joints import check_joints, complete_joints
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.mjcf_versions import read_tree, Place
-from manip_sim.models.regular_files import Files, OneText
-from manip_sim.models.untrusted_models import HeldModel, ROBOT_LIMITS
+from manip_sim.models.regular_files import Files, InMemoryFile
+from manip_sim.models.untrusted_models import ROBOT_LIMITS, SelfContainedModel
 from manip_sim.models.xml_check import AssetFolders, Budget, XmlModel
-from manip_sim.quoting import counted, one_line, quoted, quoted_names
+from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
 _LIGHT_KG, _LIGHT_INERTIA = 1e-3, 1e-6
@@ -100,21 +100,21 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     return spec, notes
 
 
-def hold_urdf(file: Path, xacro_args: Mapping[str, str], files: Files) -> HeldModel:
+def hold_urdf(file: Path, xacro_args: Mapping[str, str], files: Files) -> SelfContainedModel:
     """Read a URDF file and the files that it names, as :func:`load_urdf` does, without MuJoCo."""
     robot, origins, _, _ = _read(file, xacro_args, True, files)
     return _hold(robot, origins, file, files)
 
 
 def _hold(robot: ElementTree.Element, origins: Mapping[ElementTree.Element, Place], file: Path,
-          files: Files) -> HeldModel:
+          files: Files) -> SelfContainedModel:
     """Read what a URDF names, and leave out what MuJoCo does not read."""
     read = ElementTree.Element('robot', robot.attrib)
     read.extend([child for child in robot if child.tag in _READ_BY_MUJOCO])
     for material in read.iter('material'):  # Textures are not read.
         for texture in material.findall('texture'):
             material.remove(texture)
-    held = HeldModel(str(file), is_light=False)
+    held = SelfContainedModel(str(file), is_light=False)
     held.xml = held.hold_tree(read, {}, AssetFolders(file.parent), files, as_robot=True)
     held.origins[''] = [*map(origins.get, read.iter())]
     return held
@@ -184,7 +184,7 @@ def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
                 'file to a folder of model_path')
         budget = Budget(ROBOT_LIMITS)
     elif is_xacro:
-        text = OneText(expanded(file, xacro_args), str(file))
+        text = InMemoryFile(expanded(file, xacro_args), str(file))
         file, files = text.file, text
     elif xacro_args:
         raise ModelError(f"'xacro_args' are for a {XACRO} file, not for {file}")
@@ -226,7 +226,7 @@ def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
             elif not is_known or any(math.isnan(_value(number)) for number in (*sizes, *places)):
                 link.remove(shape)
                 unknown.append(str(link.get('name')))
-    return [f'left out: {counted(len(names), "shape")} {reason}, of {quoted_names(names)}'
+    return [f'left out: {pluralize(len(names), "shape")} {reason}, of {quoted_names(names)}'
             for names, reason in ((dropped, 'of size zero'), (
                 unknown, 'without a <box>, <cylinder>, <sphere> or <mesh> with its attributes, or '
                          'without numbers in them'))
@@ -267,7 +267,7 @@ def _take_gravity(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
                                  or said.get('1', said.get('true')) == 'turnGravityOff'):
             body.gravcomp = 1.0
             light.append(body.name)
-    return [f'no gravity on {counted(len(light), "link")}, as <gazebo> elements say: '
+    return [f'no gravity on {pluralize(len(light), "link")}, as <gazebo> elements say: '
             f'{quoted_names(light)}'] if light else []
 
 

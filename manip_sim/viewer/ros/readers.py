@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, MessageError
-from manip_sim.quoting import counted, quoted
+from manip_sim.quoting import pluralize, quoted
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.messages import read_message, seconds_of
 from manip_sim.ros.rejection_log import kind_of, RejectionLog
@@ -56,14 +56,14 @@ def joint_states(message: JointState) -> JointStates:
     """
     count = len(message.name)
     if not 0 < count <= _MAX_JOINTS or len(set(message.name)) < count:
-        raise MessageError(f'{counted(count, "name")}, of which {len(set(message.name))} differ; '
-                           f'there must be 1 to {_MAX_JOINTS}, each once')
+        raise MessageError(f'{pluralize(count, "name")}, of which {len(set(message.name))} '
+                           f'differ; there must be 1 to {_MAX_JOINTS}, each once')
     columns: list[FloatArray] = []
     for field in ('position', 'velocity', 'effort'):
         values = getattr(message, field)
         if len(values) != count and (field == 'position' or len(values)):
-            raise MessageError(f'{field}: {counted(len(values), "number")} for '
-                               f'{counted(count, "joint")}')
+            raise MessageError(f'{field}: {pluralize(len(values), "number")} for '
+                               f'{pluralize(count, "joint")}')
         columns.append(numbers(values, field) if len(values) else np.zeros(count))
     position, velocity, effort = columns
     return JointStates(tuple(message.name), position, velocity, effort,

@@ -38,7 +38,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.errors import ManipSimError
 from manip_sim.models import untrusted_models
-from manip_sim.quoting import counted
+from manip_sim.quoting import pluralize
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.arguments import start_ros
 from manip_sim.ros.executor import BACKGROUND_THREAD
@@ -372,7 +372,7 @@ class Session:
             self._sender.notice(self._discovery.base, statuses)
         rejected = self._readers.rejected
         self._page.show_diagnostics([*statuses, *([ShownStatus(
-            WARN, 'viewer', f'{counted(rejected, "message")} rejected, see its log')]
+            WARN, 'viewer', f'{pluralize(rejected, "message")} rejected, see its log')]
             if rejected else [])])
         for status in statuses:
             if status.name == 'simulation':

@@ -58,7 +58,7 @@ class _Pull:
     most: float
 
 
-class Pulls:
+class SpringForces:
     """
     Springs between points of bodies and places in ``world``, one for a body.
 
@@ -74,9 +74,9 @@ class Pulls:
         self._physics, self._clock = physics, clock
         self._pulls: dict[str, _Pull] = {}
         self._bodies: dict[str, int] = {}
-        physics.on_change(self._look_at_model)
+        physics.on_change(self._rebind)
 
-    def _look_at_model(self) -> None:
+    def _rebind(self) -> None:
         model = self._physics.model
         self._pulls.clear()
         kind = mujoco.mjtObj.mjOBJ_BODY

@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from manip_sim.ros.neighbours import _nearest, Neighbours
+from manip_sim.ros.graph_monitor import _nearest, GraphMonitor
 
 NEVER_READS = """
 import time
@@ -298,7 +298,7 @@ def test_what_is_gone_at_the_second_look_is_not_reported(client):
     other = Client()
     own = rclpy.create_node('own', context=other.context)
     own.create_subscription(TwistStamped, 'target', print, 1)
-    neighbours = Neighbours(own, [])
+    neighbours = GraphMonitor(own, [])
 
     def publish_until_found():
         publisher = client.node.create_publisher(Twist, 'target', 1)

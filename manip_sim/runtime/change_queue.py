@@ -138,7 +138,7 @@ class Journal:
             self._add('digest', self._simulation.digest())
 
 
-class PendingChanges:
+class ChangeQueue:
     """
     Commands and operations, at once or before the next control period.
 

@@ -15,7 +15,7 @@ from manip_sim.physics.physics import Physics
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
-class FreeRoots:
+class FloatingBases:
     """
     The weight of compensated links, given back to the joints of free robots that carry it.
 
@@ -27,9 +27,9 @@ class FreeRoots:
 
     def __init__(self, physics: Physics, roots: Iterable[str]) -> None:
         self._physics, self.roots = physics, tuple(roots)
-        physics.on_change(self._look_at_model)
+        physics.on_change(self._rebind)
 
-    def _look_at_model(self) -> None:
+    def _rebind(self) -> None:
         model, roots = self._physics.model, self.roots
         free_trees = {int(model.body_rootid[body]) for body in model.jnt_bodyid[
             model.jnt_type == _FREE]} & {int(model.body(root).id) for root in roots}

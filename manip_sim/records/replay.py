@@ -20,7 +20,7 @@ from manip_sim.interface.composition import compose_world, Composition
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.sources import is_of_others, is_path
 from manip_sim.models.strict_yaml import parse_yaml
-from manip_sim.quoting import counted, one_line, quoted
+from manip_sim.quoting import one_line, pluralize, quoted
 from manip_sim.records.recorded import Record, RecordedEpisode
 from manip_sim.records.recorder import physics_state
 from manip_sim.records.untrusted_records import files_of, parse_json
@@ -213,7 +213,7 @@ class JournalReplay:
 
     def _where(self) -> str:
         assert self._world is not None
-        return (f'{counted(self.periods, "control period")}, at '
+        return (f'{pluralize(self.periods, "control period")}, at '
                 f'{self._world.simulation.time_ns / 1e9:.6f} s')
 
     def _take(self, entry: Any) -> None:

@@ -31,7 +31,7 @@ _UNHEARD_S = 5.0
 _MOST = 20
 
 
-class Neighbours:
+class GraphMonitor:
     """
     Conflicts with other nodes; each is logged once for as long as it lasts.
 

@@ -33,7 +33,7 @@ _PLAIN = {type(None), bool, int, float, str, bytes, bytearray, tuple, list, dict
 _WARNINGS = 'warning.number'
 
 
-class Template:
+class SimulationPrototype:
     """
     A simulation at its start, of which copies are made.
 
