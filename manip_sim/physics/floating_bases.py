@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import IntArray
 from manip_sim.physics.physics import Physics
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -22,8 +23,10 @@ class FloatingBases:
     :param physics: of the world
     :param roots: names of the root bodies of the robots
     :ivar roots: the same; robots that come or go have to change it before the model is replaced
-    :ivar is_needed: whether there is weight to give back
+    :ivar dofs: degrees of freedom with weight to give back, shape (k,)
     """
+
+    dofs: IntArray
 
     def __init__(self, physics: Physics, roots: Iterable[str]) -> None:
         self._physics, self.roots = physics, tuple(roots)
@@ -34,12 +37,11 @@ class FloatingBases:
         free_trees = {int(model.body_rootid[body]) for body in model.jnt_bodyid[
             model.jnt_type == _FREE]} & {int(model.body(root).id) for root in roots}
         joint = model.dof_jntid
-        self._dofs = np.flatnonzero(
+        self.dofs = np.flatnonzero(
             np.isin(model.body_rootid[model.dof_bodyid], list(free_trees))
             & (model.jnt_actgravcomp[joint] == 0))
-        self.is_needed = self._dofs.size > 0
 
     def apply(self) -> None:
         """Apply the weight as of the last ``mj_forward`` or step."""
         data = self._physics.data
-        data.qfrc_applied[self._dofs] = -data.qfrc_gravcomp[self._dofs]
+        data.qfrc_applied[self.dofs] = -data.qfrc_gravcomp[self.dofs]

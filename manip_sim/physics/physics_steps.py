@@ -271,7 +271,7 @@ class PhysicsSteps:
         """
         Return what of a step is computed after a period that a law has ended, as it has it.
 
-        :param act: whether laws change controls before the step
+        :param act: whether laws change controls or applied forces before the step
         """
         if not self._may_resume:
             return 0

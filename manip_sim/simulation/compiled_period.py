@@ -15,6 +15,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.divergence import DivergenceWatch
+from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, ROW, Scratch, STEPS, STOOD
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.simulation.robot_runs import RobotRun, RunRoom
@@ -34,6 +35,7 @@ class _Room(NamedTuple):
     place: tuple[Any, Any]
     time: Any
     orders: IntArray
+    weight: Any
     watch: Any
     outcome: IntArray
     standing: Any
@@ -44,12 +46,15 @@ class CompiledPeriod:
     A control period, or intervals of one, that compiled code runs in one world.
 
     :param steps: of the physics
+    :param floating_bases: the weight of free robots
     :param clock: of the simulation
     :param timestep_s: length of a step [s]
     """
 
-    def __init__(self, steps: PhysicsSteps, clock: Clock, timestep_s: float) -> None:
-        self._steps, self._clock, self._timestep_s = steps, clock, timestep_s
+    def __init__(self, steps: PhysicsSteps, floating_bases: FloatingBases, clock: Clock,
+                 timestep_s: float) -> None:
+        self._steps, self._floating_bases = steps, floating_bases
+        self._clock, self._timestep_s = clock, timestep_s
         self._derived = Derived()
         steps.physics.on_change(self._derived.of.clear)
 
@@ -91,7 +96,8 @@ class CompiledPeriod:
         robots = self._derived.made_of(_addresses, *[run.room for run in runs])
         seats = self._derived.made_of(_joined, *[run.seats for run in runs])
         room.row.write((room.place, room.time, room.orders, intervals, steps.physics.arrays,
-                        robots, seats, notes, room.watch, room.outcome, room.standing))
+                        room.weight, robots, seats, notes, room.watch, room.outcome,
+                        room.standing))
 
     def stand(self, steps: int, until_s: float, act: bool) -> None:
         """
@@ -105,7 +111,8 @@ class CompiledPeriod:
         standing, notes = room.standing, self._derived.of['notes']
         if not len(standing.options):
             return
-        room.orders[:] = 1, 1, 0, self._steps.resumes_after_laws(act), 1
+        changes = act or len(self._floating_bases.dofs) > 0
+        room.orders[:] = 1, 1, 0, self._steps.resumes_after_laws(changes), 1
         standing.until_s[0] = until_s
         standing.contacts[:] = notes.contacts[0], all([
             tool.is_quiet for tool in self._steps.tools])
@@ -128,7 +135,8 @@ class CompiledPeriod:
         :param efforts: room for the efforts of the last step, or None
         :param stale: says that they were noted
         """
-        from manip_sim.control.law.period import PERIOD, Standing, Time  # It imports numba.
+        from manip_sim.control.law.period import (  # It imports numba.
+            PERIOD, Standing, Time, Weight)
         from manip_sim.control.law.rows import Row
         from manip_sim.control.law.stepping import LastStep, options_of, Watch, words_of
         steps, clock, physics = self._steps, self._clock, self._steps.physics
@@ -142,7 +150,8 @@ class CompiledPeriod:
         options = options_of(model)
         return _Room(
             Row(PERIOD), (addresses.model, addresses.data),
-            Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(5, np.int64), watch,
+            Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(5, np.int64),
+            Weight(self._floating_bases.dofs, data.qfrc_applied), watch,
             np.zeros(2, np.int64), Standing(
                 np.zeros(1), np.zeros(2, np.int64), data.xfrc_applied, options, options.copy()))
 

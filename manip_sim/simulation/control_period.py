@@ -56,7 +56,7 @@ class ControlPeriods:
         self.sync_robots()
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         self._cuts: dict[int, IntArray] = {}
-        self.compiled = CompiledPeriod(steps, clock, timestep_s)
+        self.compiled = CompiledPeriod(steps, floating_bases, clock, timestep_s)
         #: The robots and runs that it was prepared for; true if a period ends with them.
         self._prepared: tuple[
             Sequence[SimulatedRobot], Sequence[RobotRun], bool] | None = None
@@ -80,14 +80,9 @@ class ControlPeriods:
     @property
     def idle(self) -> bool:
         """True if nothing but physics happens until the next command."""
-        return (self.diverged is None and not self._pulls and self.resting
-                and not any([robot.sensing.settings.measures for robot in self._robots]))
-
-    @property
-    def resting(self) -> bool:
-        """True if control has nothing to do."""
         self._steps.physics.interrupt()
-        return not self._floating_bases.is_needed and not self._awake()
+        return (self.diverged is None and not self._pulls and not self._awake()
+                and not any([robot.sensing.settings.measures for robot in self._robots]))
 
     def advance(self, steps: int) -> None:
         """
@@ -280,8 +275,8 @@ class ControlPeriods:
     def _lets_laws_step(self, awake: Sequence[SimulatedRobot]) -> bool:
         """Return whether compiled code runs the next steps."""
         # Without a robot that acts, nothing is compiled.
-        return ((len(awake) > 0 or is_loaded()) and not self._floating_bases.is_needed
-                and self._steps.lets_laws_step and self.compiled.may_step)
+        return ((len(awake) > 0 or is_loaded()) and self._steps.lets_laws_step
+                and self.compiled.may_step)
 
     def _prepare(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> bool:
         """Prepare compiled code for robots; return whether it runs the whole period."""
@@ -321,8 +316,7 @@ class ControlPeriods:
             self.compiled.run()
         for robot in awake:
             robot.joints.begin_python_steps(steps, self._clock.control_s)
-        if self._floating_bases.is_needed:
-            self._floating_bases.apply()
+        self._floating_bases.apply()
         self._steps.run((steps,))
         self._left -= steps
         for robot, run in zip(awake, runs):

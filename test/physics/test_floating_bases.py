@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from manip_sim.models import compose, load_robot
+from manip_sim.simulation.compiled_period import load
+from manip_sim.simulation.control_period import ControlPeriods
 
 ROBOT = """
 <body name="base" pos="0 0 0.1">
@@ -59,8 +61,6 @@ def ground_force(simulation):
 
 def test_actuators_carry_what_hangs_on_them(standing):
     simulation = standing()
-    # What they carry depends on where they are, and is looked at in each period.
-    assert not simulation.idle
     state = simulation.robot.state()
     np.testing.assert_allclose(state.position, 0.0, atol=1e-3)
     # Torque of level links about the y axis, which points so that lowering is positive.
@@ -108,3 +108,26 @@ def test_the_model_that_is_written_does_not_float(mjcf):
     robot = load_robot(mjcf(ROBOT.format(mass=1.0, reach=0.3), SERVOS))
     model = mujoco.MjModel.from_xml_string(compose(robot, 'none', 'none').to_xml())
     assert not model.body_gravcomp.any()
+
+
+@pytest.mark.parametrize('integrator', ['EULER', 'IMPLICITFAST'])
+def test_compiled_steps_are_those_of_python_to_the_last_bit(standing, integrator, monkeypatch):
+    digests, by_law, lets = [], [], ControlPeriods._lets_laws_step
+
+    def counted(periods, awake):
+        by_law.append(lets(periods, awake))
+        return by_law[-1]
+    load()
+    for lets_laws_step in (counted, lambda periods, awake: False):
+        monkeypatch.setattr(ControlPeriods, '_lets_laws_step', lets_laws_step)
+        simulation = standing(seconds=0.0)
+        simulation.model.opt.integrator = getattr(mujoco.mjtIntegrator, f'mjINT_{integrator}')
+        robot, draw = simulation.robot, np.random.default_rng(1)
+        for period in range(60):
+            if 20 < period < 40:  # Before and after that it stands by itself.
+                robot.apply(*robot.parse.joint_command(
+                    robot.joint_names, draw.uniform(-0.5, 0.5, 2)))
+            simulation.advance(5)
+            digests.append(simulation.digest())
+    assert digests[:60] == digests[60:] and len(set(digests)) == 60
+    assert len(by_law) >= 20 and all(by_law)

@@ -82,6 +82,18 @@ class Robot(NamedTuple):
     renewed_s: FloatArray
 
 
+class Weight(NamedTuple):
+    """
+    Weight of compensated links that robots with a free root carry themselves.
+
+    :ivar dofs: their degrees of freedom, shape (k,)
+    :ivar applied: ``qfrc_applied``, a view, shape (nv,)
+    """
+
+    dofs: IntArray
+    applied: FloatArray
+
+
 class Standing(NamedTuple):
     """
     Conditions under which a period goes on like the one before.
@@ -109,6 +121,7 @@ class Period(NamedTuple):
     :ivar orders: by :data:`BEGINS` and those that follow it, shape (5,)
     :ivar intervals: steps of each, shape (k,)
     :ivar world: arrays of the data
+    :ivar weight: of robots with a free root
     :ivar robots: addresses of the rows of those that act, shape (n,)
     :ivar seats: addresses of the rows of laws of users, which act in each step, shape (s,)
     :ivar notes: of contacts and forces on tools
@@ -124,6 +137,7 @@ class Period(NamedTuple):
     orders: IntArray
     intervals: IntArray
     world: WorldArrays
+    weight: Weight
     robots: IntArray
     seats: IntArray
     notes: Notes
@@ -237,8 +251,9 @@ def _example() -> tuple[Period, ScratchArrays]:
     world, place = WorldArrays.of(data), (address_of(model), address_of(data))
     words = np.zeros(0, np.int32)
     period = Period(
-        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(5, np.int64), nobody, world, nobody,
-        nobody, notes_of(data, np.zeros((0, 3), np.int64), 0),
+        place, Time(np.zeros(2, np.int64), 1, 1.0), np.zeros(5, np.int64), nobody, world,
+        Weight(nobody, data.qfrc_applied), nobody, nobody,
+        notes_of(data, np.zeros((0, 3), np.int64), 0),
         Watch(none, none, np.zeros((0, 2), np.int64), 0, data.qpos, data.qacc,
               words, words, LastStep.of(model, data, none, np.zeros(1, np.bool_))),
         np.zeros(2, np.int64), Standing(none, nobody, data.xfrc_applied, words, words))
@@ -310,6 +325,8 @@ def _run(period: Period, scratch: ScratchArrays) -> None:
             break
         if not orders[STEPPING]:
             break
+        for dof in period.weight.dofs:
+            period.weight.applied[dof] = -period.world.carried[dof]
         failed = take_steps(addresses, steps, orders[RESUMES] if k == 0 else 0, period.notes,
                             period.seats, now, time.step_s)
         time.counts[0] += steps
