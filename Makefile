@@ -34,7 +34,7 @@ RUN_ARGS ?= --ros-args -p arena:=table
 VIEW_ARGS ?=
 PYTEST_ARGS ?=
 TEST_JOBS ?= 4
-PYTHON_SOURCES = manip_sim lerobot_env_manip_sim test benchmark docs hardware setup.py
+PYTHON_SOURCES = manip_sim lerobot_env_manip_sim lerobot_robot_manip_sim test benchmark docs hardware setup.py
 # The files begin in the order of test/conftest.py.
 TEST_DIST = --numprocesses $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
 MUTATE_ARGS ?= --sample 150

@@ -57,8 +57,9 @@ setup(
     name=PACKAGE,
     distclass=WithData,
     version=ABOUT.findtext('version'),
-    # The second has the name by which LeRobot finds environments.
-    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*', f'lerobot_env_{PACKAGE}']),
+    # The others have the names by which LeRobot finds environments and robots.
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*', f'lerobot_env_{PACKAGE}',
+                                    f'lerobot_robot_{PACKAGE}']),
     package_data={PACKAGE: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

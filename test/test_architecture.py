@@ -39,6 +39,7 @@ MAY_IMPORT = {
     'tasks': ({'control', 'models', 'physics', 'sensing', 'simulation', 'rendering', 'tasks'},
               PURE),
     'env/ros.py': ({'env', 'simulation', 'tasks'}, None),
+    'env/lerobot_robot.py': ({'env'}, None),
     'env': ({'env', 'models', 'tasks', 'worlds'}, PURE | {'gymnasium'}),
     'records': ({'channels', 'control', 'interface', 'models', 'records', 'rendering',
                  'simulation', 'tasks'},
@@ -50,7 +51,8 @@ MAY_IMPORT = {
     # It shares with the node how messages are filled.
     'experiments/ros_policy.py': ({'channels', 'ros', 'tasks'}, None),
     'experiments': ({'experiments', 'records', 'tasks'},
-                    PURE | {'evdev', 'onnxruntime', 'pyarrow', 'ray', 'torch'}),
+                    PURE | {'draccus', 'evdev', 'lerobot', 'onnxruntime', 'pyarrow', 'ray',
+                            'torch'}),
     'cli': ({'cli', 'control', 'experiments', 'identification', 'interface', 'models', 'moveit',
              'physics', 'records', 'sensing', 'simulation', 'rendering', 'tasks'},
             PURE | {'PIL', 'rich', 'tqdm'}),
@@ -65,11 +67,12 @@ MAY_IMPORT = {
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
-WITH_RCLPY = ('ros', 'env/ros.py', 'examples', 'testing', 'viewer/ros', 'records/node_recorder.py',
-              'experiments/ros_policy.py', 'cli/ros_commands.py', f'{INTERNALS}.py')
+WITH_RCLPY = ('ros', 'env/ros.py', 'env/lerobot_robot.py', 'examples', 'testing', 'viewer/ros',
+              'records/node_recorder.py', 'experiments/ros_policy.py', 'cli/ros_commands.py',
+              f'{INTERNALS}.py')
 TOP_LEVEL = {'algebra', 'arrays', 'cdr_patching', 'clamping', 'derived', 'entry_points',
-             'errors', 'frame_names', 'quaternion', 'quoting', 'resources', 'ros_environment',
-             'startup', 'validation'}
+             'errors', 'frame_names', 'lerobot_units', 'quaternion', 'quoting', 'resources',
+             'ros_environment', 'startup', 'validation'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

@@ -18,7 +18,8 @@ HEADER = ('# Copyright 2026 The manip_sim developers\n'
 
 
 def test_every_python_file_begins_with_the_licence():
-    folders = ('manip_sim', 'lerobot_env_manip_sim', 'test', 'benchmark', 'hardware')
+    folders = ('manip_sim', 'lerobot_env_manip_sim', 'lerobot_robot_manip_sim', 'test',
+               'benchmark', 'hardware')
     files = [ROOT / 'setup.py', *(p for folder in folders for p in (ROOT / folder).rglob('*.py'))]
     assert len(files) > 20
     assert not [str(file) for file in files if not file.read_text().startswith(HEADER)]

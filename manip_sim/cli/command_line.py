@@ -452,8 +452,8 @@ def _add_demonstrate(commands: Any) -> None:
         'The exit code is 1 if a record does not repeat to the last bit, or there is none.')
     parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks'")
     parser.add_argument('--device', required=True, metavar='NAME', help='keyboard, gamepad, '
-                        'spacemouse, or file:ACTIONS.csv with a column for each number of an '
-                        'action')
+                        'spacemouse, a leader arm of LeRobot as lerobot:TYPE,OPTION=VALUE, or '
+                        'file:ACTIONS.csv with a column for each number of an action')
     parser.add_argument('--out', required=True, type=Path, metavar='DIR',
                         help='folder for the records; seeds that it has are left out')
     parser.add_argument('--episodes', type=count, default=1, metavar='N',

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from manip_sim.cli.output import ProgressBar
 from manip_sim.errors import ManipSimError
-from manip_sim.experiments.demonstrations import open_device
+from manip_sim.experiments.demonstrations import action_of, open_device
 from manip_sim.quoting import pluralize
 from manip_sim.tasks import Setting
 
@@ -26,7 +26,8 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     if importlib.util.find_spec('mcap') is None:
         raise ManipSimError("demonstrations need mcap: pip install 'manip_sim[records]'")
     from manip_sim.experiments.demonstrations import Demonstrator
-    setting = Setting(options.task, options.robot, options.gripper, control_hz=options.rate)
+    setting = Setting(options.task, options.robot, options.gripper, action_of(options.device),
+                      options.rate)
     episode = setting.create_episode()
     device = open_device(options.device, episode.actions.names)
     with contextlib.closing(device), ProgressBar('s') as progress:

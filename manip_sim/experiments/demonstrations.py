@@ -4,7 +4,7 @@
 """
 Demonstrations of a task with a device: recorded, and each repeated at once.
 
-Devices are the keyboard, a gamepad, a SpaceMouse, and a file.
+Devices are the keyboard, a gamepad, a SpaceMouse, a leader arm of LeRobot, and a file.
 """
 
 from __future__ import annotations
@@ -13,18 +13,23 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 import csv
 from dataclasses import dataclass
+import importlib
+import math
 import os
 from pathlib import Path
+import pkgutil
 import select
 import sys
 import time
 from typing import Any
 
 import numpy as np
+import yaml
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.quoting import quoted
+from manip_sim.lerobot_units import POSITION
+from manip_sim.quoting import quoted, quoted_names
 from manip_sim.records import EpisodeRecorder
 from manip_sim.records.recorded import Record
 from manip_sim.records.replay import Repetition, Replay
@@ -33,7 +38,7 @@ from manip_sim.tasks.episode_actions import STEP_M, TURN_RAD
 
 #: Words beside a motion: the task is done, drop this demonstration, no more of them.
 EVENTS = DONE, DISCARD, QUIT = ('done', 'discard', 'quit')
-_FILE = 'file:'
+_FILE, _LEROBOT, _GRIPPER = 'file:', 'lerobot:', 'gripper'
 #: An axis that is not deflected further than this rests.
 _DEAD = 0.1
 
@@ -44,7 +49,7 @@ class Reading:
     Input of a device in a control period.
 
     :ivar motion: deflections along and about x, y, z of ``world``, from -1 to 1, shape (6,); of
-        a file whole actions, of any length
+        a file and a leader arm whole actions, of any length
     :ivar toggles: whether the gripper is to open or close
     :ivar event: one of :data:`EVENTS`, or empty
     """
@@ -59,10 +64,12 @@ class Device(ABC):
     A device.
 
     :cvar is_live: whether a person moves it, in real time
+    :cvar gives_actions: whether it says whole actions, not deflections
     :cvar help: which key or button does what
     """
 
     is_live = True
+    gives_actions = False
     help = ''
 
     @abstractmethod
@@ -90,6 +97,7 @@ class ActionFile(Device):
     """
 
     is_live = False
+    gives_actions = True
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         try:
@@ -279,22 +287,125 @@ def _input_device(kind: str, axes: set[int]) -> Any:
                      'input')
 
 
+class LeaderArm(Device):
+    """
+    A leader arm of LeRobot, whose joints lead those of the robot; the keyboard says events.
+
+    Its arm is in degrees, and its gripper counts from 0 (closed) to 100 (open), as LeRobot's
+    own leaders do.
+
+    :param leader: a ``lerobot.teleoperators.Teleoperator``, connected
+    :param names: of the numbers of an action of kind ``joint_position``
+    :raises ModelError: if it has other joints than the robot
+    """
+
+    gives_actions = True
+
+    def __init__(self, leader: Any, names: Sequence[str]) -> None:
+        self._leader = leader
+        motors = [key.removesuffix(POSITION) for key in leader.action_features]
+        #: By number of an action: the key of the leader, and whether it is of a gripper.
+        self._keys: list[tuple[str, bool]] = []
+        for name in names:
+            is_gripper = name.endswith(f'/{_GRIPPER}')
+            found = [motor for motor in motors if (motor == _GRIPPER) == is_gripper and (
+                is_gripper or name == motor or name.endswith(f'_{motor}'))]
+            if len(found) != 1:
+                raise ModelError(f'the leader has {len(found)} joints for {quoted(name)}: it has '
+                                 f'{quoted_names(motors)}, the robot {quoted_names(names)}')
+            self._keys.append((found[0] + POSITION, is_gripper))
+        self._keyboard = Keyboard() if sys.stdin.isatty() else None
+        self.help = '' if self._keyboard is None else (
+            'return: done, backspace: discard, q: quit')
+
+    def read(self) -> Reading:
+        """Return where the leader is, as an action, and what the keys say."""
+        try:
+            said = self._leader.get_action()
+        except ConnectionError as error:
+            raise CommandError(f'the leader arm is gone: {error}') from error
+        action = np.array([1.0 - float(said[key]) / 50.0 if is_gripper else
+                           math.radians(said[key]) for key, is_gripper in self._keys])
+        event = '' if self._keyboard is None else self._keyboard.read().event
+        return Reading(action, event=event)
+
+    def close(self) -> None:
+        """Release it, and the terminal."""
+        if self._keyboard is not None:
+            self._keyboard.close()
+        self._leader.disconnect()
+
+
+def open_leader(description: str) -> Any:
+    """
+    Return a connected leader arm of LeRobot, which may ask for its calibration.
+
+    :param description: its type and options, such as ``so101_leader,port=/dev/ttyACM0,id=blue``
+    :raises ModelError: if LeRobot is not installed, an option cannot be used, or it is not there
+    :raises UnknownNameError: if LeRobot knows no such type
+    """
+    try:
+        import draccus
+        from lerobot import teleoperators
+        from lerobot.utils.import_utils import register_third_party_plugins
+    except ImportError as error:
+        raise ModelError('a leader arm needs LeRobot, with Python 3.12: pip install lerobot'
+                         ) from error
+    register_third_party_plugins()
+    for module in pkgutil.iter_modules(teleoperators.__path__):
+        try:
+            importlib.import_module(f'{teleoperators.__name__}.{module.name}')
+        except ImportError:  # Of a device whose driver is not installed.
+            continue
+    kind, *rest = description.split(',')
+    known = teleoperators.TeleoperatorConfig.get_known_choices()
+    if kind not in known:
+        raise UnknownNameError('leader arm of LeRobot', kind, known)
+    options = {key: yaml.safe_load(value) for key, _, value in (
+        option.partition('=') for option in rest)}
+    try:
+        leader = teleoperators.make_teleoperator_from_config(draccus.decode(
+            teleoperators.TeleoperatorConfig, {'type': kind, **options}))
+        leader.connect()
+    except (draccus.utils.DraccusException, ConnectionError, ImportError, ValueError) as error:
+        raise ModelError(f'{quoted(description)}: {error}') from error
+    return leader
+
+
+def action_of(name: str) -> str:
+    """
+    Return the kind of actions that a device needs.
+
+    :param name: of the device, as for :func:`open_device`
+    """
+    return 'joint_position' if name.startswith(_LEROBOT) else 'osc_pose'
+
+
 def open_device(name: str, actions: Sequence[str]) -> Device:
     """
     Return a device by its name.
 
-    :param name: ``keyboard``, ``gamepad``, ``spacemouse`` or ``file:ACTIONS.csv``
+    :param name: ``keyboard``, ``gamepad``, ``spacemouse``, ``file:ACTIONS.csv``, or as for
+        :func:`open_leader` ``lerobot:TYPE,OPTION=VALUE``
     :param actions: names of the numbers of an action
     :raises ModelError: if it is not there, or cannot be used
     :raises UnknownNameError: if the device is unknown
     """
     if name.startswith(_FILE):
         return ActionFile(Path(name.removeprefix(_FILE)), actions)
+    if name.startswith(_LEROBOT):
+        leader = open_leader(name.removeprefix(_LEROBOT))
+        try:
+            return LeaderArm(leader, actions)
+        except BaseException:
+            leader.disconnect()
+            raise
     if name == 'keyboard':
         return Keyboard()
     if name in EventDevice._AXES:
         return EventDevice(name)
-    raise UnknownNameError('device', name, ['keyboard', *EventDevice._AXES, f'{_FILE}ACTIONS.csv'])
+    raise UnknownNameError('device', name, ['keyboard', *EventDevice._AXES, f'{_FILE}ACTIONS.csv',
+                                            f'{_LEROBOT}TYPE'])
 
 
 #: Speed of an end effector at full deflection [m/s, rad/s].
@@ -331,7 +442,8 @@ class Demonstrator:
     """
     Lets a device act in episodes.
 
-    :param episode: of the task, with actions ``osc_pose``; a file may have others
+    :param episode: of the task, with actions ``osc_pose``; a device that gives actions may have
+        others
     :param device: that acts
     :param folder: of the records, which are called SEED.mcap
     :param settings: for the records, JSON
@@ -394,7 +506,7 @@ class Demonstrator:
 
     def _action(self, motion: FloatArray, closing: FloatArray) -> FloatArray:
         """Return the action of a motion; a person moves the first arm."""
-        if not self._device.is_live:
+        if self._device.gives_actions:
             return motion
         action = np.zeros(self._episode.actions.size)
         for index, item in enumerate(self._episode.actions.arms):

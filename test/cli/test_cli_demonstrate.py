@@ -4,6 +4,7 @@
 """``manip_sim demonstrate``: by a file, by keys in a terminal, and events of the kernel."""
 
 import csv
+import importlib.util
 import os
 import pty
 from types import SimpleNamespace
@@ -11,7 +12,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from manip_sim.experiments.demonstrations import DISCARD, DONE, EventDevice, Keyboard, QUIT
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.experiments.demonstrations import (
+    DISCARD, DONE, EventDevice, Keyboard, LeaderArm, open_leader, QUIT)
 from manip_sim.tasks import Setting
 
 pytest.importorskip('mcap_ros2', reason='needs the extra records')
@@ -146,3 +149,76 @@ def test_events_of_the_kernel_move_along_and_about_axes():
     device = Events((2, 1, -350), (2, 5, 175), (0, 0, 0), (2, 5, 175), (0, 0, 0), (1, 257, 1))
     found = EventDevice('spacemouse', device).read()
     assert np.allclose(found.motion, [0.0, 0.0, 0.0, 0.0, 0.0, -0.5]) and found.event == DONE
+
+
+class Leader:
+    """A leader arm of LeRobot whose joints were somewhere else in each period."""
+
+    def __init__(self, names, *positions):
+        self.positions = list(positions)
+        self.action_features = {f'{name}.pos': float for name in (*names, 'gripper')}
+
+    def get_action(self):
+        if not self.positions:
+            raise ConnectionError('it has no power')
+        return dict(zip(self.action_features, self.positions.pop(0)))
+
+    def disconnect(self):
+        self.positions = None
+
+
+def test_a_leader_arm_leads_to_success_and_the_record_repeats(here, tmp_path, monkeypatch):
+    episode = Setting('pick_cube').create_episode()
+    expert, positions = episode.task.expert(episode.simulation), []
+    episode.reset(0)
+    expert.reset(0)
+    while not episode.over:
+        action = expert.act()
+        episode.step(action)
+        arm = episode.observation['joint_position'][:7]
+        positions.append([*np.degrees(arm), 50.0 - 50.0 * action[-1]])
+    assert episode.success
+    names = [f'joint{number}' for number in range(1, 8)]
+    leader = Leader(names, *positions, *[positions[-1]] * 40)
+    monkeypatch.setattr('manip_sim.experiments.demonstrations.open_leader', lambda text: leader)
+    code, output, errors = here('demonstrate', 'pick_cube', '--device', 'lerobot:gello',
+                                '--out', tmp_path)
+    assert code == 0, errors
+    assert output.endswith('1 demonstration, 1 with success; 1 of 1 repeat\n')
+    assert leader.positions is None
+
+
+def test_a_leader_arm_says_angles_in_degrees_and_its_opening_in_percent(typed):
+    arm = LeaderArm(Leader(['pan', 'lift'], [10.0, 20.0, 25.0]),
+                    ['robot0_lift', 'robot0_pan', 'robot0/right/gripper'])
+    typed('\r')
+    found = arm.read()
+    assert found.event == DONE
+    np.testing.assert_allclose(found.motion, [*np.radians([20.0, 10.0]), 0.5])
+    with pytest.raises(CommandError, match='the leader arm is gone: it has no power'):
+        arm.read()
+    arm.close()
+
+
+def test_a_leader_arm_with_other_joints_is_rejected():
+    with pytest.raises(ModelError, match="the leader has 0 joints for 'robot0_joint2': it has "
+                                         "'joint1', 'gripper'"):
+        LeaderArm(Leader(['joint1']), ['robot0_joint1', 'robot0_joint2', 'robot0/right/gripper'])
+
+
+@pytest.mark.skipif(importlib.util.find_spec('lerobot') is not None,
+                    reason='LeRobot is installed')
+def test_a_leader_arm_without_lerobot_is_told(here, tmp_path):
+    code, _, errors = here('demonstrate', 'reach', '--device', 'lerobot:so101_leader', '--out',
+                           tmp_path / 'out')
+    assert code == 1 and 'a leader arm needs LeRobot' in errors
+
+
+def test_types_and_options_of_leader_arms_that_lerobot_rejects_are_told():
+    pytest.importorskip('lerobot.teleoperators', reason='LeRobot is not installed')
+    with pytest.raises(UnknownNameError, match="unknown leader arm of LeRobot 'so101_leder': did "
+                                               "you mean 'so101_leader'"):
+        open_leader('so101_leder')
+    for options in ('port=none,colour=red', 'port=none'):
+        with pytest.raises(ModelError, match='so101_leader,port=none'):
+            open_leader(f'so101_leader,{options}')

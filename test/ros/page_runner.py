@@ -45,7 +45,7 @@ OTHERS = {
 TOOLS = {'rviz2': 'rviz2', 'ros2 bag': 'rosbag2', 'ros2 security': 'sros2', 'sudo nft': 'nftables',
          'docker': 'docker', 'sudo apt': 'apt', 'colcon': 'colcon', 'rosdep': 'rosdep',
          'git': 'git', 'pre-commit': 'pre-commit', '.ci/run': 'bash', 'unshare': 'unshare',
-         'nsenter': 'nsenter', 'srun': 'slurm', 'kubectl': 'kubectl'}
+         'nsenter': 'nsenter', 'srun': 'slurm', 'kubectl': 'kubectl', 'lerobot-': 'lerobot'}
 #: Commands with the words of ros2.
 GRAPH = [['manip_sim', command] for command in COMMANDS]
 #: Of a shell; nothing that could fail here.
