@@ -118,6 +118,9 @@ def node_parameters() -> list[ParameterSpec]:
                       minimum=0.1, maximum=10000.0),
         ParameterSpec('frame_prefix', '', 'Start of all frame names in messages, such as left/, '
                       'as in robot_state_publisher.'),
+        ParameterSpec('profile', '', 'Names of topics, services, actions and joints in messages '
+                      'as a driver has them: franka, kortex, ur, xarm, or a YAML file; empty: '
+                      'own names.'),
         ParameterSpec('ros2_control_tag', False, 'Add to robot_description the tag with which '
                       'ros2_control commands this node.'),
         ParameterSpec('ros2_control_plugin', TOPIC_PLUGIN, 'Hardware component that the tag '

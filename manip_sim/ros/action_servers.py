@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, SimulationEnded
+from manip_sim.interface.profiles import JointNames
 from manip_sim.interface.topics import Scope
 from manip_sim.ros.command_subscribers import CommandSubscribers, RobotCommands
 from manip_sim.ros.executor import let_clients_know
@@ -40,17 +41,19 @@ class ActionMessages(ABC):
     :param robot: that is commanded
     :param part: of the robot
     :param now_ns: returns the simulation time [ns]
+    :param names: what joints are called in messages
     :cvar name: of the action, after ``<part>/``
     """
 
     name: ClassVar[str]
 
     def __init__(self, action_type: Any, robot: SimulatedRobot, part: str,
-                 now_ns: Callable[[], int]) -> None:
+                 now_ns: Callable[[], int], names: JointNames | None = None) -> None:
         self.action_type = action_type
         self.robot = robot
         self.part = part
         self._now_ns = now_ns
+        self._names = names or JointNames()
 
     @abstractmethod
     def goal_of(self, request: Any) -> ActionGoal:
@@ -89,14 +92,15 @@ class TrajectoryMessages(ActionMessages):
         except CommandError as error:
             raise GoalError(GoalCode.INVALID_GOAL, str(error)) from error
         return TrajectoryGoal(self.robot, self.part, TrajectoryRequest(
-            list(message.joint_names), times_s, positions, velocities, accelerations,
-            nanoseconds_of(message.header.stamp), list(_tolerances(request.path_tolerance)),
-            list(_tolerances(request.goal_tolerance)), seconds_of(request.goal_time_tolerance)),
+            list(self._names.own(message.joint_names)), times_s, positions, velocities,
+            accelerations, nanoseconds_of(message.header.stamp),
+            self._tolerances(request.path_tolerance),
+            self._tolerances(request.goal_tolerance), seconds_of(request.goal_time_tolerance)),
             self._now_ns())
 
     def feedback_of(self, goal: TrajectoryGoal) -> Any:
         message, view = self.action_type.Feedback(), goal.view
-        message.joint_names = list(goal.names)
+        message.joint_names = self._names.public(goal.names)
         if view is not None:
             position, velocity, acceleration = view.desired
             message.header.stamp = stamp_of(view.time_ns)
@@ -113,11 +117,10 @@ class TrajectoryMessages(ActionMessages):
             message.error_code, message.error_string = int(outcome.code), outcome.reason
         return message
 
-
-def _tolerances(messages: Any) -> Iterator[JointTolerance]:
-    for message in messages:
-        yield JointTolerance(message.name, message.position, message.velocity,
-                             message.acceleration)
+    def _tolerances(self, messages: Any) -> list[JointTolerance]:
+        names = self._names.own([message.name for message in messages])
+        return [JointTolerance(name, message.position, message.velocity, message.acceleration)
+                for name, message in zip(names, messages)]
 
 
 def _point(position: FloatArray, velocity: FloatArray, acceleration: FloatArray | None = None
@@ -143,8 +146,7 @@ class GripperMessages(ActionMessages):
     def result_of(self, goal: ActionGoal) -> Any:
         return self._filled(self.action_type.Result(), goal)
 
-    @staticmethod
-    def _filled(message: Any, goal: ActionGoal) -> Any:
+    def _filled(self, message: Any, goal: ActionGoal) -> Any:
         view = goal.view
         if view is not None:
             message.position, message.effort = view.position, view.effort
@@ -168,7 +170,7 @@ class ParallelGripperMessages(GripperMessages):
             numbers[field] = values
         return gripper_goal(self.robot, self.part, GripperRequest(
             numbers['position'][0], *numbers['effort'] or (0.0,), *numbers['velocity'] or (0.0,),
-            *numbers['name']))
+            *self._names.own(numbers['name'])))
 
     def result_of(self, goal: ActionGoal) -> Any:
         message = self._filled(self.action_type.Result(), goal)
@@ -176,12 +178,12 @@ class ParallelGripperMessages(GripperMessages):
             message.reached_goal, message.stalled = goal.view.reached, goal.view.stalled
         return message
 
-    @staticmethod
-    def _filled(message: Any, goal: ActionGoal) -> Any:
+    def _filled(self, message: Any, goal: ActionGoal) -> Any:
         view = goal.view
         if view is not None:
             message.state.header.stamp = stamp_of(view.time_ns)
-            message.state.name, message.state.position = [view.joint], [view.position]
+            message.state.name = self._names.public([view.joint])
+            message.state.position = [view.position]
             message.state.velocity, message.state.effort = [view.velocity], [view.effort]
         return message
 
@@ -222,7 +224,7 @@ class GoalServer:
         self._sent_ns: dict[bytes, int] = {}
         self.is_closed = False
         self._server = ActionServer(
-            context.node, messages.action_type, self._name, self._execute,
+            context.node, messages.action_type, context.node.renamed(self._name), self._execute,
             goal_callback=self._accept, handle_accepted_callback=self._begin,
             cancel_callback=self._cancel, result_timeout=_RESULT_TIMEOUT_S)
 
@@ -379,22 +381,24 @@ class ActionServers(Feature):
         let_clients_know(self._context.node)
 
 
-def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int]
-                ) -> Iterator[ActionMessages]:
+def messages_of(types: Any, robot: SimulatedRobot, now_ns: Callable[[], int],
+                names: JointNames | None = None) -> Iterator[ActionMessages]:
     """
     Yield the conversions of the messages of each action of a robot.
 
     :param types: such as ``control_msgs.action``, with or without ``ParallelGripperCommand``
     :param now_ns: returns the simulation time [ns]
+    :param names: what joints are called in messages
     """
     for name, part in robot.parts.items():
         if part.gripper is None:
             if part.actuators:
-                yield TrajectoryMessages(types.FollowJointTrajectory, robot, name, now_ns)
+                yield TrajectoryMessages(types.FollowJointTrajectory, robot, name, now_ns, names)
         elif robot.grippers[name].joints.names or robot.grippers[name].cups.names:
-            yield GripperMessages(types.GripperCommand, robot, name, now_ns)
+            yield GripperMessages(types.GripperCommand, robot, name, now_ns, names)
             if hasattr(types, 'ParallelGripperCommand'):
-                yield ParallelGripperMessages(types.ParallelGripperCommand, robot, name, now_ns)
+                yield ParallelGripperMessages(
+                    types.ParallelGripperCommand, robot, name, now_ns, names)
 
 
 def offer_actions(context: NodeContext, commands: RobotCommands) -> ActionServers | None:
@@ -403,4 +407,5 @@ def offer_actions(context: NodeContext, commands: RobotCommands) -> ActionServer
         context.missing['control_msgs'] = 'actions'
         return None
     return ActionServers(context, commands, partial(
-        messages_of, ACTION_TYPES, now_ns=lambda: context.thread.progress.time_ns))
+        messages_of, ACTION_TYPES, now_ns=lambda: context.thread.progress.time_ns,
+        names=context.joint_names))

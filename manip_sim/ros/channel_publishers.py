@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -14,11 +15,12 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
 from manip_sim.arrays import FloatArray
-from manip_sim.channels.channel import Channel
+from manip_sim.channels.channel import Channel, Fields
 from manip_sim.channels.kinds import (
     instrument_channels, lidar_channel, object_channels, offered_channel, robot_channels)
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.interface.offered_sensors import Offered, offered_topics, SensorSettings
+from manip_sim.interface.profiles import JointNames
 from manip_sim.interface.topics import Scope
 from manip_sim.interface.world_topics import topics_of_instruments
 from manip_sim.models.cameras import LidarModel
@@ -28,6 +30,8 @@ from manip_sim.ros.messages import (
     checked, CONTROLLER_TYPE, message_class, message_of, nanoseconds_of, SerializedMessage)
 from manip_sim.simulation import SimulatedRobot, Simulation
 
+#: Fields with names of joints.
+_JOINT_NAMES = ('name', 'joint_names')
 #: Robots by the scope of their topics.
 Robots = Mapping[Scope, SimulatedRobot]
 
@@ -178,8 +182,21 @@ class ChannelPublishers(Feature):
 def robot_states(context: NodeContext) -> ChannelPublishers:
     """Return the publishers of the states of robots."""
     return ChannelPublishers(context, lambda robots: [
-        robot_channels(robot, scope, context.frame_prefix, CONTROLLER_TYPE)
+        [_with_names(channel, context.joint_names) for channel in robot_channels(
+            robot, scope, context.frame_prefix, CONTROLLER_TYPE)]
         for scope, robot in robots.items()])
+
+
+def _with_names(channel: Channel, names: JointNames) -> Channel:
+    """Return a channel whose messages name joints as others do."""
+    if not names.by_own:
+        return channel
+
+    def make(head: Fields, numbers: FloatArray) -> Fields:
+        return {key: names.public(value) if key in _JOINT_NAMES else value
+                for key, value in channel.make(head, numbers).items()}
+    return replace(channel, make=make,
+                   exact=None if channel.exact is None else _with_names(channel.exact, names))
 
 
 def object_states(context: NodeContext) -> ChannelPublishers:

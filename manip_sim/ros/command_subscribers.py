@@ -249,8 +249,9 @@ class CommandSubscribers:
         return [self._parse.action(part, message.data)]
 
     def _joint_command(self, part: str, message: JointState) -> Sequence[Command]:
-        return self._parse.joint_command(message.name, message.position, message.velocity,
-                                         message.effort, part or None)
+        return self._parse.joint_command(
+            self._context.joint_names.own(message.name), message.position, message.velocity,
+            message.effort, part or None)
 
     def _impedance(self, part: str, message: Float64MultiArray) -> Sequence[Command]:
         joints = self.robot.joints
@@ -266,7 +267,8 @@ class CommandSubscribers:
     def _trajectory(self, part: str, message: JointTrajectory) -> Sequence[Command]:
         times_s, positions, velocities, accelerations = trajectory_fields(part, message)
         return [self._parse.trajectory(
-            part, message.joint_names, times_s, positions, velocities, accelerations,
+            part, self._context.joint_names.own(message.joint_names), times_s, positions,
+            velocities, accelerations,
             start_ns=nanoseconds_of(message.header.stamp),
             now_ns=self._thread.progress.time_ns)]
 

@@ -21,6 +21,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
+from manip_sim.interface.profiles import JointNames
 from manip_sim.interface.topics import Scope, Topic
 from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
 from manip_sim.ros.command_inbox import CommandInbox
@@ -160,6 +161,7 @@ class NodeContext:
     :ivar inbox: takes the messages of commands; None: the executor does
     :ivar publishing: the thread that publishes; None: publishers do so themselves
     :ivar table: the rows of the table of topics for this world
+    :ivar joint_names: what joints are called in messages
     :ivar notes: sentences for the user, logged after the start
     :ivar missing: by a ROS package that is not installed, what does not exist without it
     :ivar features: of the node, in order
@@ -176,6 +178,7 @@ class NodeContext:
     inbox: CommandInbox | None
     publishing: PublishingThread | None
     table: list[Topic]
+    joint_names: JointNames = field(default_factory=JointNames)
     notes: list[str] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
     features: list[Feature] = field(default_factory=list)

@@ -23,6 +23,7 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
     compose_world, Composition, declare_cameras, declare_parts, spawn_files)
+from manip_sim.interface.profiles import JointNames, load_profile, Profile
 from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of_surroundings, topics_of_world
 from manip_sim.models.cameras import ImageSettings
@@ -72,6 +73,8 @@ class SimNode(Node):
     """
 
     actions: ActionServers | None = None
+    #: Names of others; none while rclpy makes its own topics.
+    profile = Profile()
 
     def __init__(self, **arguments: Any) -> None:
         #: The rows of the table for this world; none while rclpy makes its own
@@ -97,6 +100,7 @@ class SimNode(Node):
         self.declared = Parameters(self)
         composition = compose_world(self.declared)
         self._world = composition.world
+        self.profile = self._load_profile(composition)
         self.simulation = Simulation(self._world)
         robots = dict(zip(composition.scopes, self.simulation.robots.values()))
         declare_parts(self.declared, [(scope, r.parts) for scope, r in robots.items()])
@@ -104,7 +108,12 @@ class SimNode(Node):
         self.declared.check_names()
         for scope, robot in robots.items():
             self.declared.couple(scope, robot.parts)
-        self.shared = self._create_context(composition, robots)
+        names = (self.profile.joint_names(*robots.values()) if self.profile.name else
+                 JointNames())
+        self.shared = self._create_context(composition, robots, names)
+        if self.profile.name:
+            self.shared.notes.append(f'profile {self.profile.name}: ' + ', '.join(
+                f'{name} is {other}' for name, other in self.profile.names.items()))
         self.thread = self.shared.thread
         self.table += topics_of_world(
             self.simulation, robots, {name: images.depth for name, images in cameras.items()},
@@ -115,8 +124,8 @@ class SimNode(Node):
         self.shared.is_built = True
         self.add_post_set_parameters_callback(self._parameters_changed)
 
-    def _create_context(self, composition: Composition, robots: dict[Scope, SimulatedRobot]
-                        ) -> NodeContext:
+    def _create_context(self, composition: Composition, robots: dict[Scope, SimulatedRobot],
+                        joint_names: JointNames) -> NodeContext:
         """Create the threads, which do not run yet, and the context that the features share."""
         value = self.declared.value
         frame_prefix = check_frame_prefix(value('frame_prefix'))
@@ -146,7 +155,22 @@ class SimNode(Node):
             self._ends.callback(self._command_thread.stop)
         return NodeContext(
             self, self.simulation, thread, robots, self.declared, self.rejections,
-            frame_prefix, inbox, publishing, self.table)
+            frame_prefix, inbox, publishing, self.table,
+            joint_names)
+
+    def _load_profile(self, composition: Composition) -> Profile:
+        profile = load_profile(self.declared.value('profile'))
+        if profile.name and any(scope.name for scope in composition.scopes):
+            raise ParameterError("parameter 'profile' needs a node with one robot; start a node "
+                                 'for each, in namespaces')
+        if profile.name and self.declared.value('ros2_control_tag'):
+            raise ParameterError("parameter 'profile' cannot be used with ros2_control_tag, whose "
+                                 "hardware needs the node's own names of joints")
+        return profile
+
+    def renamed(self, name: str) -> str:
+        """Return what a topic, service or action of ours is called with the profile."""
+        return self.profile.names.get(name, name)
 
     def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
         # In ROS parameters, a list with one empty string stands for an empty list of strings.
@@ -220,13 +244,21 @@ class SimNode(Node):
                          ) -> Publisher:
         """Create a publisher as rclpy does; what does not match it is in the diagnostics."""
         self._check_listed(PUBLISHED, topic)
-        return super().create_publisher(message_type, topic, *arguments, **{
+        return super().create_publisher(message_type, self.renamed(topic), *arguments, **{
             'event_callbacks': PublisherEventCallbacks(use_default_callbacks=False), **keywords})
 
     def create_subscription(self, message_type: Any, topic: str, *arguments: Any, **keywords: Any
                             ) -> Any:
         self._check_listed(SUBSCRIBED, topic)
-        return super().create_subscription(message_type, topic, *arguments, **keywords)
+        return super().create_subscription(
+            message_type, self.renamed(topic), *arguments, **keywords)
+
+    def create_service(self, service_type: Any, name: str, *arguments: Any, **keywords: Any
+                       ) -> Any:
+        return super().create_service(service_type, self.renamed(name), *arguments, **keywords)
+
+    def resolve_topic_name(self, topic: str, **keywords: Any) -> str:
+        return str(super().resolve_topic_name(self.renamed(topic), **keywords))
 
     def _check_listed(self, direction: str, topic: str) -> None:
         # With use_sim_time rclpy subscribes to the clock.
