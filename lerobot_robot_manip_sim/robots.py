@@ -207,7 +207,7 @@ class ManipSimSO101Follower(SO101Device, ManipSim):
     """
     An SO-101 of a running node with the keys, units and robot type of LeRobot's follower.
 
-    So data sets of both can be merged, and a policy of one can be run on the other.
+    LeRobot compares these before it merges data sets, or runs a policy.
     """
 
     config_class = ManipSimSO101FollowerConfig

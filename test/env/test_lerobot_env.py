@@ -117,3 +117,20 @@ def test_the_most_steps_of_an_episode_are_those_until_its_time_is_up():
         steps += 1
     assert steps == env._max_episode_steps == 45
     env.close()
+
+
+def test_lerobot_knows_the_environments_by_type_with_the_shapes_of_their_observations():
+    pytest.importorskip('lerobot.envs', reason='LeRobot is not installed')
+    from lerobot.configs.parser import load_plugin
+    from lerobot.envs import EnvConfig, env_to_policy_features, make_env as make_lerobots_env
+    load_plugin('lerobot_env_manip_sim')
+    config = EnvConfig.get_choice_class('manip_sim')(image_size=(64, 48))
+    shapes = {key: feature.shape for key, feature in env_to_policy_features(config).items()}
+    assert shapes == {'action': (7,), 'observation.state': (16,),
+                      'observation.environment_state': (7,),
+                      'observation.images.agentview': (3, 48, 64)}
+    env = make_lerobots_env(config, n_envs=2)['pick_cube'][0]
+    observation, _ = env.reset(seed=[0, 1])
+    assert observation['pixels']['agentview'].shape == (2, 48, 64, 3)
+    assert env.call('_max_episode_steps') == (120,) * 2
+    env.close()
