@@ -69,8 +69,10 @@ class NodeRobot:
         """
         Find the node, its joints and cameras.
 
-        :raises ManipSimError: if something of it is missing
+        :raises ManipSimError: if something of it is missing, or it is connected
         """
+        if self.is_connected:
+            raise ManipSimError(f'{self._name} is connected already')
         namespace = self._name.rpartition('/')[0]
         scope = f'{namespace}/{self._robot}' if self._robot else namespace
         self._context = rclpy.Context()

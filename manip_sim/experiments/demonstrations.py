@@ -322,7 +322,7 @@ class LeaderArm(Device):
         """Return where the leader is, as an action, and what the keys say."""
         try:
             said = self._leader.get_action()
-        except ConnectionError as error:
+        except OSError as error:  # A ConnectionError of LeRobot, or one of the serial port.
             raise CommandError(f'the leader arm is gone: {error}') from error
         action = np.array([1.0 - float(said[key]) / 50.0 if is_gripper else
                            math.radians(said[key]) for key, is_gripper in self._keys])
@@ -367,7 +367,7 @@ def open_leader(description: str) -> Any:
         leader = teleoperators.make_teleoperator_from_config(draccus.decode(
             teleoperators.TeleoperatorConfig, {'type': kind, **options}))
         leader.connect()
-    except (draccus.utils.DraccusException, ConnectionError, ImportError, ValueError) as error:
+    except (draccus.utils.DraccusException, OSError, ImportError, ValueError) as error:
         raise ModelError(f'{quoted(description)}: {error}') from error
     return leader
 

@@ -72,6 +72,8 @@ def test_an_so101_of_a_node_goes_where_lerobots_numbers_say(serve, client):
     serve(robot='SO101', control_mode__arm='velocity')
     robot = NodeRobot(scales=so101_scales, domain_id=DOMAIN)
     robot.connect()
+    with pytest.raises(ManipSimError, match='/manip_sim is connected already'):
+        robot.connect()
     robot.set_position_mode()
     modes = client.call(GetParameters, '/manip_sim/get_parameters',
                         GetParameters.Request(names=['control_mode.arm']))
