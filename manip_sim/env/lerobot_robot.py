@@ -73,6 +73,7 @@ class NodeRobot:
         """
         if self.is_connected:
             raise ManipSimError(f'{self._name} is connected already')
+        self._seen.clear()
         namespace = self._name.rpartition('/')[0]
         scope = f'{namespace}/{self._robot}' if self._robot else namespace
         self._context = rclpy.Context()

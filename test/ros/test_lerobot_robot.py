@@ -4,6 +4,7 @@
 """A robot of a node as a robot of LeRobot: keys, units, images, commands; with LeRobot, if any."""
 
 import math
+import signal
 import time
 
 from harness import DOMAIN
@@ -137,6 +138,18 @@ def test_a_node_that_has_ended_is_told(serve, client, monkeypatch):
     with pytest.raises(ManipSimError, match='/manip_sim has published no joints for'):
         robot.positions()
     robot.close()
+
+
+def test_nothing_of_an_earlier_connection_is_taken_for_the_present(sim_process, monkeypatch):
+    node = sim_process('robot:=SO101')
+    robot = NodeRobot(domain_id=DOMAIN)
+    robot.connect()
+    robot.close()
+    node.send_signal(signal.SIGINT)
+    node.communicate(timeout=60.0)
+    monkeypatch.setattr('manip_sim.env.lerobot_robot._PATIENCE_S', 2.0)
+    with pytest.raises(ManipSimError, match="nothing on '/robot_description', '/joint_states', "):
+        robot.connect()
 
 
 def test_robots_of_a_node_with_several_are_told_apart(serve):
