@@ -108,6 +108,7 @@ def test_an_arm_of_a_node_has_its_own_names_without_fingers_that_follow(serve):
     robot.close()
 
 
+@pytest.mark.full
 def test_images_are_those_of_the_nodes_cameras_in_their_size(serve, gl):
     serve(robot='SO101', arena='table', cameras=['agentview'], camera__agentview__width=40,
           camera__agentview__height=30)
@@ -123,6 +124,7 @@ def test_images_are_those_of_the_nodes_cameras_in_their_size(serve, gl):
     assert not other.is_connected
 
 
+@pytest.mark.full
 def test_what_a_node_lacks_is_told(serve, monkeypatch):
     monkeypatch.setattr('manip_sim.env.lerobot_robot._PATIENCE_S', 2.0)
     serve(robot='SO101')
@@ -140,6 +142,7 @@ def test_a_node_that_has_ended_is_told(serve, client, monkeypatch):
     robot.close()
 
 
+@pytest.mark.full
 def test_nothing_of_an_earlier_connection_is_taken_for_the_present(sim_process, monkeypatch):
     node = sim_process('robot:=SO101')
     robot = NodeRobot(domain_id=DOMAIN)
@@ -152,6 +155,7 @@ def test_nothing_of_an_earlier_connection_is_taken_for_the_present(sim_process, 
         robot.connect()
 
 
+@pytest.mark.full
 def test_robots_of_a_node_with_several_are_told_apart(serve):
     serve(robots=['one', 'two'], one__robot='SO101', two__robot='SO101',
           two__position=[0.0, 1.0, 0.0])

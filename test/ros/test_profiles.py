@@ -52,7 +52,8 @@ def profile(tmp_path):
     return write
 
 
-@pytest.mark.parametrize('vendor', VENDORS)
+@pytest.mark.parametrize('vendor', [
+    'ur', *(pytest.param(name, marks=pytest.mark.full) for name in VENDORS if name != 'ur')])
 def test_a_client_of_the_real_arm_moves_the_simulated_one(vendor, sim_process, client):
     robot, arm, gripper, topic, states = VENDORS[vendor]
     sim_process(f'profile:={vendor}', f'robot:={robot}',
@@ -76,6 +77,7 @@ def test_a_client_of_the_real_arm_moves_the_simulated_one(vendor, sim_process, c
     assert client.node.count_publishers('/robot_description') == 0
 
 
+@pytest.mark.full
 def test_services_and_wrenches_have_the_names_of_the_driver(sim_process, client):
     sim_process('profile:=ur', 'robot:=UR5e')
     wrenches = client.listen(WrenchStamped, '/force_torque_sensor_broadcaster/wrench')
@@ -102,6 +104,7 @@ def test_commands_with_the_names_of_the_driver_or_the_model_are_taken(serve, cli
     assert states[0].joint_names == [f'joint_{n}' for n in range(1, 8)]
 
 
+@pytest.mark.full
 def test_actions_have_the_names_of_the_driver(serve, client, monkeypatch):
     actions = pytest.importorskip('test_msgs.action', reason='test_msgs is not installed')
     # There are no wheels of control_msgs; the names do not depend on the type.
