@@ -36,7 +36,11 @@ REMEDY = 'if another file includes this one, load that'
     ('turning_fingers.xml', {'arm': 3, 'right/gripper': 1}),
     ('quadruped_with_hr.xml', {'legs': 12, 'arm': 2}),
     ('palm_in_the_world.xml', {'right/gripper': 10}),
-    ('three_arms_on_a_column.xml', {'torso': 1, 'right': 4, 'left': 4, 'other': 4})])
+    ('three_arms_on_a_column.xml', {'torso': 1, 'right': 4, 'left': 4, 'other': 4}),
+    ('tied_ankle.xml', {'legs': 5}),
+    ('names_of_both_links.urdf', {'legs': 6}),
+    ('rocker_rover.urdf', {'base': 8}),
+    ('floating_hinge.xml', {'base': 1, 'arm': 3})])
 def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
     parts = Simulation(compose(load_robot(DATA / name))).robot.parts
     assert {part: len(own.joints) for part, own in parts.items()
@@ -93,6 +97,22 @@ def test_fingers_on_servos_that_integrate_velocities_open_and_close():
         np.testing.assert_allclose(simulation.robot.state().position, ends, atol=1e-3)
     ids = simulation.robot.parts['right/gripper'].actuator_ids
     np.testing.assert_array_equal(simulation.model.actuator_ctrlrange[ids], [[-0.02, 0.02]] * 2)
+
+
+def test_fingers_with_more_contacts_than_memory_load_and_close_by_their_tips(tmp_path):
+    balls = ''.join(f'<geom size="0.02" pos="{0.001 * i} 0 0.05"/>' for i in range(30))
+    fingers = ''.join(f'<body name="{side}_finger" pos="0 {y} 0"><joint name="{side}"/>{balls}'
+                      '</body>' for side, y in (('left', 0.05), ('right', -0.05)))
+    servos = ''.join(f'<position name="{side}" joint="{side}" kp="100" ctrlrange="-0.03 0.03"/>'
+                     for side in ('left', 'right'))
+    robot = load_robot(write(tmp_path / 'robot.xml', f"""<mujoco>
+      <compiler angle="radian" autolimits="true"/><size memory="100K"/>
+      <default><joint type="slide" axis="0 1 0" armature="0.01" range="-0.03 0.03"/>
+        <geom mass="0.01" condim="6"/></default>
+      <worldbody><body name="palm" pos="0 0 0.5"><geom type="box" size="0.02 0.06 0.01"/>{fingers}
+      </body></worldbody><actuator>{servos}</actuator></mujoco>"""))
+    assert 'right hand: closing: left from 0.03 to -0.03, right from -0.03 to 0.03' in (
+        robot.inferred)
 
 
 def test_what_refers_to_the_scene_that_includes_a_file_is_left_out_with_what_it_refers_to():

@@ -734,6 +734,19 @@ def test_a_joint_that_is_there_twice_is_read_once(tmp_path):
     assert robot.joints == load_robot(write(tmp_path / 'one.urdf', URDF)).joints
 
 
+def test_a_link_that_two_joints_fix_in_one_place_is_read_once_and_in_two_places_never(tmp_path):
+    joints = ''.join(
+        f'<joint name="{name}" type="fixed"><parent link="lower"/><child link="tool"/>'
+        f'<origin {origin}/></joint>' for name, origin in (
+            ('mount', 'xyz="0 0 0.1" rpy="0 0 0"'), ('again', 'rpy="0  0 0" xyz="0 0 0.1"')))
+    text = URDF.replace('</robot>', f'<link name="tool"/>{joints}</robot>')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert "left out: joints that are there twice: 'again'" in robot.inferred
+    file = write(tmp_path / 'apart.urdf', text.replace('rpy="0  0 0"', 'rpy="0 0 1"'))
+    with pytest.raises(ModelError, match="joint 'again' leads to link 'tool', as joint 'mount'"):
+        load_robot(file)
+
+
 def test_joints_that_are_fixed_may_have_one_name_and_others_may_not(tmp_path):
     tools = ''.join(f'<link name="{link}"/><joint name="{{}}" type="fixed"><parent link="lower"/>'
                     f'<child link="{link}"/></joint>' for link in ('one', 'two'))

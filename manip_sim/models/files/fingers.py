@@ -288,15 +288,18 @@ class Fingers:
         return opened, share * closed, is_clear
 
     def _stuck(self, model: Any, closing: Mapping[int, Closing], duration_s: float) -> set[int]:
-        """Return the actuators that close and do not open again."""
+        """Return the actuators that close and do not open again, none if a trial fails."""
         data = copy.copy(self._data)
         ids, lengths = list(closing), []
         for other in range(model.nu):
             data.ctrl[other] = self._holding_control(other)
         for end in (0, 1, 0):
             data.ctrl[ids] = [closing[actuator][end] for actuator in ids]
-            with _without_warnings():
-                mujoco.mj_step(model, data, round(duration_s / _TRIAL_STEP_S))
+            try:
+                with _without_warnings():
+                    mujoco.mj_step(model, data, round(duration_s / _TRIAL_STEP_S))
+            except mujoco.FatalError:  # More contacts than MuJoCo has memory for.
+                return set()
             lengths.append(data.actuator_length[ids].copy())
         way, back = np.abs(lengths[1] - lengths[0]), np.abs(lengths[2] - lengths[1])
         if not np.isfinite(lengths).all():

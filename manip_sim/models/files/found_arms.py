@@ -27,7 +27,7 @@ _MOST_OF_ARM = 8
 _BESIDE_M = 0.05
 #: Words for a subsystem besides the words of ``classify``, in the order in which they are tried.
 _WORDS = {
-    'base': {'wheel', 'wheels', 'caster', 'castor'},
+    'base': {'wheel', 'wheels', 'caster', 'castor', 'steer', 'steering'},
     'head': {'head', 'neck', 'eye', 'eyes', 'antenna', 'camera', 'cam'},
     'legs': {'leg', 'legs', 'hip', 'knee', 'ankle', 'ank', 'foot', 'toe', 'thigh', 'calf', 'shin',
              'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'abad', 'coxa', 'femur',
@@ -44,6 +44,10 @@ _OF_ARM = {'shoulder', 'elbow', 'wrist'}
 _ARM_BEYOND_SHOULDER = {'elbow', 'wrist'}
 #: Words of legs that arms have, too.
 _OF_SHOULDERS = {'abduction'}
+#: Between the names of the links that a joint connects, as in torso_to_thigh.
+_TO = re.compile(r'_to_(?=.)')
+#: The name of a root's joint, which is a hinge if the file does not say that it is free.
+_FLOATING_BASE = {'floating', 'base'}
 #: Joints of a root that moves in the plane are named after an axis: x, y, theta.
 _AXIS = re.compile(r'(?:^|_)(x|y|th|theta)$')
 
@@ -93,13 +97,20 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
 
 
 def _by_name(name: str) -> str | None:
-    """Return the subsystem that the name of a joint says, ``arm`` by a word of arms, or None."""
+    """
+    Return the subsystem that the name of a joint says, ``arm`` by a word of arms, or None.
+
+    If it names two links, as ``torso_to_thigh``, the second one decides.
+    """
+    name = _TO.split(name)[-1]
     subsystem = classify(name)
     if subsystem != 'arm':
         return subsystem
     words = words_of(name)
     if words & _OF_ARM:
         return 'arm'
+    if words >= _FLOATING_BASE:
+        return 'base'
     return next((part for part, known in _WORDS.items() if words & known), None)
 
 
@@ -167,7 +178,11 @@ def _complete_wheels(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str], f
 
 def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
                    declared: Mapping[str, str], fingers: Collection[int]) -> None:
-    """Assign joints without a part of their own to the legs of their limb, or to the base."""
+    """
+    Assign joints without a part of their own to the legs of their limb, or to the base.
+
+    Limbs that loops tie to each other are one, such as the rods of an ankle.
+    """
     def can_change(joint: int) -> bool:
         name = str(tree.model.joint(joint).name)
         return subsystems.get(joint) == 'arm' and name not in declared and joint not in fingers
@@ -179,7 +194,8 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
         return (words & _WORDS['legs'] <= _OF_SHOULDERS and not _by_body(tree, joint)
                 and of_others.get(joint) != 'legs')
 
-    chains = [limbs.joints(limb) for limb in limbs.on(limbs.trunk)]
+    chains = [[joint for limb in group for joint in limbs.joints(limb)]
+              for group in limbs.tied(limbs.trunk)]
     if not chains and not all(may_be_of_shoulder(joint) for joint in limbs.leading):
         chains = [limbs.leading]  # A leg alone.
     for chain in chains:

@@ -208,7 +208,8 @@ def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, 
     subsystems.update(dict.fromkeys(others, 'other'))
     for joint in reversed(others):  # What a joint carries is sorted before it.
         body = int(model.jnt_bodyid[joint])
-        leaders = {subsystems[other] for other in tree.coupled([joint]) if other in used}
+        leaders = {part for other in tree.coupled([joint])
+                   if (part := subsystems[other]) != 'other' and (other in used or part != 'arm')}
         carried = {subsystems[j] for j in tree.joints(sorted(tree.below(body)))
                    if j != joint and j in subsystems}
         if leaders:

@@ -159,20 +159,21 @@ def _reject_zero_axis(joint: ElementTree.Element, name: str, file: Path) -> None
 
 def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
     """
-    Leave out joints that repeat the name and the links of another one.
+    Leave out joints that repeat the links of another one, with its name or fixed in its place.
 
     :raises ModelError: if other joints lead to the same link or one to ``world``, or if links, or
         a joint that moves and another one, have one name
     """
-    leading: dict[str, tuple[str, str]] = {}
+    leading: dict[str, tuple[str, str, ElementTree.Element]] = {}
     repeated = []
     for joint in robot.findall('joint'):
         name, (parent, child) = joint.get('name', ''), (
             element.get('link', '') if element is not None else ''
             for element in (joint.find('parent'), joint.find('child')))
         if not child or child not in leading:
-            leading[child] = name, parent
-        elif leading[child] == (name, parent):
+            leading[child] = name, parent, joint
+        elif leading[child][1] == parent and (
+                leading[child][0] == name or _are_fixed_alike(leading[child][2], joint)):
             robot.remove(joint)
             repeated.append(name)
         else:
@@ -192,6 +193,16 @@ def _leave_out_repeated(robot: ElementTree.Element, file: Path) -> list[str]:
             raise ModelError(f'{file}: {count} elements <{kind}> have the name {quoted(name)}: '
                              'give each another one, also where it is referred to')
     return [f'left out: joints that are there twice: {quoted_names(repeated)}'] if repeated else []
+
+
+def _are_fixed_alike(*joints: ElementTree.Element) -> bool:
+    """Return whether joints are fixed and have the same origin."""
+    places = []
+    for joint in joints:
+        origin = joint.find('origin')
+        attributes = {} if origin is None else origin.attrib
+        places.append([attributes.get(name, '0 0 0').split() for name in ('xyz', 'rpy')])
+    return all(joint.get('type') == 'fixed' for joint in joints) and places[0] == places[1]
 
 
 def _reject_circle(robot: ElementTree.Element, file: Path) -> None:
