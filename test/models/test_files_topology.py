@@ -3,13 +3,16 @@
 
 """What a file is by its topology: a hand alone, a torso, a base with a free root, a scene."""
 
+import os
 from pathlib import Path
 
+from files_rig import ARM_WITH_HAND, write
 import mujoco
 import numpy as np
 import pytest
 
 from manip_sim.models import compose, load_base, load_gripper, load_robot
+from manip_sim.models.files.fingers import Fingers
 from manip_sim.simulation import Simulation
 
 FILES = Path(__file__).resolve().parents[1] / 'data/files'
@@ -156,6 +159,37 @@ def test_fingers_that_cannot_touch_an_object_are_told_where_they_are(load, tmp_p
     # A shape that is touched by others, but touches none by itself, holds an object.
     seen.write_text(file.read_text().replace('conaffinity="0"', 'conaffinity="1"'))
     assert not any('can touch an object' in note for note in told_by(load(seen)))
+
+
+def test_a_hand_that_was_loaded_before_is_tried_again_only_if_a_mesh_has_changed(
+        tmp_path, monkeypatch):
+    calls = []
+    for name in ('closing', 'grasp_point'):
+        method = getattr(Fingers, name)
+        monkeypatch.setattr(Fingers, name, lambda *args, name=name, method=method: (
+            calls.append(name), method(*args))[1])
+    text = ARM_WITH_HAND.replace('</mujoco>', '<asset><mesh file="pad.obj"/></asset></mujoco>')
+    for side in ('left', 'right'):
+        text = text.replace(f'"{side}_pad" type="box" size="0.01 0.004 0.02"',
+                            f'"{side}_pad" type="mesh" mesh="pad"')
+    file = write(tmp_path / 'arm.xml', text)
+
+    def grasp_height(top):
+        corners = [f'v {x} {y} {z}' for x in (-0.01, 0.01) for y in (-0.004, 0.004)
+                   for z in (0.0, top)]
+        faces = ['f 1 2 4 3', 'f 5 7 8 6', 'f 1 5 6 2', 'f 3 4 8 7', 'f 1 3 7 5', 'f 2 6 8 4']
+        write(tmp_path / 'pad.obj', '\n'.join([*corners, *faces]))
+        hand, = load_robot(file).grippers.values()
+        assert hand.closing == {'pull': [255.0, 0.0]}
+        return hand.grasp_point.position[2]
+
+    assert grasp_height(0.02) == pytest.approx(0.06)
+    os.utime(tmp_path / 'pad.obj', ns=(0, 10**18))
+    calls.clear()
+    heights = [load_robot(file).grippers['right'].grasp_point.position[2] for _ in range(2)]
+    assert heights == pytest.approx([0.06, 0.06]) and calls == ['grasp_point', 'closing']
+    calls.clear()
+    assert grasp_height(0.2) == pytest.approx(0.15) and calls == ['grasp_point', 'closing']
 
 
 def told_by(model):

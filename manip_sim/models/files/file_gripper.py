@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.fingers import Fingers
+from manip_sim.models.files.fingers import digest_of, Fingers, once
 from manip_sim.models.files.found_hands import FoundHand
 from manip_sim.models.files.mount_frames import quat_wxyz_of
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
@@ -140,7 +140,10 @@ class FileGripper(HandFromFile, registered=False):
         self._important_geoms = {**type(self)._important_geoms, **description.geoms_by_role}
         super().__init__(file, idn=idn)
         tree, hand = _whole(self._own_model)
-        self._set_closing(Fingers(tree, hand, self._start), list(hand.actuators))
+        fingers = Fingers(tree, hand, self._start)
+        key = digest_of(self._own_model) + repr(sorted(self._start.items())).encode()
+        self._set_closing(list(hand.actuators), lambda ids: once(
+            key + repr(ids).encode(), lambda: fingers.closing(ids)), fingers.out_of_touch)
 
     @property
     def name(self) -> str:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import mujoco
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.bases import MobileBaseModel, RobotBaseModel
+from manip_sim.models.files.fingers import digest_of
 from manip_sim.models.files.hand_model import BuiltInGripper
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.files.xacro_expansion import stem_of
@@ -53,7 +55,12 @@ class FileRobot(RobotModel, registered=False):
     def _compile_alone(self) -> mujoco.MjModel:
         if self._spec_is_shared:
             return super()._compile_alone()
-        # Closings of hands are tried with their shapes; nothing else asks for any.
+        return compile_without_meshes(self._spec, self.name, ())
+
+    def _compile_with_hands(self) -> mujoco.MjModel:
+        """Return the robot with the meshes of its hands, with which their closings are tried."""
+        if self._spec_is_shared:
+            return self._own_model
         roots = [self._spec.body(hand.body) for hand in self._own_hands.values()]
         return compile_without_meshes(self._spec, self.name, {
             body.name for root in roots for body in (root, *root.find_all('body'))})
@@ -65,8 +72,11 @@ class FileRobot(RobotModel, registered=False):
         self._joints = [name for name in self._joints if name not in not_ours]
         self._actuators = [name for name in self._actuators
                            if name not in not_ours | self._plan.loose_actuators]
-        for hand in hands:
-            hand.bind(self, self._own_model)
+        if hands:
+            key = digest_of(self._own_model) + self._plan.digest_of_meshes
+            compiled = cache(self._compile_with_hands)
+            for hand in hands:
+                hand.bind(self, self._own_model, key, compiled)
 
     def add_base(self, base: RobotBaseModel) -> None:
         """

@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import contextlib
 import copy
 from functools import partial
 import hashlib
-from typing import Any
+import os
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -42,9 +43,55 @@ _SHORTER = (0.75, 0.5, 0.25)
 
 #: Opening and closing control, and whether a trial decided which is which.
 Closing = tuple[float, float, bool]
-#: Results of trials, and how many are kept.
-_tried: dict[bytes, tuple[dict[int, Closing], dict[int, Closing]]] = {}
-_MOST_TRIED = 200
+#: How actuators close by id, and other ways of those that would not open again.
+Closings = tuple[dict[int, Closing], dict[int, Closing]]
+Result = TypeVar('Result')
+#: What was computed of hands with their shapes, and of how many it is kept.
+_known: dict[bytes, Any] = {}
+_MOST_KNOWN = 400
+
+
+def once(key: bytes, compute: Callable[[], Result]) -> Result:
+    """
+    Return the result of a computation, of an earlier one with the same key if there was one.
+
+    :param key: digest of all that the result depends on
+    """
+    digest = hashlib.blake2b(key).digest()
+    if digest not in _known:
+        result = compute()
+        if len(_known) >= _MOST_KNOWN:
+            _known.clear()
+        _known[digest] = result
+    known: Result = copy.deepcopy(_known[digest])
+    return known
+
+
+def digest_of(model: mujoco.MjModel) -> bytes:
+    """Return a digest of a compiled model."""
+    saved = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, saved)
+    return hashlib.blake2b(saved.data).digest()
+
+
+def digest_of_meshes(spec: mujoco.MjSpec) -> bytes:
+    """
+    Return a digest of the meshes of a spec: of their files the size and the time of change.
+
+    It differs each time if the origin of a mesh is not known.
+    """
+    digest = hashlib.blake2b()
+    for mesh in spec.meshes:
+        digest.update(repr((mesh.name, mesh.file, mesh.maxhullvert, list(mesh.scale))).encode())
+        if mesh.file in spec.assets:
+            digest.update(spec.assets[mesh.file])
+        elif os.path.isabs(mesh.file) and os.path.isfile(mesh.file):
+            status = os.stat(mesh.file)
+            digest.update(repr((status.st_size, status.st_mtime_ns, status.st_ino)).encode())
+        else:
+            digest.update(os.urandom(16) if mesh.file or not len(mesh.uservert) else repr(
+                (list(mesh.uservert), list(mesh.userface))).encode())
+    return digest.digest()
 
 
 def _apart(points: FloatArray) -> float:
@@ -207,25 +254,10 @@ class Fingers:
             data.xmat[body].reshape(3, 3).T, points.mean(axis=0) - data.xpos[body])
         return local
 
-    def closing(self, actuators: Sequence[int]) -> tuple[dict[int, Closing], dict[int, Closing]]:
-        """
-        Return how actuators close, see :meth:`_ends`, and other ways, see :meth:`_reopening`.
-
-        Trials of a hand that was loaded before are not repeated.
-        """
-        model = np.empty(mujoco.mj_sizeModel(self._model), np.uint8)
-        mujoco.mj_saveModel(self._model, None, model)
-        digest = hashlib.blake2b(model.data)
-        digest.update(self._data.qpos.tobytes())
-        digest.update(repr((self._hand, list(actuators))).encode())
-        key = digest.digest()
-        if key not in _tried:
-            ends = self._ends(actuators)
-            if len(_tried) >= _MOST_TRIED:
-                _tried.clear()
-            _tried[key] = ends, self._reopening(ends)
-        ends, others = _tried[key]
-        return dict(ends), dict(others)
+    def closing(self, actuators: Sequence[int]) -> Closings:
+        """Return how actuators close, as :meth:`_ends` and :meth:`_reopening` say."""
+        ends = self._ends(actuators)
+        return ends, self._reopening(ends)
 
     def _ends(self, actuators: Sequence[int]) -> dict[int, Closing]:
         """

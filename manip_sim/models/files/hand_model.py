@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TYPE_CHECKING
 
 import mujoco
@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.fingers import control_range, Fingers, integrates
+from manip_sim.models.files.fingers import (
+    Closings, control_range, Fingers, integrates, once)
 from manip_sim.models.files.found_hands import FoundHand, hands_of_hand
 from manip_sim.models.files.mount_frames import add_body_at, find_place, free_name
 from manip_sim.models.files.part_descriptions import (
@@ -54,12 +55,14 @@ class HandFromFile(GripperModel, registered=False):
     _open: FloatArray
     _closed: FloatArray
 
-    def _add_grasp_frame(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, prefix: str
-                         ) -> None:
+    def _add_grasp_frame(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, prefix: str,
+                         middle: Callable[[], FloatArray] | None = None) -> None:
         """
         Add the grasp frame, declared or between the fingers, with standard sites and sensors.
 
+        :param tree: may lack meshes
         :param prefix: what the names of all these begin with
+        :param middle: returns the middle of the fingertips; None: by the shapes of the tree
         """
         fingers = Fingers(tree, hand, self._start)
         point, mount = self._description.grasp_point, tree.name(hand.body)
@@ -68,11 +71,12 @@ class HandFromFile(GripperModel, registered=False):
         position = point.position if point else np.zeros(3)
         orientation: ArrayLike = point.orientation if point else np.zeros(3)
         if point is None and at == mount:
-            position, orientation = fingers.grasp_point(), _upright(tree, hand.body)
+            position = (middle or fingers.grasp_point)()
+            orientation = _upright(tree, hand.body)
         if point is None:
-            middle = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
+            found = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
             self.inferred.append(
-                'grasp frame: ' + (middle if at == mount else f"{place[0]} '{at}'"))
+                'grasp frame: ' + (found if at == mount else f"{place[0]} '{at}'"))
         self.grasp_point = FrameDescription(
             at=at, position=list(map(float, position)),
             orientation=np.asarray(orientation, dtype=float).tolist())
@@ -85,18 +89,20 @@ class HandFromFile(GripperModel, registered=False):
         self._important_sensors = {role: prefix + name for role, name in
                                    GripperModel._important_sensors.items()}
 
-    def _set_closing(self, fingers: Fingers, ids: list[int]) -> None:
+    def _set_closing(self, ids: list[int], closing: Callable[[list[int]], Closings],
+                     out_of_touch: list[str]) -> None:
         """
         Set which way the actuators close, by the description or by trial.
 
         :param ids: of :attr:`actuators`, in the model that the part is compiled in
+        :param closing: tries actuators
+        :param out_of_touch: names of the fingers' bodies if none can touch an object
         """
         declared, names = self._description.closing, self._actuators
         for name in declared:
             if name not in names:
                 raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
-        closings, changed = fingers.closing(
-            [i for name, i in zip(names, ids) if name not in declared])
+        closings, changed = closing([i for name, i in zip(names, ids) if name not in declared])
         closings.update(changed)
         ends = []
         self.closing = {}
@@ -121,10 +127,10 @@ class HandFromFile(GripperModel, registered=False):
                 f'closing of {quoted_names([names[ids.index(a)] for a in changed])}: other than '
                 "the ends of its range, from which it does not open again; 'closing' in a YAML "
                 'file changes it')
-        if bodies := fingers.out_of_touch:
+        if out_of_touch:
             self.inferred.append(
-                f'no shape of the fingers ({", ".join(bodies)}) can touch an object: give them '
-                f'collision shapes, with contype and conaffinity 1, in {self.file}')
+                f'no shape of the fingers ({", ".join(out_of_touch)}) can touch an object: give '
+                f'them collision shapes, with contype and conaffinity 1, in {self.file}')
 
     @property
     def dof(self) -> int:
@@ -211,10 +217,19 @@ class BuiltInGripper(HandFromFile, registered=False):
         self.inferred = []
         self._important_geoms = {**type(self)._important_geoms, **description.geoms_by_role}
 
-    def add_to(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand) -> None:
-        """Add the grasp frame and sensors to the robot's spec."""
+    def add_to(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, key: bytes,
+               with_shapes: Callable[[], BodyTree]) -> None:
+        """
+        Add the grasp frame and sensors to the robot's spec.
+
+        :param tree: the robot without meshes
+        :param key: digest of the robot with its meshes
+        :param with_shapes: returns the same tree with the meshes of the hands
+        """
         self.inferred += fill_control_ranges(spec, tree.model, list(hand.actuators))
-        self._add_grasp_frame(spec, tree, hand, f'{self.idn}_hand_')
+        key += repr((hand, sorted(self._start.items()))).encode()
+        self._add_grasp_frame(spec, tree, hand, f'{self.idn}_hand_', lambda: once(
+            key, lambda: Fingers(with_shapes(), hand, self._start).grasp_point()))
         bodies = hands_of_hand(tree, hand)
         if bodies:
             self.inferred.append(
@@ -226,8 +241,15 @@ class BuiltInGripper(HandFromFile, registered=False):
                         if int(tree.model.jnt_type[joint]) != 0]
         self._actuators = [str(tree.model.actuator(a).name) for a in hand.actuators]
 
-    def bind(self, robot: RobotModel, model: mujoco.MjModel) -> None:
-        """Record the elements of the hand."""
+    def bind(self, robot: RobotModel, model: mujoco.MjModel, key: bytes,
+             with_shapes: Callable[[], mujoco.MjModel]) -> None:
+        """
+        Record the elements of the hand.
+
+        :param model: the robot, which may lack meshes
+        :param key: digest of the robot with its meshes
+        :param with_shapes: compiles the same robot with the meshes of its hands
+        """
         self._robot = robot
         self.file = robot.file
         self._own_model, self._spec = model, robot._spec
@@ -244,7 +266,13 @@ class BuiltInGripper(HandFromFile, registered=False):
         # Joints of the other arm's hand may have gone with it.
         present = {model.joint(joint).name for joint in range(model.njnt)}
         start = {name: value for name, value in self._start.items() if name in present}
-        self._set_closing(Fingers(tree, hand, start), list(hand.actuators))
+        key += repr((hand, sorted(start.items()))).encode()
+
+        def closing(actuators: list[int]) -> Closings:
+            return once(key + repr(actuators).encode(), lambda: Fingers(
+                BodyTree(with_shapes()), hand, start).closing(actuators))
+
+        self._set_closing(list(hand.actuators), closing, Fingers(tree, hand, start).out_of_touch)
         self.current_action = np.zeros(self.dof)
 
     @property

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -15,6 +16,7 @@ from manip_sim.algebra import length
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree, words_of
+from manip_sim.models.files.fingers import digest_of, digest_of_meshes
 from manip_sim.models.files.found_arms import (
     ALONE, classify_joints, find_arms, FoundArm, lone_hands_as_arms)
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
@@ -47,6 +49,7 @@ class RobotPlan:
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     :ivar mocap: the mocap bodies that come with the robot, or None
     :ivar depth_in_floor: how far it is raised where nothing else places it [m]
+    :ivar digest_of_meshes: of those of its hands
     """
 
     file: Path
@@ -63,6 +66,7 @@ class RobotPlan:
     keyframes: dict[str, dict[str, float]]
     mocap: MocapBodies | None
     depth_in_floor: float
+    digest_of_meshes: bytes
 
 
 def plan_robot(file: Path, description: RobotDescription, where: str, files: Files | None = None
@@ -90,9 +94,9 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
                                  {joint for hand in file_hands for joint in hand.joints}, notes)
     arms = _find_arms(model_file, tree, subsystems, file_hands, description, where)
     hands = {side: arm.hand for side, arm in arms.items() if arm.hand is not None}
-    shaped = _with_shapes(model_file, hands) if hands else tree
+    shapes = _HandShapes(model_file, hands)
     if description.foot is None and {arm.why for arm in arms.values()} == {ALONE}:
-        description = _raised(shaped.model, model_file.inferred, description)
+        description = _raised(shapes.tree().model, model_file.inferred, description)
     depth = _depth(model_file, description)
     if len(arms) == 2:
         _find_torso(tree, subsystems, arms, description.subsystems)
@@ -103,15 +107,16 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     notes += changes
     ends = {side: _add_end(spec, tree, side, arm, description, where, notes)
             for side, arm in arms.items()}
-    own_hands = {side: _own_hand(spec, shaped, side, _in_tree(tree, hand, shaped), description,
-                                 where, start) for side, hand in hands.items()}
+    own_hands = {side: _own_hand(spec, shapes, side, _in_tree(tree, hand, shapes.light),
+                                 description, where, start) for side, hand in hands.items()}
     of_hand_joints = {j for hand in hands.values() for j in hand.joints}
     by_name = {str(tree.model.joint(j).name): part for j, part in subsystems.items()
                if j not in of_hand_joints}
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
     return RobotPlan(file, description, where, spec, start, by_name, ends, own_hands, arms, loose,
-                     notes, model_file.keyframes, mocap, depth)
+                     notes, model_file.keyframes, mocap, depth,
+                     shapes.digest_of_meshes)
 
 
 def _hang_fingers_on_palm(model_file: ModelFile) -> None:
@@ -131,11 +136,28 @@ def _hang_fingers_on_palm(model_file: ModelFile) -> None:
         model_file.tree = tree
 
 
-def _with_shapes(model_file: ModelFile, hands: Mapping[str, FoundHand]) -> BodyTree:
-    """Return a tree of bodies in which hands have the shapes that only show something, too."""
-    tree = model_file.tree
-    return BodyTree(compile_without_meshes(model_file.spec, str(model_file.file), {
-        tree.name(body) for hand in hands.values() for body in tree.below(hand.body)}))
+class _HandShapes:
+    """
+    The tree of a robot as it was read, with the shapes of its hands that only show something, too.
+
+    :ivar light: the tree without meshes
+    :ivar key: digest of the tree with its meshes
+    """
+
+    def __init__(self, model_file: ModelFile, hands: Mapping[str, FoundHand]) -> None:
+        self._spec, self._file = model_file.spec.copy(), str(model_file.file)
+        tree = model_file.tree
+        self._bodies = {tree.name(body) for hand in hands.values()
+                        for body in tree.below(hand.body)}
+        self.light, self.digest_of_meshes, self.key = tree, b'', b''
+        if hands:
+            self.light = BodyTree(compile_without_meshes(self._spec, self._file, ()))
+            self.digest_of_meshes = digest_of_meshes(self._spec)
+            self.key = digest_of(self.light.model) + self.digest_of_meshes
+        self.tree = cache(self._compile)
+
+    def _compile(self) -> BodyTree:
+        return BodyTree(compile_without_meshes(self._spec, self._file, self._bodies))
 
 
 def _in_tree(tree: BodyTree, hand: FoundHand, other: BodyTree) -> FoundHand:
@@ -327,12 +349,12 @@ def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
     return name
 
 
-def _own_hand(spec: mujoco.MjSpec, tree: BodyTree, side: str, hand: FoundHand,
+def _own_hand(spec: mujoco.MjSpec, shapes: _HandShapes, side: str, hand: FoundHand,
               description: RobotDescription, where: str, start: dict[str, float]
               ) -> BuiltInGripper:
     declared = _hand_description(description.arm(side)) or OwnHandDescription()
     gripper = BuiltInGripper(side, declared, where, start)
-    gripper.add_to(spec, tree, hand)
+    gripper.add_to(spec, shapes.light, hand, shapes.key, shapes.tree)
     return gripper
 
 
