@@ -68,7 +68,8 @@ def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterab
     return [*_overlaps(model, contacts, of_robots, urdf),
             *_blocked(model, data, contacts, joints, of_robots, urdf),
             *_out_of_range(model, data, of_robots, urdf),
-            *find_drive_defects(model, data, of_robots, urdf), *_inertias(model, of_robots)]
+            *find_drive_defects(model, data, of_robots, urdf),
+            *_inertias(model, of_robots, urdf)]
 
 
 def _bodies_below(model: mujoco.MjModel, roots: list[int]) -> BoolArray:
@@ -198,7 +199,8 @@ def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, of_robots: BoolArr
                 f'{remedies_for(name, urdf).pose}, or {remedies_for(name, urdf).wider_range()}')
 
 
-def _inertias(model: mujoco.MjModel, of_robots: BoolArray) -> Iterator[StartDefect]:
+def _inertias(model: mujoco.MjModel, of_robots: BoolArray, urdf: tuple[str, ...]
+              ) -> Iterator[StartDefect]:
     """Yield the moving links whose moments of inertia no body of their mass and size can have."""
     absurd: dict[int, float] = {}
     for body in np.flatnonzero(of_robots & (np.asarray(model.body_weldid) != 0)).tolist():
@@ -211,14 +213,15 @@ def _inertias(model: mujoco.MjModel, of_robots: BoolArray) -> Iterator[StartDefe
         mass, radius = float(model.body_mass[body]), _radius(model, body)
         likely = float(f'{0.4 * mass * radius**2:.2g}')
         so_have = f'; so have {quoted_names([model.body(other).name for other in others], 8)}'
+        name = str(model.body(body).name)
+        remedies = remedies_for(name, urdf)
         yield StartDefect(
-            'inertia', f"body '{model.body(body).name}' has a moment of inertia of "
+            'inertia', f"{remedies.body} '{name}' has a moment of inertia of "
             f'{model.body_inertia[body].max():.3g} kg m^2, but its mass of {mass:.3g} kg within '
             f'{1e3 * radius:.0f} mm of its centre of mass has {mass * radius**2:.2g} kg m^2 at '
             f'most{so_have if others else ""}',
-            f'write moments of some {likely:g} kg m^2, as <inertia ixx="{likely:g}" '
-            f'iyy="{likely:g}" izz="{likely:g}" ixy="0" ixz="0" iyz="0"/> of a URDF or '
-            f'diaginertia="{likely:g} {likely:g} {likely:g}" of MJCF, or the true mass')
+            f'write moments of some {likely:g} kg m^2, as {remedies.inertia(likely)}, or the '
+            'true mass')
 
 
 def _radius(model: mujoco.MjModel, body: int) -> float:
@@ -240,8 +243,8 @@ def _geom(model: mujoco.MjModel, geom: int, urdf: tuple[str, ...]) -> str:
 class MjcfRemedies:
     """Remedies in an MJCF file."""
 
-    #: Place of the pose at the start.
-    pose = 'init_qpos, or the keyframe'
+    #: Place of the pose at the start, and what a body is called.
+    pose, body = 'init_qpos, or the keyframe', 'body'
 
     def shape(self, geom: str, body: str) -> str:
         """Return what a geom is called."""
@@ -271,11 +274,19 @@ class MjcfRemedies:
         """Return how a joint gets a wider range."""
         return 'give the joint a wider range'
 
+    def inertia(self, moment: float) -> str:
+        """
+        Return how a body gets a moment of inertia.
+
+        :param moment: the same about all axes [kg m^2]
+        """
+        return f'diaginertia="{moment:g} {moment:g} {moment:g}" of its <inertial>'
+
 
 class UrdfRemedies(MjcfRemedies):
     """Remedies in a URDF file, or in the SRDF and the YAML file beside it."""
 
-    pose = "init_qpos, or 'start' in the YAML file"
+    pose, body = "init_qpos, or 'start' in the YAML file", 'link'
 
     def shape(self, geom: str, body: str) -> str:
         """Return what a geom is called: shapes of a URDF have no names."""
@@ -299,6 +310,15 @@ class UrdfRemedies(MjcfRemedies):
     def wider_range(self) -> str:
         """Return how a joint gets a wider range."""
         return 'give the joint a wider range, by lower and upper of its <limit>'
+
+    def inertia(self, moment: float) -> str:
+        """
+        Return how a link gets a moment of inertia.
+
+        :param moment: the same about all axes [kg m^2]
+        """
+        return (f'<inertia ixx="{moment:g}" iyy="{moment:g}" izz="{moment:g}" ixy="0" ixz="0" '
+                'iyz="0"/>')
 
 
 def remedies_for(name: str, urdf: tuple[str, ...]) -> MjcfRemedies:

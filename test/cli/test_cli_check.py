@@ -169,6 +169,8 @@ def test_a_urdf_is_told_what_to_write_in_urdf_and_each_prefix_once(here, tmp_pat
              '</collision>')
     links = ''.join(f'<link name="{name}">{solid}</link>' for name in (
         'base', 'upper', 'palm', 'thumb', 'finger'))
+    links = links.replace('<link name="finger"><inertial><mass value="2"/><inertia ixx="0.1"',
+                          '<link name="finger"><inertial><mass value="0.02"/><inertia ixx="0.2"')
     joints = ''.join(
         f'<joint name="{child}_joint" type="revolute"><parent link="{parent}"/><child '
         f'link="{child}"/><origin xyz="0.5 {y} 0"/><axis xyz="0 1 0"/><limit lower="0" upper="1" '
@@ -182,7 +184,9 @@ def test_a_urdf_is_told_what_to_write_in_urdf_and_each_prefix_once(here, tmp_pat
     assert (code, errors) == (1, '')
     assert 'or write a higher limit, such as <limit effort="' in text
     assert "init_qpos, or 'start' in the YAML file" in text
-    for word in ('actuatorfrcrange', 'keyframe', 'geom', 'body'):
+    assert "- link 'robot0_finger' has a moment of inertia of 0.2 kg m^2" in text
+    assert 'write moments of some 0.00024 kg m^2, as <inertia ixx="0.00024"' in text
+    for word in ('actuatorfrcrange', 'keyframe', 'geom', 'body', 'diaginertia'):
         assert word not in text
     assert text.count('robot0_,') + text.count('robot0_.') == 1
     assert 'has no actuator' not in here('check', str(file))[1]
