@@ -40,7 +40,8 @@ REMEDY = 'if another file includes this one, load that'
     ('tied_ankle.xml', {'legs': 5}),
     ('names_of_both_links.urdf', {'legs': 6}),
     ('rocker_rover.urdf', {'base': 8}),
-    ('floating_hinge.xml', {'base': 1, 'arm': 3})])
+    ('floating_hinge.xml', {'base': 1, 'arm': 3}),
+    ('carried_gripper.xml', {'base': 2, 'right/gripper': 2})])
 def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
     parts = Simulation(compose(load_robot(DATA / name))).robot.parts
     assert {part: len(own.joints) for part, own in parts.items()
@@ -97,6 +98,21 @@ def test_fingers_on_servos_that_integrate_velocities_open_and_close():
         np.testing.assert_allclose(simulation.robot.state().position, ends, atol=1e-3)
     ids = simulation.robot.parts['right/gripper'].actuator_ids
     np.testing.assert_array_equal(simulation.model.actuator_ctrlrange[ids], [[-0.02, 0.02]] * 2)
+
+
+def test_a_gripper_that_a_base_carries_closes_and_opens_and_stays_where_the_file_has_it():
+    robot = load_robot(DATA / 'carried_gripper.xml')
+    assert "right arm ends at body 'gripper_base': it carries a hand, and no arm is there" in (
+        robot.inferred)
+    assert not [note for note in robot.inferred if 'in the air' in note]
+    simulation = Simulation(compose(robot))
+    for action, ends in ((-1.0, 0.03), (1.0, 0.0), (-1.0, 0.03)):
+        simulation.robot.apply(simulation.robot.parse.action('right/gripper', [action] * 2))
+        simulation.advance(round(2.0 / simulation.timestep_s))
+        position = simulation.robot.state().position[
+            [simulation.robot.joint_names.index(f'robot0_{side}_finger')
+             for side in ('left', 'right')]]
+        np.testing.assert_allclose(position, ends, atol=2e-3)
 
 
 def test_fingers_with_more_contacts_than_memory_load_and_close_by_their_tips(tmp_path):

@@ -246,8 +246,8 @@ def _correct_single_limbs(tree: BodyTree, subsystems: dict[int, str], declared: 
             subsystems[joint] = 'arm'
 
 
-#: Why a hand alone ends an arm.
-ALONE = 'the file is a hand alone'
+#: Why a hand alone ends an arm, and one that a base or legs carry.
+ALONE, CARRIED = 'the file is a hand alone', 'it carries a hand, and no arm is there'
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,7 @@ def _is_worm(tree: BodyTree, tips: list[int], joints: Collection[int]) -> bool:
 def lone_hands_as_arms(tree: BodyTree, subsystems: Mapping[int, str],
                        hands: Collection[FoundHand], notes: list[str]) -> dict[str, FoundArm]:
     """
-    Return the hands of a file that has nothing else, one or two, as arms without joints.
+    Return the hands of a file without arms, one or two, as arms without joints.
 
     :param subsystems: by id of the joint
     :param notes: gets a sentence if no name says that they are hands
@@ -322,7 +322,9 @@ def lone_hands_as_arms(tree: BodyTree, subsystems: Mapping[int, str],
     if not is_named:
         notes.append('right/gripper is a guess by the number and kind of the joints: '
                      'arms: none in a YAML file if it is no hand')
-    arms = {side: FoundArm('body', tree.name(hand.body), hand, ALONE)
+    joints = {joint for hand in lone for joint in hand.joints}
+    why = ALONE if len(joints) == tree.model.njnt else CARRIED
+    arms = {side: FoundArm('body', tree.name(hand.body), hand, why)
             for side, hand in zip(sides, lone)}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
 

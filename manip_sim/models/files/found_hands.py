@@ -144,18 +144,20 @@ def hands_of_hand(tree: BodyTree, hand: FoundHand) -> list[str]:
 def lone_hands(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
                ) -> tuple[list[FoundHand], bool]:
     """
-    Return the hands of a file that has nothing else, none if it has, and whether names say so.
+    Return the hands of a file without arms, none if it has others, and whether names say so.
 
-    Names do if all joints are of hands that they tell. Otherwise it takes fingers by their kind,
-    see :func:`_are_fingers`, on one fixed body, or on two that are out of reach of each other.
+    Names do if all joints but those of bases, legs and others are of hands that they tell.
+    Otherwise it takes fingers by their kind, see :func:`_are_fingers`, on one fixed body, or on
+    two that are out of reach of each other.
 
     :param subsystems: by id of the joint
     """
     scalar = {joint for joint in range(tree.model.njnt) if tree.is_scalar(joint)}
-    if len(scalar) < tree.model.njnt or any(subsystems[joint] != 'arm' for joint in scalar):
-        return [], False
-    if hands and scalar <= {joint for hand in hands for joint in hand.joints}:
+    of_arms = {joint for joint in scalar if subsystems[joint] == 'arm'}
+    if hands and of_arms == {joint for hand in hands for joint in hand.joints}:
         return list(hands), True
+    if of_arms != set(range(tree.model.njnt)):
+        return [], False
     limbs = Limbs(tree)
     by_carrier = limbs.by_carrier(limbs.on(0))
     if not limbs.are_of_two_hands(list(by_carrier.values())):
