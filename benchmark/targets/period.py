@@ -66,6 +66,7 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
         import rclpy
     except ImportError:
         return None
+    from manip_sim.interface.profiles import JointNames
     from manip_sim.interface.topics import Scope
     from manip_sim.ros.channel_publishers import robot_states
     from manip_sim.ros.rejection_log import RejectionLog
@@ -75,6 +76,7 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
     stack.callback(node.destroy_node)
     context: Any = SimpleNamespace(
         node=node, log=RejectionLog(node.get_logger()), publishing=None, frame_prefix='',
+        joint_names=JointNames(),
         is_built=False, robots={Scope(): simulation.robot}, table=[],
         thread=SimpleNamespace(observe=lambda *_: None))
     publishers = robot_states(context)
