@@ -310,8 +310,10 @@ class ControlPeriods:
         if not self._begun:
             self._steps.begin()
             self._begun = True
-        steps = int(min([self._cut(self._left)[0], *[run.intervals[0] for run in runs]]))
+        # The weight of free robots is given back in each interval.
+        steps = self._chunk(self._left) if len(self._floating_bases.dofs) else self._left
         if runs:
+            steps = int(min([run.intervals[0] for run in runs]))
             self.compiled.prepare(runs, np.array([steps]), steps, stepping=False)
             self.compiled.run()
         for robot in awake:
