@@ -365,13 +365,17 @@ class Servos:
         return records
 
     def _make_records(self) -> Any:
-        records = np.zeros(len(self._ids), SERVO)
+        model, records = self._physics.model, np.zeros(len(self._ids), SERVO)
+        forces = np.sort(model.actuator_forcerange[self._ids] * self._gear[:, None], axis=1)
+        limited = model.actuator_forcelimited[self._ids].astype(bool)
         for field, values in (
                 ('qpos', self.qpos), ('dof', self.dofs), ('activation', self._activation),
                 ('control', self._ids), ('gear', self._gear), ('stiffness', self._stiffness),
                 ('drag', self._drag), ('low', self.ranges['effort'][:, 0]),
                 ('high', self.ranges['effort'][:, 1]),
-                ('friction', self._physics.model.dof_frictionloss[self.dofs]),
+                ('least', np.where(limited, forces[:, 0], -np.inf)),
+                ('most', np.where(limited, forces[:, 1], np.inf)),
+                ('friction', model.dof_frictionloss[self.dofs]),
                 ('damping', self._damping), ('velocity', self._damped),
                 ('effort', self._feedforward),
                 ('integral', self._integral_gains * self._integrates),

@@ -201,8 +201,11 @@ def attach_as_is(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mu
     MuJoCo gives them the prefix as the name of an element; it does not read the XML of that.
     """
     of_nothing = [not sensor.objname for sensor in own.sensors]
-    present = len(spec.sensors)
+    # Lists of elements are collected each time, which counts with hundreds of objects.
+    present = len(spec.sensors) if any(of_nothing) else 0
     spec.attach(own, prefix=prefix, frame=frame)
+    if not any(of_nothing):
+        return
     for sensor, is_of_nothing in zip(spec.sensors[present:], of_nothing):
         if is_of_nothing:
             sensor.objname = ''

@@ -30,7 +30,7 @@ from manip_sim.models.object_creation import (
 from manip_sim.models.placements import check_placed, checked_seed, InitializationNoise
 from manip_sim.models.randomization import Randomization, RandomizationLike
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.spec_edits import soften_contacts, stiffen_couplings
+from manip_sim.models.spec_edits import soften_contacts, stiffen_couplings, TakenNames
 from manip_sim.validation import start_by_joint, whole_nanoseconds
 
 #: Ratio of frictional to normal constraint impedance: friction gives less than the contact. From
@@ -188,8 +188,10 @@ class World:
         soften_contacts(spec, self.timestep_s)
         stiffen_couplings(spec, self.timestep_s)
         spec.compiler.discardvisual = not visual
-        for item in self.objects if objects else ():
-            item.attach(spec)
+        if objects and self.objects:
+            taken = TakenNames(spec)
+            for item in self.objects:
+                item.attach(spec, taken)
         return spec
 
     def _set_contact_options(self, spec: mujoco.MjSpec) -> None:

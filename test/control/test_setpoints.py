@@ -509,7 +509,8 @@ def test_braking_velocity_leaves_the_way_of_a_constant_deceleration(interval_s, 
     assert braking_velocity(0.0, 1.0, interval_s) == 0.0
 
 
-def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0, constraint=0.0):
+def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0, constraint=0.0,
+              force=np.inf):
     """Let servos of joints that cannot keep up hold back their setpoints, by efforts at most."""
     count = len(measured)
     none, places = np.zeros(count), np.arange(count)
@@ -522,6 +523,7 @@ def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0, constraint
         servos[field] = places
     servos['gear'] = servos['stiffness'] = 1.0
     servos['low'], servos['high'], servos['compensated'] = -effort, effort, True
+    servos['least'], servos['most'] = -force, force
     drive(world, readable(servos), np.full((count, count), -1), setpoints.joints,
           no_loads(), none, none, 0.002)
 
@@ -532,6 +534,17 @@ def test_a_setpoint_may_lead_by_the_effort_that_the_weight_leaves(sign):
         setpoints = generator(low=-9.0, high=9.0)
         setpoints.set_state(ONE, np.array([sign * 3.0]), np.zeros(1))
         hold_back(setpoints, np.array([sign * 0.5]), np.ones(1), carried=sign * carried)
+        assert setpoints.position[0] == pytest.approx(sign * (0.5 + lead))
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_a_setpoint_leads_no_farther_than_its_actuator_can_pull_where_the_weight_helps(sign):
+    for carried, force, lead in ((-0.4, 1.0, 1.0), (-0.4, 1.2, 1.2), (0.4, 1.0, 0.6),
+                                 (0.4, 0.5, 0.5)):
+        setpoints = generator(low=-9.0, high=9.0)
+        setpoints.set_state(ONE, np.array([sign * 3.0]), np.zeros(1))
+        hold_back(setpoints, np.array([sign * 0.5]), np.ones(1), carried=sign * carried,
+                  force=force)
         assert setpoints.position[0] == pytest.approx(sign * (0.5 + lead))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import compose
+from manip_sim.models import compose, spec_edits
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.object_creation import create_object, create_objects, load_objects
 from manip_sim.models.world import World
@@ -351,6 +351,22 @@ def test_objects_of_the_arena_come_before_those_of_the_world(panda):
     world = World([panda], TableArena(cube=True), objects=[BOX])
     assert [item.name for item in world.objects] == ['cube', 'brick']
     assert world.compose(objects=False).body('cube') is None
+
+
+def test_the_names_of_a_world_are_collected_once_for_all_its_objects(monkeypatch):
+    collected = []
+    collect = spec_edits.TakenNames.__init__
+
+    def count(taken, spec):
+        collected.append(spec)
+        collect(taken, spec)
+    world = compose('Panda', objects=[{**BOX, 'name': f'brick{k}', 'position': [2.0 + k, 0.0, 1.0]}
+                                      for k in range(20)])
+    monkeypatch.setattr(spec_edits.TakenNames, '__init__', count)
+    world.compose(objects=False)
+    without = len(collected)
+    world.compose()
+    assert len(collected) == 2 * without + 1
 
 
 def test_an_object_falls_by_its_own_weight(panda):

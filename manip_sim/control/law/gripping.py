@@ -48,15 +48,16 @@ def move_fingers(world: WorldArrays, gripper: Gripper, now: float, duration: flo
     if not (grip.flags[MOVES] or centres):
         return
     count = len(fingers)
-    place, present, target = np.empty(count), np.empty(count), np.empty(count)
+    place, present, target, speed = (
+        np.empty(count), np.empty(count), np.empty(count), np.empty(count))
     for i in range(count):
         place[i] = _place(world, fingers[i])
     _end_at_ends(fingers, grip, place)
     for i in range(count):
         finger = fingers[i]
         present[i] = _setpoint(world, finger)
-        speed = -finger.per_length / finger.gain * world.speeds[finger.id]
-        target[i] = _find_target(finger, grip, i, place[i], present[i], speed)
+        speed[i] = -finger.per_length / finger.gain * world.speeds[finger.id]
+        target[i] = _find_target(finger, grip, i, place[i], present[i], speed[i])
     centres = grip.flags[PAIR] and grip.pressing[0] and grip.pressing[1]
     if centres:
         _find_centre(fingers, grip, place, present, duration, target)
@@ -68,7 +69,7 @@ def move_fingers(world: WorldArrays, gripper: Gripper, now: float, duration: flo
             # A servo that presses the other way lets go at once, or its finger would have to wait
             # until the setpoint has come back to it.
             begin = place[i]
-        setpoint = begin + _stride(finger, grip, i, target[i] - begin, centres, duration)
+        setpoint = begin + _stride(finger, grip, i, target[i] - begin, speed[i], centres, duration)
         change = abs(setpoint - present[i])
         if change <= finger.tolerance and finger.is_servo:
             setpoint = present[i]
@@ -216,12 +217,18 @@ def _find_centre(fingers: Any, grip: Grip, place: FloatArray, setpoints: FloatAr
 
 
 @inlined
-def _stride(finger: Any, grip: Grip, i: int, distance: float, centres: bool, duration: float
-            ) -> float:
-    """Return how far a setpoint moves in an interval."""
+def _stride(finger: Any, grip: Grip, i: int, distance: float, speed: float, centres: bool,
+            duration: float) -> float:
+    """
+    Return the displacement of a setpoint in an interval.
+
+    Fingers that press go on with what gives way, at their velocity limit at most.
+    """
     if centres and (distance > 0.0) == grip.to_end[i, 0]:
         return distance  # A setpoint beyond the full force comes back at once.
     pace = min(finger.speed, grip.pace[i])
     if grip.pressing[i]:
         pace = max(finger.below, finger.above, 0.0) / _PRESS_S
+        if speed * distance > 0.0:
+            pace = max(pace, min(pace + abs(speed), finger.speed))
     return clip(distance, -pace * duration, pace * duration) if pace < math.inf else distance

@@ -149,12 +149,15 @@ def _room(world: WorldArrays, servo: Any, beside: float) -> tuple[float, float]:
 
     :param beside: effort that carries payloads, and that of an integral term [N m or N]
 
-    There the servo exerts all of the effort that the weight leaves. Farther away, it would not
-    damp the joint either, whose velocity changes nothing as long as the effort is at its limit.
+    There the servo exerts all of the effort that the weight leaves, or, where the weight helps,
+    all that its actuator can exert. Farther away, it would not damp the joint either, whose
+    velocity changes nothing as long as the effort is at its limit.
     """
     carried = beside + (world.carried[servo.dof] if servo.compensated else 0.0)
-    return (min(servo.low - carried, _LEAST_SHARE * servo.low) / servo.stiffness,
-            max(servo.high - carried, _LEAST_SHARE * servo.high) / servo.stiffness)
+    low, high = max(servo.low - carried, servo.least - beside), min(
+        servo.high - carried, servo.most - beside)
+    return (min(low, _LEAST_SHARE * servo.low) / servo.stiffness,
+            max(high, _LEAST_SHARE * servo.high) / servo.stiffness)
 
 
 @inlined
