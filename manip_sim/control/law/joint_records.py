@@ -69,8 +69,8 @@ MOVES, DUE, WRITTEN, ACTS = range(4)
 #: A servo: addresses of the joint in ``qpos`` and ``qvel`` and of the actuator in ``act`` and
 #: ``ctrl``; joint to actuator, stiffness [N m/rad or N/m], damping of servo and joint [N m s/rad
 #: or N s/m], dry friction [N m or N], lowest and highest effort, with what compensates the weight
-#: [N m or N], and that of the actuator alone, rate of the integral term [1/s]; whether the weight is compensated, and whether it
-#: is a source of effort.
+#: [N m or N], and of the actuator alone, rate of the integral term [1/s]; whether the weight is
+#: compensated, and whether it is a source of effort.
 SERVO = np.dtype([
     *((name, np.int64) for name in ('qpos', 'dof', 'activation', 'control')),
     *((name, np.float64) for name in ('gear', 'stiffness', 'drag', 'friction', 'low', 'high',
