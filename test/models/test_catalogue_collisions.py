@@ -10,6 +10,7 @@ import pytest
 from catalogue import (
     AtRest, colliding_geoms, figures, ROBOTS, robots_with_figures, support)
 
+from manip_sim.models import compose
 from manip_sim.models.arenas import arena_names
 from manip_sim.models.robots import create_robot
 
@@ -124,3 +125,14 @@ def test_exceptions_name_links_that_exist(name):
     assert set(EXCEPTIONS['fit'].get(name, {})) <= bodies | {'*'}
     for pair in EXCEPTIONS['may_touch'].get(name, {}):
         assert set(pair.split()) <= bodies
+
+
+@pytest.mark.parametrize('name', ROBOTS)
+def test_links_and_grippers_that_move_do_not_collide_as_long_cylinders(name):
+    # MuJoCo's several contacts of a cylinder have other normals than the cylinder meets there.
+    model = compose(name).compile()
+    long = [model.geom(geom).name for geom in colliding_geoms(model)
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER
+            and model.body_weldid[model.geom_bodyid[geom]] != 0
+            and model.geom_size[geom][1] > model.geom_size[geom][0]]
+    assert long == []
