@@ -72,6 +72,6 @@ def test_an_arm_that_a_controller_presses_with_its_hand_on_the_pedestal_comes_to
 
 def test_a_motion_that_slides_on_is_given_time_to_arrive(benchmark_module):
     resting = benchmark_module('resting')
-    outcomes = resting.measure('XArm7', 'position', 0.005, [9, 10, 11], seed=41)
+    outcomes = resting.measure('Baxter', 'position', 0.005, [6, 7], seed=71)
     late = [outcome for outcome in outcomes if not outcome.rests]
-    assert [outcome.motion for outcome in late] == [11] and 0.0 < late[0].later_s < resting.LATER_S
+    assert [outcome.motion for outcome in late] == [6] and 0.0 < late[0].later_s < resting.LATER_S
