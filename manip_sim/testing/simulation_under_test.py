@@ -169,16 +169,19 @@ class SimulationUnderTest:
 
     def _advance(self, periods: int) -> None:
         end_ns = self._now_ns + periods * round(self.period_s * 1e9)
-        for topic, publisher in self._publishers.items():
-            limit_s = min(max(self._patience_s, _LEASE_S), 1e9)
-            if not publisher.wait_for_all_acked(Duration(seconds=limit_s)):
-                raise SimulationStalled(f'a subscriber of {topic} has not acknowledged what was '
-                                        f'published within {limit_s:g} s')
+        for topic in self._publishers:
+            self._wait_until_acknowledged(topic)
         self.set_parameter('pause_at', end_ns * 1e-9)
         self._recorded.last_new_s = time.monotonic()
         # Only passing time counts: DDS may lose the answer.
         self._ask(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
         self._wait_for_states(end_ns, self._check_not_stalled)
+
+    def _wait_until_acknowledged(self, topic: str) -> None:
+        limit_s = min(max(self._patience_s, _LEASE_S), 1e9)
+        if not self._publishers[topic].wait_for_all_acked(Duration(seconds=limit_s)):
+            raise SimulationStalled(f'a subscriber of {topic} has not acknowledged what was '
+                                    f'published within {limit_s:g} s')
 
     def _wait_for_states(self, end_ns: int, check: Callable[[], None]) -> None:
         self._spin_until(lambda: all(
@@ -336,11 +339,13 @@ class SimulationUnderTest:
         """
         if topic not in self._publishers:
             self._wait_for_name('subscribed topic', topic, type(message), self._subscribed)
-            publisher = self.node.create_publisher(type(message), topic, 100)
+            # Fast DDS asks for acknowledgements at once if the history is full, else every 3 s.
+            publisher = self.node.create_publisher(type(message), topic, 1)
             infos = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
             ours = len(infos) - len(self._others(infos))
             self._wait_until_connected(topic, lambda: publisher.get_subscription_count() > ours)
             self._publishers[topic] = publisher
+        self._wait_until_acknowledged(topic)
         self._publishers[topic].publish(message)
 
     def call(self, service_type: Any, name: str, request: Any = None, again: bool = False) -> Any:

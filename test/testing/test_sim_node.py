@@ -53,6 +53,21 @@ def test_time_passes_only_while_the_test_lets_it(sim_node, as_process):
 
 
 @pytest.mark.full
+def test_commands_between_short_runs_wait_for_no_heartbeat(sim_node):
+    sim = sim_node(as_process=True)
+    sim.run_for(0.1)
+    name, start = sim.messages('joint_states')[-1].name[0], time.monotonic()
+    for command in range(6):
+        # Two in a row both arrive.
+        sim.publish('arm/joint_command', JointState(name=[name], position=[0.5]))
+        sim.publish('arm/joint_command', JointState(name=[name], position=[0.01 * command]))
+        sim.run_for(0.01)
+    # Fast DDS sends one every 3 s.
+    assert time.monotonic() - start < 6.0
+    sim.run_for(1.0)
+    assert sim.messages('joint_states')[-1].position[0] == pytest.approx(0.05, abs=1e-3)
+
+
 def test_waiting_ends_in_the_period_in_which_it_becomes_true(sim_node):
     sim = sim_node()
     sim.publish('joint_command', JointState(name=['robot0_joint1'], position=[0.5]))
