@@ -26,7 +26,7 @@ from std_msgs.msg import String
 from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
 from manip_sim.lerobot_units import plain_scales, POSITION, Scale
 from manip_sim.quoting import quoted_names
-from manip_sim.rclpy_internals import start_rclpy
+from manip_sim.rclpy_internals import RCLError, start_rclpy
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: Longest wait for the node at the start, and greatest age of what is observed, wall time [s].
@@ -135,7 +135,8 @@ class NodeRobot:
                 raise ManipSimError(f'{self._name}: {result.reason}')
 
     def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
+        # The context may end meanwhile.
+        with contextlib.suppress(ExternalShutdownException, RCLError):
             self._executor.spin()
 
     def _see(self, key: str, message: Any) -> None:
@@ -206,8 +207,8 @@ class NodeRobot:
         """End the connection; nothing happens the second time."""
         if self._context is not None and self._context.ok():
             self._executor.shutdown()
-            self._context.shutdown()
             self._thread.join()
+            self._context.shutdown()
             self._node.destroy_node()
 
 
