@@ -98,7 +98,7 @@ class GripperController:
 
     @property
     def moving(self) -> bool:
-        """Whether the law has to move fingers; if not, the setpoints stay where they are."""
+        """True if the law has to move fingers; otherwise the setpoints stay where they are."""
         self._physics.interrupt()
         return self._moving or self._centres or self.cups.draw(self._goal)
 

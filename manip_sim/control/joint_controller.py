@@ -144,7 +144,7 @@ class JointController(ControlledJoints):
 
     @property
     def resting(self) -> bool:
-        """Whether control has nothing to do."""
+        """True if control has nothing to do."""
         self._servos.interrupt()
         return not (self._setpoints.moving or self._written or self.commands.running
                     or self.commands.waiting or self._timeouts.pending or self.seats.of

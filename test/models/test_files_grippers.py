@@ -13,7 +13,7 @@ from files_rig import HAND, write
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models import compose, load_gripper, load_robot
-from manip_sim.models.files.fingers import control_range
+from manip_sim.models.files.fingers import control_range, digest_of_meshes
 from manip_sim.models.robots import Panda
 from manip_sim.simulation import Simulation
 
@@ -406,3 +406,12 @@ def test_the_tips_of_fingers_in_a_robots_file_are_where_their_visual_shapes_are(
     robot = load_robot(write(tmp_path / 'arm.xml', text))
     point = robot.described['arms']['right']['hand']['grasp_point']['position']
     np.testing.assert_allclose(point, [0.0, 0.0, 0.09], atol=1e-6)
+
+
+def test_meshes_of_one_file_in_other_places_have_other_digests():
+    def digest(place):
+        spec = mujoco.MjSpec()
+        mesh = spec.add_mesh(name='tip', refpos=place)
+        mesh.uservert = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]
+        return digest_of_meshes(spec)
+    assert digest([0, 0, 0]) == digest([0, 0, 0]) != digest([0, 0, 0.1])

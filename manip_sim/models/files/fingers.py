@@ -43,10 +43,10 @@ _SHORTER = (0.75, 0.5, 0.25)
 
 #: Opening and closing control, and whether a trial decided which is which.
 Closing = tuple[float, float, bool]
-#: How actuators close by id, and other ways of those that would not open again.
+#: Closings of actuators by id, and other closings of those that would not open again.
 Closings = tuple[dict[int, Closing], dict[int, Closing]]
 Result = TypeVar('Result')
-#: What was computed of hands with their shapes, and of how many it is kept.
+#: Results for hands with their shapes, by digest, and the most that are kept.
 _known: dict[bytes, Any] = {}
 _MOST_KNOWN = 400
 
@@ -82,7 +82,8 @@ def digest_of_meshes(spec: mujoco.MjSpec) -> bytes:
     """
     digest = hashlib.blake2b()
     for mesh in spec.meshes:
-        digest.update(repr((mesh.name, mesh.file, mesh.maxhullvert, list(mesh.scale))).encode())
+        digest.update(repr((mesh.name, mesh.file, mesh.maxhullvert, *[
+            list(of) for of in (mesh.scale, mesh.refpos, mesh.refquat)])).encode())
         if mesh.file in spec.assets:
             digest.update(spec.assets[mesh.file])
         elif os.path.isabs(mesh.file) and os.path.isfile(mesh.file):
