@@ -61,15 +61,10 @@ def copy_sources(folder):
 
 
 def sourced(prefix):
-    """
-    Return an environment in which ROS finds what is installed under a prefix.
-
-    The laws are plain there: numba keeps compiled ones by the path of their source, and would
-    compile those of each installation for half a minute. .ci/run compiles those of a wheel.
-    """
+    """Return an environment in which ROS finds what is installed under a prefix."""
     site = next(prefix.glob('lib/python3*/site-packages'))
     index = os.environ.get('AMENT_PREFIX_PATH', '')
-    return dict(os.environ, NUMBA_DISABLE_JIT='1', AMENT_PREFIX_PATH=f'{prefix}:{index}',
+    return dict(os.environ, AMENT_PREFIX_PATH=f'{prefix}:{index}',
                 PYTHONPATH=f'{site}:{os.environ.get("PYTHONPATH", "")}')
 
 

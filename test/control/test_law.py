@@ -4,9 +4,14 @@
 """The compiled laws of control: the bits of plain Python, kept where the user may write."""
 
 import os
+from pathlib import Path
+import shutil
 import subprocess
 import sys
+import threading
+import time
 
+import manip_sim
 import mujoco
 import numpy as np
 import pytest
@@ -97,6 +102,37 @@ def test_laws_are_compiled_once_and_that_is_logged(tmp_path):
     first, second = (run(LOADING, XDG_CACHE_HOME=str(tmp_path)).stderr for _ in range(2))
     assert 'Compiling control laws' in first and str(tmp_path) in first
     assert second == ''
+
+
+def test_copies_of_the_sources_share_what_is_compiled(tmp_path):
+    shutil.copytree(Path(manip_sim.__file__).parent, tmp_path / 'copy/manip_sim',
+                    ignore=shutil.ignore_patterns('__pycache__'))
+    run(LOADING, XDG_CACHE_HOME=str(tmp_path))
+    done = run(f'import sys\nsys.path.insert(0, {str(tmp_path / "copy")!r})\n' + LOADING + (
+        'print(law.__file__, sum(law.rotation_vector.stats.cache_hits.values()))\n'),
+        XDG_CACHE_HOME=str(tmp_path))
+    file, hits = done.stdout.split()
+    assert file.startswith(str(tmp_path)) and hits == '1' and done.stderr == ''
+
+
+def test_others_wait_while_one_compiles(tmp_path, monkeypatch):
+    monkeypatch.setattr(kept, 'laws_folder', lambda: tmp_path)
+    entered = []
+
+    def enter():
+        with kept.alone():
+            entered.append(kept.all_are_kept())
+    other = threading.Thread(target=enter)
+    with kept.alone():
+        other.start()
+        time.sleep(0.2)
+        assert not entered
+        kept.note_that_all_are_kept()
+    other.join(10.0)
+    assert entered == [True]
+    with kept.alone():
+        enter()  # Once all are there, nobody waits.
+    assert entered == [True, True]
 
 
 USING = """
@@ -213,7 +249,10 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
         np.testing.assert_allclose(gained, 24.0 * along, atol=1e-3 * 24.0 * np.abs(along).max())
 
 
-def test_laws_of_another_installation_are_kept_apart_as_numba_does(monkeypatch, tmp_path):
+@pytest.mark.parametrize(('release', 'count'), [('0.61.2', 2), ('0.62.0', 1), ('1.0', 1)])
+def test_copies_are_kept_apart_where_numba_does_so(release, count, monkeypatch, tmp_path):
+    monkeypatch.setattr(kept, '_version_of_numba', lambda: release)
+    monkeypatch.setattr(kept, 'takes_locators', kept.takes_locators.__wrapped__)
     folders = set()
     for place in ('one', 'other'):
         (tmp_path / place / 'physics').mkdir(parents=True)
@@ -221,4 +260,4 @@ def test_laws_of_another_installation_are_kept_apart_as_numba_does(monkeypatch, 
         monkeypatch.setattr(
             kept, '__file__', str(tmp_path / place / 'control' / 'law' / 'kept.py'))
         folders.add(kept._version())
-    assert len(folders) == 2
+    assert len(folders) == count

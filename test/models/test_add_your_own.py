@@ -40,17 +40,13 @@ def package(tmp_path_factory):
 
 
 def run(package, *arguments):
-    """
-    Run Python in the copy, scripts with its own models; return the finished process.
-
-    The laws are plain: numba would compile those of the copy again.
-    """
+    """Run Python in the copy, scripts with its own models; return the finished process."""
     path = os.pathsep.join([str(package), os.environ.get('PYTHONPATH', '')])
     models = str(package / 'my_models') if arguments[0] == '-c' else ''
     return subprocess.run(
         [sys.executable, *map(str, arguments)], cwd=package, text=True, capture_output=True,
-        env={**os.environ, 'MANIP_SIM_PATH': models, 'PYTHONPATH': path,
-             'NUMBA_DISABLE_JIT': '1'}, timeout=100, check=False)
+        env={**os.environ, 'MANIP_SIM_PATH': models, 'PYTHONPATH': path},
+        timeout=100, check=False)
 
 
 def test_the_document_gives_a_model_a_readme_and_a_class_for_each_part():

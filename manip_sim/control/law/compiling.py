@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Compile control laws with numba, once per installation.
+Compile control laws with numba, once for all copies of their sources.
 
 Importing this module imports numba, which takes a while: only modules of this folder do, and
 others import those where a law is first needed. With ``NUMBA_DISABLE_JIT=1`` the laws are plain
@@ -18,25 +18,47 @@ from pathlib import Path
 from typing import Any, cast, TypeVar
 
 import numba
-from numba.core import config
+from numba.core import caching, config
 
 from manip_sim.control.law.joint_records import PLAIN
-from manip_sim.control.law.kept import laws_folder
+from manip_sim.control.law.kept import laws_folder, takes_locators
 
 F = TypeVar('F', bound=Callable[..., Any])
 
 _LOGGER = logging.getLogger(__name__)
 
 
+if takes_locators():
+    class SharedLocator(caching.UserProvidedCacheLocator):  # type: ignore[misc]
+        """Locator of functions in a folder for one version of their sources and all copies."""
+
+        @classmethod
+        def get_suitable_cache_subpath(cls, py_file: str) -> str:
+            """Return the folder of a source."""
+            return Path(py_file).parent.name
+
+        def get_source_stamp(self) -> str:
+            """Return the same for each copy of a source."""
+            return ''
+
+
 @contextlib.contextmanager
 def kept_in(folder: Path) -> Iterator[None]:
-    """Let numba keep functions that are declared meanwhile in a folder."""
+    """
+    Let numba keep functions that are declared meanwhile in a folder.
+
+    :param folder: for one version of their sources; copies of these share it
+    """
     settings: Any = config
-    before, settings.CACHE_DIR = settings.CACHE_DIR, str(folder)
+    kept = {'CACHE_DIR': str(folder)}
+    if takes_locators():
+        kept['CACHE_LOCATOR_CLASSES'] = f'{__name__}.SharedLocator'
+    before = {name: getattr(settings, name) for name in kept}
+    vars(settings).update(kept)
     try:
         yield
     finally:
-        settings.CACHE_DIR = before
+        vars(settings).update(before)
 
 
 _FOLDER = None if PLAIN else laws_folder()

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import contextlib
+import fcntl
 from functools import cache
 import hashlib
 from importlib.metadata import PackageNotFoundError, version
@@ -15,20 +17,22 @@ import platform
 import shutil
 import tempfile
 
-from manip_sim.resources import cache_folder, package_version
+from manip_sim.resources import cache_folder
 
 #: So many folders of other versions stay, those used last.
 _OTHERS = 12
-#: File in a folder of laws, once all of them are there.
-_ALL = 'all'
+#: File in a folder of laws, once all of them are there; and one that is locked until they are.
+_ALL, _LOCK = 'all', 'lock'
+#: The first release of numba that asks others where it keeps functions.
+_TAKES_LOCATORS = (0, 62)
 
 
 def _version() -> str:
     """Return a name for the versions of everything that the compiled code depends on."""
     content = hashlib.sha256()
-    # numba finds what it has kept by the path of the source.
-    for word in (package_version(), _version_of_numba(), version('mujoco'),
-                 platform.python_version(), _processor(), str(Path(__file__).parent)):
+    for word in (_version_of_numba(), version('mujoco'), platform.python_version(), _processor(),
+                 # An older numba finds what it has kept by the path of the source.
+                 '' if takes_locators() else str(Path(__file__).parent)):
         content.update(f'{word}\n'.encode())
     # numba looks only at the file of the function that is called, not at those it calls, nor at
     # the arrays whose types compiled code reads rows by.
@@ -54,6 +58,13 @@ def _version_of_numba() -> str:
     except PackageNotFoundError:
         import numba
         return str(numba.__version__)
+
+
+@cache
+def takes_locators() -> bool:
+    """Return whether copies of one version of the laws can share what is compiled of them."""
+    major, minor = _version_of_numba().split('.')[:2]
+    return (int(major), int(minor)) >= _TAKES_LOCATORS
 
 
 @cache
@@ -85,6 +96,18 @@ def all_are_kept() -> bool:
     """Return whether nothing has to be compiled."""
     folder = laws_folder()
     return folder is not None and (folder / _ALL).exists()
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Wait while another process compiles the same laws."""
+    folder = laws_folder()
+    with contextlib.ExitStack() as stack:
+        if folder is not None and not all_are_kept():
+            with contextlib.suppress(OSError):  # Some file systems lock nothing.
+                lock = stack.enter_context(open(folder / _LOCK, 'w'))
+                fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def note_that_all_are_kept() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from manip_sim.control.law.joint_records import (
     blank_state, PLAIN, readable, records, SERVO)
-from manip_sim.control.law.kept import note_that_all_are_kept
+from manip_sim.control.law.kept import alone, note_that_all_are_kept
 from manip_sim.control.law.leading import act
 from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.period import (
@@ -36,9 +36,14 @@ _WORLD = """
 
 
 def load_laws() -> None:
-    """Load or compile what a simulation calls, in calls of no consequence; in any thread."""
-    if PLAIN:
-        return
+    """Load or compile what a simulation calls, in any thread; another process may compile it."""
+    if not PLAIN:
+        with alone():
+            _call_all()
+
+
+def _call_all() -> None:
+    """Call what a simulation calls, to no consequence."""
     none, one, places = np.zeros(_COUNT), np.ones(_COUNT), np.arange(_COUNT)
     nowhere = np.full((_COUNT, _COUNT), -1)
     model = mujoco.MjModel.from_xml_string(_WORLD)
