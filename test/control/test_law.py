@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from manip_sim.control.law.arm_records import Goal, Motion, Spring
-from manip_sim.control.law import kept
+from manip_sim.control.law import kept, loading
 from manip_sim.control.law.compiling import compiled, kept_in
 from manip_sim.control.law.operational_space import exert
 from manip_sim.control.law.small_matrices import rotation_vector
@@ -247,6 +247,17 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
         own = inertia[np.ix_(joints['dof'], joints['dof'])]
         gained = jacobian @ np.linalg.solve(own, efforts[1] - efforts[0])
         np.testing.assert_allclose(gained, 24.0 * along, atol=1e-3 * 24.0 * np.abs(along).max())
+
+
+def test_a_long_compilation_is_reported_again_and_again(monkeypatch, caplog):
+    monkeypatch.setattr(loading, '_REPORT_S', 0.05)
+    monkeypatch.setattr(loading, '_call_all', lambda: time.sleep(0.3))
+    for are_kept in (True, False):
+        monkeypatch.setattr(loading, 'all_are_kept', lambda value=are_kept: value)
+        monkeypatch.setattr(kept, 'all_are_kept', lambda: True)
+        loading.load_laws()
+        assert len([r for r in caplog.records if 'still being compiled' in r.message]) > 2 or (
+            are_kept and not caplog.records)
 
 
 @pytest.mark.parametrize(('release', 'count'), [('0.61.2', 2), ('0.62.0', 1), ('1.0', 1)])

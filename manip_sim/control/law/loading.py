@@ -5,12 +5,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
+import logging
+import threading
+import time
+
 import mujoco
 import numpy as np
 
 from manip_sim.control.law.joint_records import (
     blank_state, PLAIN, readable, records, SERVO)
-from manip_sim.control.law.kept import alone, note_that_all_are_kept
+from manip_sim.control.law.kept import all_are_kept, alone, note_that_all_are_kept
 from manip_sim.control.law.leading import act
 from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.period import (
@@ -23,6 +29,9 @@ from manip_sim.control.law.stream_goals import take_alone
 from manip_sim.control.law.stream_timing import wait, wait_in_worlds
 from manip_sim.physics.physics import WorldArrays
 
+_LOGGER = logging.getLogger(__name__)
+#: Time between two reports of a compilation that goes on [s].
+_REPORT_S = 15.0
 #: RobotJoints of an arm that nobody sees.
 _COUNT = 6
 #: A world in which nothing happens, as no step is made in it.
@@ -37,9 +46,29 @@ _WORLD = """
 
 def load_laws() -> None:
     """Load or compile what a simulation calls, in any thread; another process may compile it."""
-    if not PLAIN:
-        with alone():
-            _call_all()
+    if PLAIN:
+        return
+    with contextlib.nullcontext() if all_are_kept() else _reports(), alone():
+        _call_all()
+
+
+@contextlib.contextmanager
+def _reports() -> Iterator[None]:
+    """Log how long a compilation has been going on, again and again."""
+    begin_s, ended = time.monotonic(), threading.Event()
+
+    def report() -> None:
+        while not ended.wait(_REPORT_S):
+            _LOGGER.warning('Control laws are still being compiled, for %.0f s now',
+                            time.monotonic() - begin_s)
+
+    thread = threading.Thread(target=report, name='reports', daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def _call_all() -> None:
