@@ -55,6 +55,8 @@ def test_the_page_says_that_arms_rest_in_time():
     ('Panda', 'position', 0.002, 'table', [3, 4, 5], 21),
     ('Tiago', 'velocity', 0.005, 'table', [45], 7),
     ('Baxter', 'position', 0.005, 'empty', [12], 51),
+    ('XArm7', 'position', 0.005, 'empty', [6, 7, 8], 81),
+    ('IIWA', 'position', 0.005, 'empty', [18, 19, 20], 41),
     ('PandaOmron', 'position', 0.005, 'table', [0, 1, 2], 51)])
 def test_arms_that_press_on_something_come_to_rest(
         benchmark_module, robot, mode, timestep_s, arena, motions, seed):

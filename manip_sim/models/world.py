@@ -30,7 +30,7 @@ from manip_sim.models.object_creation import (
 from manip_sim.models.placements import check_placed, checked_seed, InitializationNoise
 from manip_sim.models.randomization import Randomization, RandomizationLike
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.spec_edits import soften_contacts, stiffen_couplings, TakenNames
+from manip_sim.models.spec_edits import fit_couplings, soften_contacts, TakenNames
 from manip_sim.validation import start_by_joint, whole_nanoseconds
 
 #: Ratio of frictional to normal constraint impedance: friction gives less than the contact. From
@@ -186,7 +186,7 @@ class World:
         for lidar in self.lidars:
             lidar.attach(spec)
         soften_contacts(spec, self.timestep_s)
-        stiffen_couplings(spec, self.timestep_s)
+        fit_couplings(spec, self.timestep_s)
         spec.compiler.discardvisual = not visual
         if objects and self.objects:
             taken = TakenNames(spec)

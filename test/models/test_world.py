@@ -297,6 +297,25 @@ def test_contacts_of_long_timesteps_last_at_least_four_of_them(one_joint_arm, tm
         assert with_object.geom('it').solref[0] == pytest.approx(shape)
 
 
+def test_couplings_of_long_timesteps_are_stiff_in_one_step_or_damped_in_two(one_joint_arm):
+    robot = one_joint_arm(worldbody="""
+        <body name="base"><geom size="0.05" mass="1"/><body name="link1"><joint name="joint1"/>
+          <geom size="0.1" mass="1"/>
+          <body pos="0.3 0 0"><joint name="a"/><geom size="0.1" mass="1"/>
+            <body name="right_hand" pos="0.3 0 0"><joint name="b"/><geom size="0.1" mass="1"/>
+            </body></body></body></body>""",
+                          sections="""<equality>
+          <joint joint1="a" joint2="joint1" solref="0.001 1"/>
+          <joint joint1="b" joint2="a" solref="0.005 1"/>
+          <joint joint1="b" joint2="joint1" solref="0.02 1"/>
+          <joint joint1="a" solref="-9000 -60"/></equality>""")
+    for timestep_s, first, second in ((0.001, (0.001, 1.0), (0.005, 1.0)),
+                                      (0.002, (-2.5e5, -500.0), (0.005, 1.0)),
+                                      (0.005, (-4e4, -200.0), (0.005, 1.5))):
+        found = World([robot], timestep_s=timestep_s).compile().eq_solref
+        assert found == pytest.approx(np.array([first, second, (0.02, 1.0), (-9000.0, -60.0)]))
+
+
 def test_composing_compiles_no_part_again(panda, monkeypatch):
     world, compiled = World([panda]), []
     compile_alone = MujocoXMLModel._compile_alone
