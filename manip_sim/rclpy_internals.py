@@ -30,9 +30,10 @@ from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line, quoted_names
 from manip_sim.ros_environment import SHARE_MEMORY
 
-__all__ = ['describe_unheard', 'endpoint_counts', 'forget_parameters', 'InUse', 'is_unheard',
-           'missing_for_publishing', 'missing_for_waits', 'parameter_overrides', 'publish_bytes',
-           'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet', 'without_source']
+__all__ = ['count_messages', 'describe_unheard', 'endpoint_counts', 'forget_parameters', 'InUse',
+           'is_unheard', 'missing_for_publishing', 'missing_for_waits',
+           'parameter_overrides', 'publish_bytes', 'RCLError', 'start_rclpy',
+           'UnknownROSArgsError', 'WaitSet', 'without_source']
 
 RCLError = _C_API.RCLError
 UnknownROSArgsError = _C_API.UnknownROSArgsError
@@ -41,10 +42,8 @@ WaitSet: Any = getattr(_C_API, 'WaitSet', None)
 #: Methods that waits for some of a node's subscriptions use, by class of the C API.
 _WAITS = {'Context': ('__enter__', '__exit__'),
           'EventHandle': ('__enter__', '__exit__'),
-          'GuardCondition': ('__enter__', '__exit__'),
           'Subscription': ('__enter__', '__exit__', 'pointer', 'take_message'),
-          'WaitSet': ('add_guard_condition', 'add_subscription', 'clear_entities',
-                      'get_ready_entities', 'wait')}
+          'WaitSet': ('clear_entities', 'wait')}
 #: Name that rmw gives to a node until the message comes in which that tells its name.
 _UNNAMED = '_NODE_NAME_UNKNOWN_'
 _OF_EVERY_NODE = ('/parameter_events', '/rosout')
@@ -98,12 +97,6 @@ class InUse:
     def __exit__(self, *_: object) -> None:
         for handle in self._entered:
             handle.__exit__(None, None, None)
-
-
-def missing_for_waits() -> list[str]:
-    """Return what waits for some of a node's subscriptions use and this rclpy lacks."""
-    return [f'{name}.{attribute}' for name, attributes in _WAITS.items()
-            for attribute in attributes if not hasattr(getattr(_C_API, name, None), attribute)]
 
 
 def endpoint_counts(node: Node, topics: Sequence[str]) -> list[tuple[int, int]]:
@@ -169,23 +162,60 @@ class _ErrorText(ctypes.Structure):
     _fields_ = (('text', 1024 * ctypes.c_char),)
 
 
+#: Functions of C: their libraries (None: what the process has linked), arguments and results.
+_FUNCTIONS: dict[str, tuple[str | None, tuple[Any, ...], Any]] = {
+    'eventfd_write': (None, (ctypes.c_int, ctypes.c_uint64), ctypes.c_int),
+    'rcl_publish_serialized_message': (
+        'librcl.so', (ctypes.c_void_p, ctypes.POINTER(_SerializedMessage), ctypes.c_void_p),
+        ctypes.c_int),
+    'rcl_subscription_set_on_new_message_callback': (
+        'librcl.so', (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p), ctypes.c_int),
+    'rcutils_get_error_string': ('librcutils.so', (), _ErrorText),
+    'rcutils_reset_error': ('librcutils.so', (), None)}
+_OF_ERRORS = ('rcutils_get_error_string', 'rcutils_reset_error')
+_TO_PUBLISH = ('rcl_publish_serialized_message', *_OF_ERRORS)
+_TO_WAIT = ('rcl_subscription_set_on_new_message_callback', 'eventfd_write', *_OF_ERRORS)
+
+
 @functools.cache
-def _rcl() -> Any:
-    """Return the library that rclpy has loaded, or None if it has another name here."""
+def _function(name: str) -> Any:
+    """Return a function of a library that rclpy has loaded, or None if it is not found there."""
+    library, arguments, result = _FUNCTIONS[name]
     try:
-        rcl = ctypes.CDLL('librcl.so', mode=os.RTLD_NOW | os.RTLD_NOLOAD)
-        rcutils = ctypes.CDLL('librcutils.so', mode=os.RTLD_NOW | os.RTLD_NOLOAD)
-        publish, text = rcl.rcl_publish_serialized_message, rcutils.rcutils_get_error_string
+        function = getattr(ctypes.CDLL(library, mode=os.RTLD_NOW | (
+            os.RTLD_NOLOAD if library else 0)), name)
     except (AttributeError, OSError):
         return None
-    publish.argtypes = (ctypes.c_void_p, ctypes.POINTER(_SerializedMessage), ctypes.c_void_p)
-    publish.restype, text.restype = ctypes.c_int, _ErrorText
-    return publish, text, rcutils.rcutils_reset_error
+    function.argtypes, function.restype = arguments, result
+    return function
+
+
+def _missing(names: Iterable[str]) -> list[str]:
+    return [f'{name} in {_FUNCTIONS[name][0] or "libc"}' for name in names
+            if _function(name) is None]
 
 
 def missing_for_publishing() -> list[str]:
     """Return what publishing without Python's global lock uses and cannot be found here."""
-    return [] if _rcl() is not None else ['rcl_publish_serialized_message in librcl.so']
+    return _missing(_TO_PUBLISH)
+
+
+def missing_for_waits() -> list[str]:
+    """Return what waits for some of a node's subscriptions use and cannot be found here."""
+    missing = [f'{name}.{attribute}' for name, attributes in _WAITS.items()
+               for attribute in attributes if not hasattr(getattr(_C_API, name, None), attribute)]
+    if not hasattr(os, 'eventfd') or ctypes.sizeof(ctypes.c_void_p) != ctypes.sizeof(
+            ctypes.c_uint64):
+        missing.append('eventfd for pointers of 64 bits')
+    return missing + _missing(_TO_WAIT)
+
+
+def _check(result: int, what: str) -> None:
+    """Raise the error of a function of rcl that did not succeed."""
+    if result:
+        text = _function('rcutils_get_error_string')().text.decode(errors='replace')
+        _function('rcutils_reset_error')()
+        raise RCLError(f'Failed to {what}: {text}')
 
 
 def publish_bytes(publisher: Publisher, content: bytes) -> None:
@@ -195,15 +225,30 @@ def publish_bytes(publisher: Publisher, content: bytes) -> None:
     :raises RCLError: if it cannot be published
     :raises InvalidHandle: if the publisher has been destroyed
     """
-    rcl = _rcl()
-    if rcl is None:
+    publish = _function('rcl_publish_serialized_message')
+    if publish is None:
         publisher.publish(content)
         return
-    publish, error_text, reset_error = rcl
     message = _SerializedMessage(content, len(content), len(content))
     handle = publisher.handle
     with handle:
-        if publish(handle.pointer, ctypes.byref(message), None):
-            text = error_text().text.decode(errors='replace')
-            reset_error()
-            raise RCLError(f'Failed to publish: {text}')
+        _check(publish(handle.pointer, ctypes.byref(message), None), 'publish')
+
+
+def count_messages(subscription: Any, descriptor: int | None) -> None:
+    """
+    Let a thread of the middleware add to an eventfd the number of messages that have come.
+
+    Those that wait already are added at once. No Python runs in that thread.
+
+    :param descriptor: of the eventfd, which must stay open; None: add no more
+    :raises RCLError: if the middleware cannot do so
+    :raises InvalidHandle: if the subscription has been destroyed
+    """
+    # The callback's arguments are those of eventfd_write: what is given here, and the number.
+    callback = None if descriptor is None else ctypes.cast(
+        _function('eventfd_write'), ctypes.c_void_p)
+    handle = subscription.handle
+    with handle:
+        _check(_function('rcl_subscription_set_on_new_message_callback')(
+            handle.pointer, callback, descriptor), 'wait for messages')

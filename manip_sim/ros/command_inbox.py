@@ -6,14 +6,18 @@ Take commands without rclpy's executor.
 
 An executor goes through all entities of a node, in Python, before and after each wait. Here one
 thread waits for nothing but commands: in lock-step the simulation's thread, which uses them next,
-else a separate thread, so that a flood takes no time from the physics. rclpy has no public
-way to wait for some subscriptions only; with a release of rclpy that lacks the internals used
-here, the executor takes the commands too, and a warning says so.
+else a separate thread, so that a flood takes no time from the physics. A thread of the middleware
+counts the messages of each subscription in an eventfd, for which the system waits, so that a wait
+costs the same however many topics there are. rclpy has no public way to do so; with a release of
+rclpy or a middleware that lacks the internals used here, the executor takes the commands too, and
+a warning says so.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import threading
 import time
 from typing import Any
@@ -23,7 +27,8 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
 from manip_sim.quoting import one_line
-from manip_sim.rclpy_internals import InUse, missing_for_waits, RCLError, WaitSet
+from manip_sim.rclpy_internals import (
+    count_messages, InUse, missing_for_waits, RCLError, WaitSet, without_source)
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.runtime.inbox import Inbox
 
@@ -36,10 +41,18 @@ _TAKEN_AT_ONCE = 10
 
 
 class _NotByExecutors(CallbackGroup):
-    """A group of entities that executors do not serve."""
+    """
+    A group of entities that executors do not serve.
+
+    :ivar exempt: entities that they serve all the same
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.exempt: list[Any] = []
 
     def can_execute(self, entity: Any) -> bool:
-        return False
+        return entity in self.exempt
 
     def beginning_execution(self, entity: Any) -> bool:
         return True
@@ -63,31 +76,60 @@ class CommandInbox(Inbox):
         self._node = node
         self._log = log
         self.group = _NotByExecutors()
-        self._guard = node.create_guard_condition(lambda: None, self.group)
-        self._subscriptions: dict[Any, Any] = {}  # By their handles.
+        self._poll = select.epoll()
+        self._wakes = self._counter()
+        self._subscriptions: dict[int, Any] = {}  # By their counters.
+        #: Held while counters come and go; a signal handler may wake this too.
+        self._lock = threading.RLock()
+        self._closed = False
         self._look_at_s = 0.0
 
+    def _counter(self) -> int:
+        """Return an eventfd that ends waits while it is not zero."""
+        counter = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._poll.register(counter, select.EPOLLIN)
+        return counter
+
     def add(self, subscription: Any) -> None:
-        """Take the messages of a subscription of the group; any thread may call this."""
-        self._subscriptions = {**self._subscriptions, subscription.handle: subscription}
-        self.wake()
+        """
+        Take the messages of a subscription of the group; any thread may call this.
+
+        If the middleware cannot count them, executors take them, and a warning says so.
+        """
+        with self._lock:
+            counter = self._counter()
+            self._subscriptions[counter] = subscription
+            try:
+                count_messages(subscription, counter)
+            except RCLError as error:
+                self.remove(subscription)
+                if not self.group.exempt:
+                    _warn(self._node, without_source(error))
+                self.group.exempt.append(subscription)
 
     def remove(self, subscription: Any) -> None:
         """Take the messages of a subscription no more; to be called before it is destroyed."""
-        self._subscriptions = {handle: other for handle, other in self._subscriptions.items()
-                               if other is not subscription}
-        self.wake()
+        with self._lock:
+            if subscription in self.group.exempt:
+                self.group.exempt.remove(subscription)
+            for counter in [counter for counter, other in self._subscriptions.items()
+                            if other is subscription]:
+                del self._subscriptions[counter]
+                with contextlib.suppress(InvalidHandle, RCLError):  # Nothing is counted.
+                    count_messages(subscription, None)
+                os.close(counter)  # Nothing waits for it then.
 
     def wake(self) -> None:
-        with contextlib.suppress(InvalidHandle):  # The node is being destroyed.
-            self._guard.trigger()
+        with self._lock:
+            if not self._closed:
+                os.eventfd_write(self._wakes, 1)
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until a message comes or somebody wakes this, and take the waiting messages."""
-        try:
-            self._receive(timeout_s)
-        except (InvalidHandle, RCLError):  # Something is being closed in another thread.
+        """Wait until a message comes or somebody wakes this, and take one of each topic."""
+        if self._closed:
             super().wait(min(timeout_s, _CLOSING_S))
+        else:
+            self._receive(timeout_s)
 
     def take(self, most: int = 1) -> None:
         """
@@ -95,40 +137,35 @@ class CommandInbox(Inbox):
 
         :param most: of each topic; a flood must not hold up the physics
         """
-        with contextlib.suppress(InvalidHandle, RCLError):
-            for _ in range(most):
-                # A wait with a timeout of zero takes longer than one that is woken. If this
-                # swallows a wake-up by another thread, its cause is checked before the next wait.
-                self._guard.trigger()
-                if not self._receive(0.0):
-                    break
+        for _ in range(most):
+            # If this swallows a wake-up by another thread, its cause is checked before the next
+            # wait.
+            if self._closed or not self._receive(0.0):
+                break
 
     def close(self) -> None:
-        """Destroy what wakes this; not needed before the node is destroyed."""
-        self._node.destroy_guard_condition(self._guard)
+        """Take no messages any more; to be called when no thread does, before the node's end."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            for subscription in list(self._subscriptions.values()):
+                self.remove(subscription)
+            self._poll.close()
+            os.close(self._wakes)
 
     def _receive(self, timeout_s: float) -> bool:
         """Wait for messages and take one of each topic that has some; return whether one has."""
-        subscriptions = self._subscriptions
         now_s = time.monotonic()
         if now_s >= self._look_at_s:
             self._look_at_s = now_s + _EVENTS_S
-            self._see_events([event for subscription in subscriptions.values()
-                              for event in subscription.event_handlers])
-        context, guard = self._node.context.handle, self._guard.handle
-        with InUse((context, guard, *subscriptions)):
-            wait_set = WaitSet(len(subscriptions), 1, 0, 0, 0, 0, context)
-            wait_set.clear_entities()
-            wait_set.add_guard_condition(guard)
-            for handle in subscriptions:
-                wait_set.add_subscription(handle)
-            wait_set.wait(max(0, int(min(timeout_s, _EVENTS_S) * 1e9)))
-            ready = wait_set.get_ready_entities('subscription')
-            if ready:
-                for handle, subscription in subscriptions.items():
-                    if handle.pointer in ready:
-                        self._take(subscription)
-        return bool(ready)
+            with contextlib.suppress(InvalidHandle, RCLError):  # Something is being closed.
+                self._see_events([event for subscription in list(self._subscriptions.values())
+                                  for event in subscription.event_handlers])
+        ready = [counter for counter, _ in self._poll.poll(max(0.0, min(timeout_s, _EVENTS_S)))]
+        for counter in ready:
+            self._take(counter)
+        return any(counter != self._wakes for counter in ready)
 
     def _see_events(self, events: list[Any]) -> None:
         """Call the callbacks of events that have come, such as a publisher that does not match."""
@@ -150,15 +187,34 @@ class CommandInbox(Inbox):
         except Exception as error:
             self._log.failure('callbacks', f'an event of kind {event.event_type}', error)
 
-    def _take(self, subscription: Any) -> None:
+    def _take(self, counter: int) -> None:
+        """Take a message, if a counter counts those of a subscription."""
+        with self._lock:
+            subscription = self._subscriptions.get(counter)
+            if subscription is None and counter != self._wakes:
+                return  # It has been removed meanwhile.
+            try:
+                count = os.eventfd_read(counter)
+            except BlockingIOError:  # That of another one that came instead.
+                return
+        if subscription is None:
+            return
         try:
             taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-            if taken is None:
-                self._log.unreadable(subscription.topic_name)
-            else:
+            # If there is none, those that were counted have been replaced by later ones.
+            if taken is not None:
+                if count > 1:
+                    self._count_again(counter, count - 1)
                 subscription.callback(*taken)
+        except InvalidHandle:  # It is being closed in another thread.
+            pass
         except Exception as error:
             self._log.failure('callbacks', subscription.topic_name, error)
+
+    def _count_again(self, counter: int, count: int) -> None:
+        with self._lock:
+            if counter in self._subscriptions:
+                os.eventfd_write(counter, count)
 
 
 class CommandThread:
@@ -231,7 +287,11 @@ def create_command_inbox(node: Node, log: RejectionLog) -> CommandInbox | None:
             missing = [one_line(str(error))]
         else:
             return inbox
-    node.get_logger().warning(
-        f'this rclpy cannot wait for commands alone ({", ".join(missing)}): its executor takes '
-        'them, which is slower, and slows down all else in a flood')
+    _warn(node, ', '.join(missing))
     return None
+
+
+def _warn(node: Node, why: str) -> None:
+    node.get_logger().warning(
+        f'this rclpy cannot wait for commands alone ({why}): its executor takes them, which is '
+        'slower, and slows down all else in a flood')

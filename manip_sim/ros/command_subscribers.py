@@ -32,6 +32,7 @@ from manip_sim.quoting import pluralize, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.feature import Feature, NodeContext, qos_options
+from manip_sim.ros.message_reader import MessageReader
 from manip_sim.ros.messages import (
     message_class, nanoseconds_of, numbers_of, read_command, trajectory_fields)
 from manip_sim.ros.rejection_log import kind_of
@@ -98,10 +99,12 @@ class CommandSubscription:
                 self._context.node.destroy_subscription(subscription)
 
     def _take_once(self, data: bytes, info: dict[str, Any]) -> None:
-        which = info['source_timestamp'], info['publication_sequence_number']
-        if which not in self._taken:
+        if self._best_effort is not None:  # Until then, a message comes once.
+            which = info['source_timestamp'], info['publication_sequence_number']
+            if which in self._taken:
+                return
             self._taken.append(which)
-            self._take(data)
+        self._take(data)
 
 
 @dataclass
@@ -177,10 +180,14 @@ class CommandSubscribers:
         topic, message_type = self.scope.topic(row.name), message_class(row.type)
         part, robot = row.of or row.name, self.robot.name
         entry = self._entry_of.get(part, part)
+        inbox, read = self._context.inbox, MessageReader(message_type).read
+        if message_type is JointTrajectory:
+            # Reading it may take long and would delay other commands and the physics.
+            inbox, read = None, partial(read_command, message_type)
 
         def take(data: bytes) -> None:
             try:
-                message = read_command(message_type, data)
+                message = read(data)
                 commands = parse(message)
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)
@@ -201,8 +208,6 @@ class CommandSubscribers:
             if commands:
                 self.count(topic, part, commands)
 
-        # Reading a trajectory may take long and would delay other commands and the physics.
-        inbox = None if message_type is JointTrajectory else self._context.inbox
         self._subscriptions.append(
             CommandSubscription(self._context, message_type, topic, take, inbox))
 
@@ -382,10 +387,11 @@ class SurroundingsCommands(Feature):
     def _subscribe(self, row: Topic) -> CommandSubscription:
         message_type, use = messages.message_class(row.type), partial(self._take[row.by], row.of)
         counts = self.statistics[_counted_as(row)] = CommandStatistics()
+        read = MessageReader(message_type).read
 
         def take(data: bytes) -> None:
             try:
-                use(read_command(message_type, data))
+                use(read(data))
                 counts.accepted, counts.last_s = counts.accepted + 1, time.monotonic()
             except (CommandError, UnknownNameError) as error:
                 counts.rejected += 1

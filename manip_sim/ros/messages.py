@@ -213,7 +213,7 @@ def _check_counts(data: bytes) -> None:
         value: int = number.unpack_from(data, offset)[0]
         return value, offset + 4
     # The header begins with a stamp of 8 bytes; then a frame, the names of joints and the points.
-    length, offset = read(_ENCODING_SIZE + 8)
+    length, offset = read(ENCODING_SIZE + 8)
     count, offset = read(offset + length)
     if count > _MAX_JOINTS:
         raise CommandError(f'a trajectory may have at most {_MAX_JOINTS} joints, got {count}')
@@ -226,9 +226,9 @@ def _check_counts(data: bytes) -> None:
 
 
 #: Bytes that name the encoding, and bytes of the length of a sequence or text.
-_ENCODING_SIZE = _LENGTH_SIZE = 4
+ENCODING_SIZE = LENGTH_SIZE = 4
 #: Of the types of fields [bytes].
-_SIZES = {'boolean': 1, 'octet': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2, 'int32': 4,
+SIZES = {'boolean': 1, 'octet': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2, 'int32': 4,
           'uint32': 4, 'float': 4, 'int64': 8, 'uint64': 8, 'double': 8}
 
 #: Returns the message for a stamp and for numbers, shape (count,).
@@ -271,7 +271,7 @@ class SerializedMessage:
         made = self._make(stamp_of(time_ns), numbers)
         assert self._patched is not None
         # rclpy appends what happens to be in memory, up to the size that it has estimated.
-        self._patched.cut(_ENCODING_SIZE + _end('', made, 0))
+        self._patched.cut(ENCODING_SIZE + _end('', made, 0))
         try:
             return bool(made == deserialize_message(self.at(time_ns, numbers), type(made)))
         except RuntimeError:  # rclpy cannot read the bytes as such a message.
@@ -298,22 +298,22 @@ def _end(kind: str, value: Any, begin: int) -> int:
     """
     inner, is_sequence, _ = kind.partition('sequence<')[2].partition('>')
     if kind.endswith(']') or is_sequence:
-        place = _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE if is_sequence else begin
+        place = aligned(begin, LENGTH_SIZE) + LENGTH_SIZE if is_sequence else begin
         item_kind = inner.partition(',')[0] or kind.partition('[')[0]
-        if item_kind in _SIZES and len(value):
-            return _aligned(place, _SIZES[item_kind]) + _SIZES[item_kind] * len(value)
+        if item_kind in SIZES and len(value):
+            return aligned(place, SIZES[item_kind]) + SIZES[item_kind] * len(value)
         for item in value:
             place = _end(item_kind, item, place)
         return place
     if kind.startswith('string'):
-        return _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE + len(value.encode()) + 1
-    if kind in _SIZES:
-        return _aligned(begin, _SIZES[kind]) + _SIZES[kind]
+        return aligned(begin, LENGTH_SIZE) + LENGTH_SIZE + len(value.encode()) + 1
+    if kind in SIZES:
+        return aligned(begin, SIZES[kind]) + SIZES[kind]
     place = begin
     for name, field in value.get_fields_and_field_types().items():
         place = _end(field, getattr(value, name), place)
     return place
 
 
-def _aligned(place: int, size: int) -> int:
+def aligned(place: int, size: int) -> int:
     return -(-place // size) * size

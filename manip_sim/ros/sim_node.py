@@ -147,6 +147,8 @@ class SimNode(Node):
         self._check_lockstep(robots)
         thread.pause_at(value('pause_at'))
         # The last that is added here is the first to end.
+        if inbox is not None:
+            self._ends.callback(inbox.close)
         if publishing is not None:
             self._ends.callback(publishing.stop)
         self._ends.callback(self._close_features)

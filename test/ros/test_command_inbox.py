@@ -4,6 +4,7 @@
 """Commands are taken by the simulation's thread or their own, where rclpy has what that uses."""
 
 from concurrent.futures import ThreadPoolExecutor
+import os
 import threading
 import time
 from types import SimpleNamespace as Plain
@@ -12,13 +13,14 @@ import pytest
 import rclpy
 from rclpy.duration import Duration
 from rclpy.logging import LoggingSeverity
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from manip_sim import rclpy_internals
 from manip_sim.ros import command_inbox
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
-from manip_sim.ros.command_subscribers import CommandSubscription
+from manip_sim.ros.command_subscribers import COMMAND_DEPTH, CommandSubscription
 from manip_sim.ros.rejection_log import RejectionLog
 
 COMMAND = JointState(name=['robot0_joint1'], position=[0.1])
@@ -31,7 +33,8 @@ def inbox(node):
     inbox = create_command_inbox(node, log)
     CommandSubscription(
         Plain(node=node, is_built=False), JointState, 'command', taken.append, inbox)
-    return inbox, log, taken
+    yield inbox, log, taken
+    inbox.close()
 
 
 def took_s(function):
@@ -52,29 +55,118 @@ def lacking(monkeypatch, what):
     if what == 'another signature':
         monkeypatch.setattr(command_inbox, 'WaitSet', Another)
         return '__init__'
+    if what == 'no function':
+        function = rclpy_internals._function
+        monkeypatch.setattr(rclpy_internals, '_function', lambda name: (
+            None if 'on_new_message' in name else function(name)))
+        return '(no rcl_subscription_set_on_new_message_callback in librcl.so)'
     api = dict(vars(rclpy_internals._C_API))
     if what == 'no class':
         del api['WaitSet']
     else:
         api['Subscription'] = type('Subscription', (rclpy_internals._C_API.Destroyable,), {})
     monkeypatch.setattr(rclpy_internals, '_C_API', Plain(**api))
-    return {'no class': 'no WaitSet.add_guard_condition', 'no method': 'no Subscription.pointer, '
+    return {'no class': 'no WaitSet.clear_entities', 'no method': 'no Subscription.pointer, '
             'no Subscription.take_message)'}[what]
 
 
-@pytest.mark.parametrize('what', ['another signature', 'no class', 'no method'])
+@pytest.mark.parametrize('what', ['another signature', 'no class', 'no function', 'no method'])
 def test_an_rclpy_that_lacks_what_is_used_leaves_commands_to_the_executor_and_a_warning_says_so(
         what, node, monkeypatch):
     said = lacking(monkeypatch, what)
     lines = []
-    told = Plain(**{name: getattr(node, name) for name in (
-        'create_guard_condition', 'destroy_guard_condition', 'context')},
-        get_logger=lambda: Plain(warning=lines.append))
-    guards = len(list(node.guards))
+    told = Plain(context=node.context, get_logger=lambda: Plain(warning=lines.append))
+    files = os.listdir('/proc/self/fd')
     assert create_command_inbox(told, RejectionLog(node.get_logger())) is None
     (line,) = lines
     assert line.startswith('this rclpy cannot wait for commands alone (') and said in line
-    assert len(list(node.guards)) == guards
+    assert len(os.listdir('/proc/self/fd')) == len(files)
+
+
+def test_a_middleware_that_cannot_count_messages_leaves_them_to_the_executor_and_says_so_once(
+        node, client, monkeypatch):
+    def fail(subscription, descriptor):
+        raise rclpy_internals.RCLError('Failed to wait for messages: not supported')
+    monkeypatch.setattr(command_inbox, 'count_messages', fail)
+    lines, taken = [], []
+    monkeypatch.setattr(node, 'get_logger', lambda: Plain(warning=lines.append))
+    inbox = create_command_inbox(node, RejectionLog(node.get_logger()))
+    for topic in ('command', 'other'):
+        CommandSubscription(
+            Plain(node=node, is_built=False), JointState, topic, taken.append, inbox)
+    (line,) = lines
+    assert 'cannot wait for commands alone (Failed to wait for messages: not supported)' in line
+    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    client.publish('command', COMMAND)
+    client.spin_until(lambda: executor.spin_once(timeout_sec=0.02) or taken)
+    executor.shutdown()
+    inbox.close()
+
+
+def test_messages_that_later_ones_have_replaced_are_not_waited_for(inbox, client):
+    inbox, _, taken = inbox
+    publisher = client.publisher(JointState, 'command')
+    for _ in range(3 * COMMAND_DEPTH):
+        publisher.publish(COMMAND)
+    assert publisher.wait_for_all_acked(Duration(seconds=60.0))
+    inbox.take(3 * COMMAND_DEPTH)
+    assert len(taken) == COMMAND_DEPTH
+    inbox.wait(0.2)
+    assert len(taken) == COMMAND_DEPTH
+    publisher.publish(COMMAND)
+    client.spin_until(lambda: inbox.wait(0.02) or len(taken) == COMMAND_DEPTH + 1)
+
+
+def test_a_message_that_is_larger_than_the_buffer_is_taken_whole(inbox, client):
+    inbox, _, taken = inbox
+    for count in (1, 1000, 100_000, 1):
+        message = JointState(position=[0.5] * count)
+        client.publish('command', message)
+        client.spin_until(lambda: inbox.wait(0.02) or taken)
+        assert deserialize_message(taken.pop(), JointState) == message
+
+
+def test_after_its_end_an_inbox_takes_nothing_and_files_are_closed(node, client):
+    files, taken = len(os.listdir('/proc/self/fd')), []
+    inbox = create_command_inbox(node, RejectionLog(node.get_logger()))
+    subscription = CommandSubscription(
+        Plain(node=node, is_built=False), JointState, 'command', taken.append, inbox)
+    publisher = client.publisher(JointState, 'command')
+    inbox.close()
+    for _ in range(2):
+        publisher.publish(COMMAND)
+        assert publisher.wait_for_all_acked(Duration(seconds=60.0))
+        inbox.wake()
+        inbox.take()
+        inbox.wait(0.01)
+    subscription.close()
+    inbox.close()
+    assert not taken
+    assert len(os.listdir('/proc/self/fd')) == files
+
+
+def test_subscriptions_come_and_go_while_another_thread_waits(node, inbox, client):
+    inbox, log, _ = inbox
+    files, ended = len(os.listdir('/proc/self/fd')), threading.Event()
+
+    def run():
+        while not ended.is_set():
+            inbox.wait(0.2)
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        publisher = client.node.create_publisher(JointState, 'other', 10)
+        for _ in range(20):
+            subscription = CommandSubscription(
+                Plain(node=node, is_built=False), JointState, 'other', (taken := []).append, inbox)
+            client.spin_until(lambda: publisher.publish(COMMAND) or taken)
+            subscription.close()
+    finally:
+        ended.set()
+        thread.join()
+    assert log.failed == {'callbacks': 0, 'publications': 0, 'takes': 0}
+    assert len(os.listdir('/proc/self/fd')) == files
 
 
 def test_a_wake_ends_the_wait_that_is_or_the_next_one(inbox):
