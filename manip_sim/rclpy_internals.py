@@ -31,7 +31,7 @@ from manip_sim.quoting import one_line, quoted_names
 from manip_sim.ros_environment import SHARE_MEMORY
 
 __all__ = ['count_messages', 'describe_unheard', 'endpoint_counts', 'forget_parameters', 'InUse',
-           'is_unheard', 'missing_for_publishing', 'missing_for_waits',
+           'is_unheard', 'MatchCounter', 'missing_for_publishing', 'missing_for_waits',
            'parameter_overrides', 'publish_bytes', 'RCLError', 'start_rclpy',
            'UnknownROSArgsError', 'WaitSet', 'without_source']
 
@@ -41,9 +41,10 @@ UnknownROSArgsError = _C_API.UnknownROSArgsError
 WaitSet: Any = getattr(_C_API, 'WaitSet', None)
 #: Methods that waits for some of a node's subscriptions use, by class of the C API.
 _WAITS = {'Context': ('__enter__', '__exit__'),
-          'EventHandle': ('__enter__', '__exit__'),
+          'EventHandle': ('__enter__', '__exit__', 'destroy_when_not_in_use', 'pointer'),
           'Subscription': ('__enter__', '__exit__', 'pointer', 'take_message'),
-          'WaitSet': ('clear_entities', 'wait')}
+          'WaitSet': ('clear_entities', 'wait'),
+          'rcl_publisher_event_type_t': ('RCL_PUBLISHER_MATCHED',)}
 #: Name that rmw gives to a node until the message comes in which that tells its name.
 _UNNAMED = '_NODE_NAME_UNKNOWN_'
 _OF_EVERY_NODE = ('/parameter_events', '/rosout')
@@ -165,6 +166,8 @@ class _ErrorText(ctypes.Structure):
 #: Functions of C: their libraries (None: what the process has linked), arguments and results.
 _FUNCTIONS: dict[str, tuple[str | None, tuple[Any, ...], Any]] = {
     'eventfd_write': (None, (ctypes.c_int, ctypes.c_uint64), ctypes.c_int),
+    'rcl_event_set_callback': (
+        'librcl.so', (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p), ctypes.c_int),
     'rcl_publish_serialized_message': (
         'librcl.so', (ctypes.c_void_p, ctypes.POINTER(_SerializedMessage), ctypes.c_void_p),
         ctypes.c_int),
@@ -174,7 +177,8 @@ _FUNCTIONS: dict[str, tuple[str | None, tuple[Any, ...], Any]] = {
     'rcutils_reset_error': ('librcutils.so', (), None)}
 _OF_ERRORS = ('rcutils_get_error_string', 'rcutils_reset_error')
 _TO_PUBLISH = ('rcl_publish_serialized_message', *_OF_ERRORS)
-_TO_WAIT = ('rcl_subscription_set_on_new_message_callback', 'eventfd_write', *_OF_ERRORS)
+_TO_WAIT = ('rcl_subscription_set_on_new_message_callback', 'rcl_event_set_callback',
+            'eventfd_write', *_OF_ERRORS)
 
 
 @functools.cache
@@ -235,20 +239,56 @@ def publish_bytes(publisher: Publisher, content: bytes) -> None:
         _check(publish(handle.pointer, ctypes.byref(message), None), 'publish')
 
 
+def _count(function: str, handle: Any, descriptor: int | None) -> None:
+    """
+    Let a thread of the middleware add to an eventfd what comes; no Python runs in that thread.
+
+    :param function: of rcl, which sets what is called
+    :param handle: of a subscription or an event
+    :param descriptor: of the eventfd, which must stay open; None: add no more
+    :raises RCLError: if the middleware cannot do so
+    :raises InvalidHandle: if the handle has been destroyed
+    """
+    # The callback's arguments are those of eventfd_write: what is given here, and the number.
+    callback = None if descriptor is None else ctypes.cast(
+        _function('eventfd_write'), ctypes.c_void_p)
+    with handle:
+        _check(_function(function)(handle.pointer, callback, descriptor), 'set a callback')
+
+
 def count_messages(subscription: Any, descriptor: int | None) -> None:
     """
-    Let a thread of the middleware add to an eventfd the number of messages that have come.
-
-    Those that wait already are added at once. No Python runs in that thread.
+    Add the number of messages that come, and of those that wait already, to an eventfd.
 
     :param descriptor: of the eventfd, which must stay open; None: add no more
     :raises RCLError: if the middleware cannot do so
     :raises InvalidHandle: if the subscription has been destroyed
     """
-    # The callback's arguments are those of eventfd_write: what is given here, and the number.
-    callback = None if descriptor is None else ctypes.cast(
-        _function('eventfd_write'), ctypes.c_void_p)
-    handle = subscription.handle
-    with handle:
-        _check(_function('rcl_subscription_set_on_new_message_callback')(
-            handle.pointer, callback, descriptor), 'wait for messages')
+    _count('rcl_subscription_set_on_new_message_callback', subscription.handle, descriptor)
+
+
+class MatchCounter:
+    """
+    Adds to an eventfd whenever a subscription of a publisher comes or goes.
+
+    rclpy's own event would make each round of the executor longer.
+
+    :param descriptor: of the eventfd, which must stay open until :meth:`close`
+    :raises RCLError: if the middleware cannot do so
+    """
+
+    def __init__(self, publisher: Publisher, descriptor: int) -> None:
+        handle = publisher.handle
+        with handle:
+            self._event = _C_API.EventHandle(
+                handle, _C_API.rcl_publisher_event_type_t.RCL_PUBLISHER_MATCHED)
+        try:
+            _count('rcl_event_set_callback', self._event, descriptor)
+        except RCLError:
+            self._event.destroy_when_not_in_use()
+            raise
+
+    def close(self) -> None:
+        """Add no more, and let go of the publisher, which could not be destroyed before."""
+        _count('rcl_event_set_callback', self._event, None)
+        self._event.destroy_when_not_in_use()

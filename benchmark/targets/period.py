@@ -77,8 +77,8 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
     node = rclpy.create_node('period')
     stack.callback(node.destroy_node)
     context: Any = SimpleNamespace(
-        node=node, log=RejectionLog(node.get_logger()), publishing=None, frame_prefix='',
-        joint_names=JointNames(),
+        node=node, log=RejectionLog(node.get_logger()), inbox=None, publishing=None,
+        frame_prefix='', joint_names=JointNames(),
         is_built=False, robots={Scope(): simulation.robot}, table=[],
         thread=SimpleNamespace(observe=lambda *_: None))
     publishers = robot_states(context)

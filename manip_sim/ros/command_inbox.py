@@ -25,10 +25,11 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import (
-    count_messages, InUse, missing_for_waits, RCLError, WaitSet, without_source)
+    count_messages, InUse, MatchCounter, missing_for_waits, RCLError, WaitSet, without_source)
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.runtime.inbox import Inbox
 
@@ -68,7 +69,11 @@ class CommandInbox(Inbox):
     It handles their events too, a few times a second: in Fast DDS a subscription and its events
     share a wake-up, so a thread may miss its own while another thread waits for the other.
 
+    It also notes whether subscriptions of the node's publishers come or go.
+
     :ivar group: of the subscriptions
+    :ivar matches: another number whenever a subscription of a watched publisher has come or gone;
+        None if the middleware does not tell
     """
 
     def __init__(self, node: Node, log: RejectionLog) -> None:
@@ -79,6 +84,9 @@ class CommandInbox(Inbox):
         self._poll = select.epoll()
         self._wakes = self._counter()
         self._subscriptions: dict[int, Any] = {}  # By their counters.
+        self.matches: int | None = 0
+        self._of_matches = self._counter()
+        self._watched: dict[Publisher, MatchCounter] = {}
         #: Held while counters come and go; a signal handler may wake this too.
         self._lock = threading.RLock()
         self._closed = False
@@ -101,6 +109,8 @@ class CommandInbox(Inbox):
             self._subscriptions[counter] = subscription
             try:
                 count_messages(subscription, counter)
+                # One that came while this began may not be among those that are counted.
+                os.eventfd_write(counter, 1)
             except RCLError as error:
                 self.remove(subscription)
                 if not self.group.exempt:
@@ -118,6 +128,24 @@ class CommandInbox(Inbox):
                 with contextlib.suppress(InvalidHandle, RCLError):  # Nothing is counted.
                     count_messages(subscription, None)
                 os.close(counter)  # Nothing waits for it then.
+
+    def watch(self, publisher: Publisher) -> None:
+        """Note from now on whether subscriptions of a publisher come or go, in ``matches``."""
+        with self._lock:
+            if self.matches is None:
+                return
+            try:
+                self._watched[publisher] = MatchCounter(publisher, self._of_matches)
+                self.matches += 1
+            except RCLError:
+                self.matches = None
+
+    def forget(self, publisher: Publisher) -> None:
+        """Let go of a publisher; to be called before it is destroyed."""
+        with self._lock:
+            counter = self._watched.pop(publisher, None)
+            if counter is not None:
+                counter.close()
 
     def wake(self) -> None:
         with self._lock:
@@ -151,8 +179,12 @@ class CommandInbox(Inbox):
             self._closed = True
             for subscription in list(self._subscriptions.values()):
                 self.remove(subscription)
+            for publisher in list(self._watched):
+                self.forget(publisher)
+            self.matches = None
             self._poll.close()
             os.close(self._wakes)
+            os.close(self._of_matches)
 
     def _receive(self, timeout_s: float) -> bool:
         """Wait for messages and take one of each topic that has some; return whether one has."""
@@ -165,7 +197,7 @@ class CommandInbox(Inbox):
         ready = [counter for counter, _ in self._poll.poll(max(0.0, min(timeout_s, _EVENTS_S)))]
         for counter in ready:
             self._take(counter)
-        return any(counter != self._wakes for counter in ready)
+        return any(counter in self._subscriptions for counter in ready)
 
     def _see_events(self, events: list[Any]) -> None:
         """Call the callbacks of events that have come, such as a publisher that does not match."""
@@ -191,12 +223,14 @@ class CommandInbox(Inbox):
         """Take a message, if a counter counts those of a subscription."""
         with self._lock:
             subscription = self._subscriptions.get(counter)
-            if subscription is None and counter != self._wakes:
+            if subscription is None and counter not in (self._wakes, self._of_matches):
                 return  # It has been removed meanwhile.
             try:
                 count = os.eventfd_read(counter)
             except BlockingIOError:  # That of another one that came instead.
                 return
+            if counter == self._of_matches and self.matches is not None:
+                self.matches += count
         if subscription is None:
             return
         try:

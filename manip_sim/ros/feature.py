@@ -199,11 +199,15 @@ class Output:
     gone, further messages are dropped and counted without waiting.
 
     :param thread: publishes the messages; None: :meth:`publish` does so itself
+    :param inbox: is told of the publisher, and notes whether subscriptions come or go
     """
 
     def __init__(self, publisher: Publisher, log: RejectionLog,
-                 thread: PublishingThread | None = None) -> None:
-        self._publisher = publisher
+                 thread: PublishingThread | None = None, inbox: CommandInbox | None = None
+                 ) -> None:
+        self._publisher, self._inbox = publisher, inbox
+        if inbox is not None:
+            inbox.watch(publisher)
         self._thread = thread
         self._log = log
         self._stalled = False
@@ -239,6 +243,8 @@ class Output:
     def close(self, node: Node) -> None:
         """Destroy the publisher; no messages are wanted from now on."""
         self._closed = True
+        if self._inbox is not None:
+            self._inbox.forget(self._publisher)
         node.destroy_publisher(self._publisher)
 
     def publish(self, message: Any) -> None:
@@ -291,4 +297,5 @@ def create_output(context: NodeContext, row: Topic, message_type: Any = None) ->
 
     :param message_type: instead of that of the row
     """
-    return Output(create_publisher(context, row, message_type), context.log, context.publishing)
+    return Output(create_publisher(context, row, message_type), context.log, context.publishing,
+                  context.inbox)

@@ -21,6 +21,7 @@ from manip_sim import rclpy_internals
 from manip_sim.ros import command_inbox
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import COMMAND_DEPTH, CommandSubscription
+from manip_sim.ros.feature import Output
 from manip_sim.ros.rejection_log import RejectionLog
 
 COMMAND = JointState(name=['robot0_joint1'], position=[0.1])
@@ -226,6 +227,59 @@ def test_after_the_end_of_the_context_waits_are_short_and_nothing_is_raised(node
     inbox.wake()
     inbox.take()
     assert took_s(lambda: inbox.wait(600.0)) < 300.0
+
+
+def test_subscriptions_of_watched_publishers_that_come_or_go_are_noted(node, inbox, client):
+    inbox = inbox[0]
+    publishers = [node.create_publisher(JointState, topic, 10) for topic in ('one', 'two')]
+    for publisher in publishers:
+        inbox.watch(publisher)
+    for publisher, topic in zip(publishers, ('one', 'two')):
+        for count in (1, 0):
+            before = inbox.matches
+            inbox.wait(0.05)
+            assert inbox.matches == before
+            if count:
+                subscription = client.node.create_subscription(JointState, topic, id, 10)
+            else:
+                client.node.destroy_subscription(subscription)
+            client.spin_until(lambda: inbox.wait(0.02) or inbox.matches != before)
+            # What has been noted is counted too.
+            assert publisher.get_subscription_count() == count
+        inbox.forget(publisher)
+        inbox.forget(publisher)
+    inbox.close()
+    inbox.watch(publishers[0])
+    assert inbox.matches is None
+
+
+def test_a_middleware_that_tells_of_no_subscriptions_is_asked_for_them(node, inbox, monkeypatch):
+    def fail(publisher, descriptor):
+        raise rclpy_internals.RCLError('not supported')
+    monkeypatch.setattr(command_inbox, 'MatchCounter', fail)
+    inbox = inbox[0]
+    inbox.watch(node.create_publisher(JointState, 'one', 10))
+    assert inbox.matches is None
+
+
+def test_in_lockstep_publishers_are_asked_for_subscriptions_when_some_come_or_go(
+        serve, client, monkeypatch):
+    node = serve(stepping='lockstep', lockstep_parts=['right'])
+    states = client.listen(JointState, 'right/joint_states')
+    client.spin_until(lambda: bool(states))
+    asked, has_subscribers = [], Output.subscribers.fget
+    monkeypatch.setattr(Output, 'subscribers', property(
+        lambda self: asked.append(self._publisher.topic_name) or has_subscribers(self)))
+
+    def round_trip():
+        before = node.simulation.time_ns
+        client.publish('right/joint_command', JointState(name=['robot0_joint1'], position=[0.1]))
+        client.spin_until(lambda: node.simulation.time_ns > before)
+    round_trip()
+    client.spin_until(lambda: not asked.clear() and not round_trip() and not [
+        topic for topic in asked if 'joint_states' in topic])
+    others = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: bool(others))
 
 
 @pytest.mark.full

@@ -95,8 +95,8 @@ def test_a_force_of_no_direction_has_no_arrow_and_leaves_those_of_others(client,
                         lambda *_: SimpleNamespace(position=positions, force=forces))
     node = client.node
     publisher = MarkerPublisher(SimpleNamespace(
-        node=node, log=RejectionLog(node.get_logger()), publishing=None, frame_prefix='',
-        is_built=False), {})
+        node=node, log=RejectionLog(node.get_logger()), inbox=None, publishing=None,
+        frame_prefix='', is_built=False), {})
     received = client.listen(MarkerArray, 'client/markers')
     client.spin_until(publisher.look)
     publisher.publish(SimpleNamespace(time_ns=0, model=None, data=None))
