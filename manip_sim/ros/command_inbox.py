@@ -234,7 +234,9 @@ class CommandInbox(Inbox):
         if subscription is None:
             return
         try:
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            handle = subscription.handle
+            with handle:  # Or another thread may destroy it meanwhile.
+                taken = handle.take_message(subscription.msg_type, subscription.raw)
             # If there is none, those that were counted have been replaced by later ones.
             if taken is not None:
                 if count > 1:
