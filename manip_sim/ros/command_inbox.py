@@ -145,7 +145,8 @@ class CommandInbox(Inbox):
         with self._lock:
             counter = self._watched.pop(publisher, None)
             if counter is not None:
-                counter.close()
+                with contextlib.suppress(InvalidHandle):  # Nothing is counted.
+                    counter.close()
 
     def wake(self) -> None:
         with self._lock:
