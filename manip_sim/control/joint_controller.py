@@ -26,9 +26,9 @@ from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointImpedance, JointSetpoint, JointTrajectory, Status,
     TrajectoryReference, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
-from manip_sim.control.modes import Arrival, ControlMode, MODES, POSITION, VELOCITY
+from manip_sim.control.modes import Arrival, ControlMode, EFFORT, MODES, POSITION, VELOCITY
 from manip_sim.control.law.arm_records import no_targets, Targets
-from manip_sim.control.law.joint_records import MOVES, RobotJoints
+from manip_sim.control.law.joint_records import DUE, MOVES, RobotJoints
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.control.payloads import Payloads
@@ -42,8 +42,8 @@ from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics
 
 C = TypeVar('C', bound=Command)
-#: Modes whose commands are goals of setpoints that go on by themselves.
-_STREAMED = (POSITION.name, VELOCITY.name)
+#: Modes whose commands can take effect while compiled code goes on.
+_STREAMED = (EFFORT.name, POSITION.name, VELOCITY.name)
 #: No joint that a trajectory leads.
 _NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
 #: No base that follows a twist.
@@ -450,10 +450,14 @@ class JointController(ControlledJoints):
                 break
         else:
             return False
+        exerts = command.modes[0] == EFFORT.name
+        if exerts and not self._servos.gives_effort(command.indices).all():
+            return False  # Gains have to change.
         self.commands.replace(older, command)
         command.handle.status = Status.RUNNING
         self._apply_setpoint(command, period_s)
-        self._flags[MOVES] = True
+        flags = self._flags
+        flags[MOVES], flags[DUE] = not exerts or self._setpoints.moving, exerts or flags[DUE]
         goals[command.indices], renewed_s[command.indices] = command.values, now_s
         return True
 

@@ -256,7 +256,7 @@ def _command(kind, worlds, alone, period, steps):
             names, **{field: np.tile(goals, (len(where), 1))}, where=where, period_s=period_s)
         alone.robot.apply(*alone.robot.parse.joint_command(
             names, **{field: goals}), period_s=period_s)
-    elif kind == 'sent':  # By messages, with stamps, some of which stand for two.
+    elif kind in ('sent', 'exert'):  # By messages, with stamps, some of which stand for two.
         field = alone.robot.command_interfaces()[names[0]]
         goals = 0.1 * np.sin(0.05 * period + np.arange(7)) + (
             alone.robot.joints.cartesian.posture[:7] if field == 'position' else 0.0)
@@ -288,15 +288,15 @@ def _command(kind, worlds, alone, period, steps):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('kind', ['rest', 'stream', 'sent', 'osc', 'lead'])
+@pytest.mark.parametrize('kind', ['rest', 'stream', 'sent', 'exert', 'osc', 'lead'])
 def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_once):
     world = compose('Panda', arena=create_arena('table', cube=True))
     worlds, alone = Worlds(world, 1, 1), Simulation(world)
     BY_PYTHON.append(alone.periods)
     first = worlds.simulations[0]
     for simulation in (alone, first):
-        simulation.robot.set_control_mode('arm', {'osc': 'effort', 'sent': 'velocity'}.get(
-            kind, 'position'))
+        simulation.robot.set_control_mode('arm', {
+            'exert': 'effort', 'osc': 'effort', 'sent': 'velocity'}.get(kind, 'position'))
     saved = [alone.save(), first.save()]
     options = alone.model.opt.wind.copy(), alone.model.opt.density
     for acts in _BETWEEN:
@@ -377,7 +377,7 @@ def test_ends_of_the_reach_and_of_grips_are_told_as_by_python(at_once):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('seed', [3, 4, 6])
+@pytest.mark.parametrize('seed', [3, 4, 6, 8])
 def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at_once):
     draw, went_on = np.random.default_rng(seed), 0
     world = compose('Panda', arena=create_arena('table', cube=True))
@@ -398,7 +398,7 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                     simulation.model.opt.density = 0.0
                     simulation.data.xfrc_applied[:] = 0.0
                     simulation.robot.set_control_mode(
-                        'arm', 'effort' if kind == 'osc' else 'position')
+                        'arm', 'effort' if kind in ('exert', 'osc') else 'position')
                     simulation.robot.set_reflex('arm', 'velocity', 0.0)
                     simulation.robot.sensing.set('latency.state', 0.0)
             if draw.random() < 0.03:
@@ -407,7 +407,7 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                 alone.restore(saved[0])
                 first.restore(saved[1])
             if draw.random() < 0.05:
-                kind = draw.choice(['rest', 'stream', 'sent', 'osc', 'lead'])
+                kind = draw.choice(['rest', 'stream', 'sent', 'exert', 'osc', 'lead'])
                 steps = int(draw.choice([STEPS, 4]))
             _command(kind, worlds, alone, period, steps)
             worlds.advance(steps)
