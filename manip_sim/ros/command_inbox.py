@@ -102,16 +102,17 @@ class CommandInbox(Inbox):
         """
         Take the messages of a subscription of the group; any thread may call this.
 
-        If the middleware cannot count them, executors take them, and a warning says so.
+        If the middleware cannot count them, or the process has too many files open, executors
+        take them, and a warning says so.
         """
         with self._lock:
-            counter = self._counter()
-            self._subscriptions[counter] = subscription
             try:
+                counter = self._counter()
+                self._subscriptions[counter] = subscription
                 count_messages(subscription, counter)
                 # One that came while this began may not be among those that are counted.
                 os.eventfd_write(counter, 1)
-            except RCLError as error:
+            except (OSError, RCLError) as error:
                 self.remove(subscription)
                 if not self.group.exempt:
                     _warn(self._node, without_source(error))

@@ -84,19 +84,25 @@ def test_an_rclpy_that_lacks_what_is_used_leaves_commands_to_the_executor_and_a_
     assert len(os.listdir('/proc/self/fd')) == len(files)
 
 
-def test_a_middleware_that_cannot_count_messages_leaves_them_to_the_executor_and_says_so_once(
-        node, client, monkeypatch):
-    def fail(subscription, descriptor):
-        raise rclpy_internals.RCLError('Failed to wait for messages: not supported')
-    monkeypatch.setattr(command_inbox, 'count_messages', fail)
+@pytest.mark.parametrize('error', [
+    rclpy_internals.RCLError('Failed to set a callback: not supported'),
+    OSError(24, 'Too many open files')])
+def test_messages_that_cannot_be_counted_are_left_to_the_executor_and_a_warning_says_so_once(
+        error, node, client, monkeypatch):
+    def fail(*_):
+        raise error
     lines, taken = [], []
     monkeypatch.setattr(node, 'get_logger', lambda: Plain(warning=lines.append))
     inbox = create_command_inbox(node, RejectionLog(node.get_logger()))
+    if isinstance(error, OSError):
+        monkeypatch.setattr(inbox, '_counter', fail)
+    else:
+        monkeypatch.setattr(command_inbox, 'count_messages', fail)
     for topic in ('command', 'other'):
         CommandSubscription(
             Plain(node=node, is_built=False), JointState, topic, taken.append, inbox)
     (line,) = lines
-    assert 'cannot wait for commands alone (Failed to wait for messages: not supported)' in line
+    assert f'cannot wait for commands alone ({error})' in line
     executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     client.publish('command', COMMAND)
