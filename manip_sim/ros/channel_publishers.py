@@ -116,8 +116,6 @@ class ChannelPublishers(Feature):
         #: Channels whose exact values are not published.
         self._alone: list[Channel] = []
         self._subscribed: tuple[Publication, ...] = ()
-        #: ``matches`` of the inbox at the last check; None: check again.
-        self._seen: int | None = None
         self.world_changed()
         context.thread.observe(self.publish, every, self.look)
 
@@ -161,7 +159,7 @@ class ChannelPublishers(Feature):
                     table.append(channel.topic)
                 present[name] = (Publication if channel.write is None else OfferedPublication)(
                     self._context, channel)
-        self._all, self._seen = present, None
+        self._all = present
         gone = before.keys() - present.keys()
         if gone:
             # Afterwards the simulation's thread reads none of them.
@@ -172,13 +170,7 @@ class ChannelPublishers(Feature):
 
     def look(self) -> bool:
         """Check which channels have subscribers, and return whether any has."""
-        inbox = self._context.inbox
-        matches = None if inbox is None else inbox.matches
-        if matches is None or matches != self._seen:
-            # Set first: another thread may ask for a check meanwhile.
-            self._seen = matches
-            self._subscribed = tuple(
-                publisher for publisher in self._all.values() if publisher.look())
+        self._subscribed = tuple(publisher for publisher in self._all.values() if publisher.look())
         return bool(self._subscribed)
 
     def publish(self, simulation: Simulation) -> None:

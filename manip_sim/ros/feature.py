@@ -210,11 +210,22 @@ class Output:
             inbox.watch(publisher)
         self._thread = thread
         self._log = log
+        self._count = 0
+        #: ``matches`` of the inbox when subscriptions were counted.
+        self._seen: int | None = None
         self._stalled = False
         self._closed = False
 
     @property
     def subscribers(self) -> int:
+        """Number of subscriptions, which is asked for again when some have come or gone."""
+        matches = None if self._inbox is None else self._inbox.matches
+        if matches is None or matches != self._seen:
+            # Noted first: others may come while it is counted.
+            self._seen, self._count = matches, self._counted()
+        return 0 if self._closed else self._count
+
+    def _counted(self) -> int:
         try:
             return 0 if self._closed else int(self._publisher.get_subscription_count())
         except InvalidHandle:  # It is being closed in another thread.

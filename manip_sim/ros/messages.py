@@ -229,7 +229,7 @@ def _check_counts(data: bytes) -> None:
 ENCODING_SIZE = LENGTH_SIZE = 4
 #: Of the types of fields [bytes].
 SIZES = {'boolean': 1, 'octet': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2, 'int32': 4,
-          'uint32': 4, 'float': 4, 'int64': 8, 'uint64': 8, 'double': 8}
+         'uint32': 4, 'float': 4, 'int64': 8, 'uint64': 8, 'double': 8}
 
 #: Returns the message for a stamp and for numbers, shape (count,).
 Make = Callable[[Time, FloatArray], Any]
