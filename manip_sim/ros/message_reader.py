@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from array import array
 import contextlib
-from operator import attrgetter
 import struct
 import sys
 from typing import Any
@@ -59,7 +58,7 @@ class _Layout:
         """Check that what is read in place is what rclpy has read."""
         scalars = self._unpack(self._data)
         # NaN is not equal to itself.
-        if any(repr(attrgetter(name)(owner)) != repr(value)
+        if any(repr(getattr(owner, name)) != repr(value)
                for (owner, name), value in zip(self._scalars, scalars)) or any(
                 getattr(owner, name).tobytes() != self._data[begin:end]
                 for owner, name, begin, end in self._arrays):
