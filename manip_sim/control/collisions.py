@@ -135,8 +135,9 @@ def read_thresholds(value: ArrayLike, limits: FloatArray) -> tuple[float, ...]:
 
 
 def _numbers_of(text: str) -> list[float]:
+    inner = text[1:-1] if text.startswith('[') and text.endswith(']') else text
     try:
-        return [float(word) for word in text.removeprefix('[').removesuffix(']').split(',')]
+        return [float(word) for word in inner.split(',')]
     except ValueError:
         raise CommandError(f"thresholds of collisions must be '{OFF}', '{DEFAULT}', a number or "
                            f'one for each joint such as [20, 20, 10], '

@@ -29,6 +29,9 @@ _COUPLED = ('control_mode.{}', 'command_timeout.{}', 'timeout_follows_mode.{}',
             'stream_interval.{}', 'stream_hold.{}', 'integral_gain.{}',
             *(f'reflex.{{}}.{field.name}' for field in fields(ReflexLimits)))
 
+#: Groups of parameters that set one another, by the name of one of them.
+_TIMED = dict.fromkeys(('control_mode', 'command_timeout', 'timeout_follows_mode'), 'control_mode')
+
 
 @dataclass(frozen=True)
 class _PartParameter:
@@ -157,6 +160,20 @@ class Parameters:
         with self.without_acting():
             self._node.set_parameters(changed)
 
+    def changed_since(self, before: Mapping[str, Parameter]) -> list[Parameter]:
+        """
+        Return the former parameters of those that have changed, with all that they set.
+
+        :param before: all parameters, by name
+        """
+        changed = {name for name in before.keys() & self._specs.keys()
+                   if self.value(name) != before[name].value}
+        groups = {(coupled.scope, _TIMED.get(coupled.group, coupled.group))
+                  for name, coupled in self._of_parts.items() if name in changed}
+        changed.update(name for name, coupled in self._of_parts.items() if name in before and (
+            coupled.scope, _TIMED.get(coupled.group, coupled.group)) in groups)
+        return [before[name] for name in before if name in changed]
+
     @contextlib.contextmanager
     def without_acting(self) -> Iterator[None]:
         """Let changes of parameters change nothing else, as what they say acts already."""
@@ -182,7 +199,8 @@ class Parameters:
             self._complete_timeouts(values)
         # Parts that consist of several have the values in which these agree.
         for name, coupled in known.items():
-            if not coupled.is_atomic and name not in values and {*coupled.atomic} & {*values}:
+            if not coupled.is_atomic and {*coupled.atomic} & {*values} and (
+                    name not in values or _problem(self._specs[name], values[name]) is None):
                 ones = [values.get(atom) or self._node.get_parameter(atom)
                         for atom in coupled.atomic]
                 if all(parameter.value == ones[0].value for parameter in ones):

@@ -275,11 +275,21 @@ class SimNode(Node):
         reason = self.declared.rejection(parameter_list)
         if reason is not None:
             return SetParametersResult(successful=False, reason=reason)
+        before = {name: self.get_parameter(name) for name in self.declared.names}
+        seed = self.thread.next_seed
         try:
             return super().set_parameters_atomically(parameter_list)
         except Exception as error:  # The class of a control mode may raise anything.
+            self._take_back(before)
+            self.thread.next_seed = seed
             self._live.show()
             return SetParametersResult(successful=False, reason=one_line(str(error)))
+
+    def _take_back(self, before: Mapping[str, Parameter]) -> None:
+        """Let parameters act as before a change that failed half-way."""
+        self._live.show()
+        with contextlib.suppress(Exception):
+            super().set_parameters_atomically(self.declared.changed_since(before))
 
     def start(self) -> None:
         """

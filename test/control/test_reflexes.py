@@ -324,6 +324,7 @@ def test_thresholds_of_collisions_are_words_or_numbers(value, text, panda_sim):
 @pytest.mark.parametrize(('value', 'message'), [
     ('always', "must be 'none', 'default', a number or one for each joint"), ('', 'must be'),
     ([20.0] * 6, 'must have 7 numbers, got 6'), ('[1, 2]', 'must have 7 numbers, got 2'),
+    ('[20', r"got '\[20'"), ('20]', 'must be'), ('[[20]]', 'must be'),
     (-1.0, 'must be positive and finite, or 0'), ('[nan]', 'must be finite'),
     ([-1.0], 'must be positive, or 0 for none'), (True, 'must be'),
     (float('inf'), 'must be positive'), (None, 'must be'), ({}, 'must'), ([[1.0]], 'must have')])

@@ -104,6 +104,18 @@ def test_in_one_change_the_parameter_of_fewer_parts_acts_and_then_the_last_one(s
         assert [baxter.declared.value(f'control_mode.{part}') for part in ('right', 'left')] == [
             'velocity', 'effort']
         assert_agree(baxter)
+    # Where each arm is named, what the part of both is given does not act.
+    assert baxter.set_parameters_atomically([
+        Parameter(f'control_mode.{part}', value=mode)
+        for part, mode in (('left', 'velocity'), ('arm', 'effort'), ('right', 'velocity'))]
+    ).successful
+    assert baxter.declared.value('control_mode.arm') == 'velocity'
+    assert_agree(baxter)
+    result = baxter.set_parameters_atomically([
+        Parameter(f'control_mode.{part}', value=mode)
+        for part, mode in (('left', 'effort'), ('arm', 'efort'), ('right', 'effort'))])
+    assert not result.successful and 'efort' in result.reason
+    assert_agree(baxter)
     # The part of both arms has the values that the arms share.
     set_live(baxter, reflex__right__velocity=0.5)
     assert baxter.declared.value('reflex.arm.velocity') == 0.0
@@ -172,6 +184,26 @@ def test_a_mode_that_cannot_be_used_leaves_all_parameters_at_what_acts(serve, mo
     assert (result.successful, result.reason) == (False, 'division by zero')
     assert_agree(node)
     assert node.declared.value('control_mode.arm') == 'position'
+
+
+@pytest.mark.parametrize('order', [1, -1])
+def test_a_change_that_is_rejected_half_way_changes_nothing(order, serve):
+    node = serve(robot='Baxter', start_paused=True)
+    set_live(node, command_timeout__left=0.3, stream_hold__arm=0.2)
+    before, acting = node.declared.values, node.simulation.robot.settings
+    result = node.set_parameters_atomically([Parameter(name, value=value) for name, value in (
+        ('noise.joint_position', 0.1), ('real_time_factor', 0.5), ('control_mode.arm', 'velocity'),
+        ('command_timeout.right', 0.7), ('reflex.left.collision', 'always'),
+        ('stream_hold.right', 0.4), ('expected_command_rate', 50.0), ('seed', 9))][::order])
+    assert not result.successful and "got 'always'" in result.reason
+    assert node.declared.values == before
+    assert node.simulation.robot.settings == acting
+    assert (node.thread.real_time_factor, node.thread.next_seed) == (1.0, None)
+    # Timeouts follow the control mode as before.
+    set_live(node, control_mode__arm='velocity')
+    assert [node.declared.value(f'command_timeout.{part}') for part in ('right', 'left')] == [
+        0.2, 0.3]
+    assert_agree(node)
 
 
 def test_what_is_drawn_is_what_get_says(serve, tmp_path):
