@@ -100,6 +100,9 @@ class Task(ABC):
         assert isinstance(model, ManipulatorModel)
         self.robot = model
         self.arm = usable_arms(model, self.needs_fingers)[0]
+        aside_m = float(self.work_area[1])
+        if aside_m:
+            self.world.arena.shift_camera('agentview', [0.0, aside_m, 0.0])
 
     def compose(self, robot: Robot, gripper: Gripper | Grippers, composition: dict[str, Any]
                 ) -> World:
@@ -146,7 +149,11 @@ class Task(ABC):
 
     @property
     def work_area(self) -> FloatArray:
-        """Middle of the area on the table that the arm works in, in ``world`` [m], shape (3,)."""
+        """
+        Middle of the area on the table that the arm works in, in ``world`` [m], shape (3,).
+
+        The camera ``agentview`` of the arena, which looks at y = 0, is moved in front of it.
+        """
         return np.array([0.0, _RIGHT_M if len(self.robot.arms) > 1 else 0.0, TABLE_M])
 
     # ------------------------------------------------------------------ an episode

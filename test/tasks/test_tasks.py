@@ -57,6 +57,24 @@ def test_the_agentview_of_a_handover_shows_both_grippers_from_the_front(robot):
     assert axes[2, 1] > 0.7  # Upright.
 
 
+@pytest.mark.full
+@pytest.mark.parametrize('robot', ['Panda', 'Baxter'])
+@pytest.mark.parametrize('name', NAMES)
+def test_the_agentview_shows_what_a_task_is_about(name, robot):
+    episode = episode_of(name, robot)
+    model, data = episode.simulation.model, episode.simulation.data
+    camera = model.camera('agentview').id
+    slope = np.tan(np.radians(model.cam_fovy[camera]) / 2.0)
+    free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    shown = [*free, *np.flatnonzero(model.body_mocapid >= 0)]
+    assert shown or name == 'wipe_table'
+    for seed in range(8):
+        episode.reset(seed)
+        points = [*data.xpos[shown], episode.task.work_area]
+        x, y, depth = ((points - data.cam_xpos[camera]) @ data.cam_xmat[camera].reshape(3, 3)).T
+        assert (-depth > 0.3).all() and max(*abs(x / depth), *abs(y / depth)) < slope
+
+
 #: Two robots do all tasks, each other one a third of them, so that each task has three or four.
 BY_EXPERTS = [(name, robot) for number, name in enumerate(task_names())
               for place, robot in enumerate(ARMS)

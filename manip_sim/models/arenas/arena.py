@@ -169,6 +169,18 @@ class Arena(MujocoXMLModel):
         for camera in self._spec.cameras:
             camera.pos[2] += higher_m
 
+    def shift_camera(self, name: str, by: ArrayLike) -> None:
+        """
+        Move one of the cameras of the arena without turning it; nothing if there is none.
+
+        :param name: of the camera
+        :param by: in ``world`` [m], shape (3,)
+        """
+        camera = self._spec.camera(name)
+        if camera is not None:
+            camera.pos = np.add(camera.pos, by)
+            self.refresh()
+
     def aim_camera(self, name: str, position: ArrayLike, look_at: ArrayLike) -> None:
         """
         Move one of the cameras of the arena, and let it look at a point, upright.
