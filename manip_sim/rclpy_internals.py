@@ -59,6 +59,10 @@ def start_rclpy(**options: Any) -> None:
     :param options: as ``rclpy.init`` takes them
     :raises ManipSimError: if the log cannot be written; any other error is that of rclpy
     """
+    log = os.environ.get('ROS_LOG_DIR') or os.environ.get('ROS_HOME') or '~'
+    if log.startswith('~') and not os.environ.get('HOME'):  # rcl prints nine lines of its own.
+        raise ManipSimError('the environment variable HOME is not set: set it, or ROS_LOG_DIR to '
+                            'a folder that can be written')
     try:
         rclpy.init(**options)
     except RuntimeError as error:  # In some releases the log does not raise RCLError.

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
 from manip_sim.channels.kinds import clock_channel
-from manip_sim.control.law.kept import all_are_kept
+from manip_sim.control.law.kept import all_are_kept, laws_folder
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
@@ -344,4 +344,8 @@ class SimNode(Node):
 
 def _load_laws() -> None:
     from manip_sim.control.law.loading import load_laws  # It imports numba.
-    load_laws()
+    try:
+        load_laws()
+    except OSError as error:
+        raise ManipSimError(f'cannot keep compiled control laws in {laws_folder()}: '
+                            f'{error.strerror}; set XDG_CACHE_HOME to another folder') from error

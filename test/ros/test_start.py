@@ -3,6 +3,7 @@
 
 """Starts that cannot succeed: one line that says why, and exit code 1."""
 
+import errno
 import os
 from pathlib import Path
 import signal
@@ -14,6 +15,8 @@ import pytest
 import rclpy
 from rclpy.executors import InvalidHandle
 
+from manip_sim.errors import ManipSimError
+from manip_sim.ros import sim_node
 from manip_sim.ros.arguments import for_other_nodes
 from manip_sim.ros.declared_parameters import Parameters
 
@@ -120,6 +123,29 @@ def test_a_log_folder_that_cannot_be_written_is_one_line(program, folder, tmp_pa
         timeout=300.0, check=False, env={**os.environ, 'ROS_LOG_DIR': folder})
     assert (done.returncode, done.stdout, done.stderr.count('\n')) == (1, '', 1), done.stderr
     assert folder in done.stderr and 'set ROS_LOG_DIR to a folder' in done.stderr
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('log', [None, '~/log'])
+@pytest.mark.parametrize('program', [
+    ['manip_sim'], ['manip_sim.viewer', '--port', '0'], ['manip_sim.cli', 'topic', 'list']])
+def test_an_environment_without_a_home_is_one_line(program, log, tmp_path):
+    kept = {name: value for name, value in os.environ.items()
+            if name not in ('HOME', 'ROS_HOME', 'ROS_LOG_DIR')}
+    done = subprocess.run(
+        [sys.executable, '-m', *program], cwd=tmp_path, capture_output=True, text=True,
+        timeout=300.0, check=False, env={**kept, **({'ROS_LOG_DIR': log} if log else {})})
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (1, '', 1), done.stderr
+    assert 'HOME is not set: set it, or ROS_LOG_DIR to a folder' in done.stderr
+
+
+def test_compiled_laws_that_cannot_be_kept_are_one_line(monkeypatch):
+    def fail():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    monkeypatch.setattr('manip_sim.control.law.loading.load_laws', fail)
+    with pytest.raises(ManipSimError, match='cannot keep compiled control laws in .*: No space '
+                       'left on device; set XDG_CACHE_HOME to another folder'):
+        sim_node._load_laws()
 
 
 def first_joint_and_warnings(process, client, *arguments):
