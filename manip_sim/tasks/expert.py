@@ -161,9 +161,15 @@ class Expert(ABC):
         yield from self.wait(periods)
         if body:
             # Its speed is the share of half a stroke in a period; zero: it moves at once.
-            if 0.0 < _gripper(arm).speed * periods < _STROKE:
+            if 0.0 < _gripper(arm).speed * periods < _STROKE or self._stands(arm, body):
                 yield from self._press(arm, body)
             self._report_miss(arm, body)
+
+    def _stands(self, arm: Hold, body: str) -> bool:
+        """Return whether a gripper presses on something else, and does not touch an object."""
+        gripper = bodies_of_gripper(self.simulation, arm.item.robot, arm.item.arm)
+        return not touching(self.simulation, body) & gripper and (
+            pressure(self.simulation, gripper, but={body}) > 0.0)
 
     def _press(self, arm: Hold, body: str) -> Iterator[None]:
         """Wait until a gripper that closes presses on an object."""

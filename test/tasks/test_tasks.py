@@ -143,6 +143,26 @@ def test_an_expert_says_why_a_gripper_of_a_user_does_not_hold_the_cube(tmp_path,
     assert 'too strong for the inertia of the fingers' in message
 
 
+@pytest.mark.full
+@pytest.mark.parametrize('tip_m', [0.02, 0.045])
+def test_an_expert_raises_fingers_that_stand_on_the_table_until_they_close(tip_m, tmp_path):
+    # Jaws of a user, whose ends are this far beyond the grasp point that is inferred.
+    jaws = ''.join(
+        f'<body name="{name}_jaw" pos="0 {y} 0.06"><joint name="{name}_jaw" axis="{turn} 0 0" '
+        f'range="-0.6 0.05" armature="0.002" damping="0.2"/><geom name="{name}_pad" type="box" '
+        f'size="0.01 0.004 {tip_m}" pos="0 {y / 5} {tip_m}" mass="0.03"/></body>'
+        for name, y, turn in (('left', 0.02, 1), ('right', -0.02, -1)))
+    file = tmp_path / 'tongs.xml'
+    file.write_text(f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+        <body name="palm"><geom type="cylinder" size="0.04 0.03" pos="0 0 0.03" mass="0.25"/>{jaws}
+        </body></worldbody><equality><joint joint1="right_jaw" joint2="left_jaw"/></equality>
+        <actuator><position joint="left_jaw" kp="20" kv="1" forcerange="-1.5 1.5"
+        inheritrange="1"/></actuator></mujoco>""")
+    task = create_task('pick_cube', gripper=str(file))
+    episode = Episode(task, Simulation(task.world))
+    assert all(episode.run(task.expert(episode.simulation), seed) for seed in range(3))
+
+
 def test_the_page_on_experts_has_enough_successes_of_each_task_and_robot():
     page = Path(__file__).parents[2] / 'docs' / 'reference' / 'experts.md'
     found = {(row[1].strip('` '), row[2].strip()): row[3].split() for row in (
