@@ -231,6 +231,28 @@ def test_cameras_that_people_have_moved_stay(arm_posture):
     assert np.linalg.norm(other.position) > 0.5
 
 
+def test_a_window_of_another_size_is_framed_again_until_somebody_moves_the_camera(arm_posture):
+    def aimed_at(width, height, view='Home'):
+        browsers = Browsers()
+        aiming = Aiming(browsers)
+        aiming.begin(arm_posture)
+        camera = browsers.come(1, width, height)
+        aiming.update(arm_posture)
+        aiming.look(1, view, arm_posture)
+        return aiming, camera
+    for view in ('Home', 'Front'):
+        aiming, camera = aimed_at(844, 390, view)
+        camera.image_width, camera.image_height = 390, 844
+        aiming.update(arm_posture)
+        _, upright = aimed_at(390, 844, view)
+        np.testing.assert_array_equal(camera.position, upright.position)
+        np.testing.assert_array_equal(camera.look_at, upright.look_at)
+        moved = camera.position = camera.position + [0.0, 0.1, 0.0]
+        camera.image_width, camera.image_height = 844, 390
+        aiming.update(arm_posture)
+        np.testing.assert_array_equal(camera.position, moved)
+
+
 def test_another_world_is_framed_in_the_browsers_that_are_open(arm_posture):
     browsers = Browsers()
     aiming = Aiming(browsers)

@@ -31,18 +31,33 @@ VIEWS = {'Home': FIRST, 'Front': (1.0, 0.0, 0.2), 'Left': (0.0, 1.0, 0.2),
 _SAME_M = 0.01
 
 
+@dataclass(frozen=True)
+class _Aimed:
+    """
+    What a camera was aimed at, for a window of a size [pixels].
+
+    :ivar direction: of view
+    """
+
+    position: FloatArray
+    look_at: FloatArray
+    size: tuple[int, int]
+    direction: tuple[float, float, float]
+
+
 class Aiming:
     """
     The cameras of browsers.
 
     The server gives every new browser the same first view, whatever the shape of its window. A
     slow browser may apply that view after its camera was aimed, and the button that resets the
-    view always does; so any camera found at the first view is aimed again.
+    view always does; so any camera found at the first view is aimed again. So is one that nobody
+    has moved since, in a window of another size, such as that of a phone that was turned.
     """
 
     def __init__(self, server: Any) -> None:
         self._server = server
-        self._aimed: set[int] = set()
+        self._aimed: dict[int, _Aimed] = {}
         self._world: object = None
 
     def begin(self, posture: Kinematics) -> None:
@@ -64,11 +79,13 @@ class Aiming:
     def update(self, posture: Kinematics) -> None:
         """Aim the cameras that are new or at the first view, after :meth:`begin`."""
         clients = self._server.get_clients()
-        self._aimed &= clients.keys()
+        self._aimed = {number: aimed for number, aimed in self._aimed.items() if number in clients}
         for number, client in clients.items():
-            if number not in self._aimed or self._is_at_first_view(client.camera):
-                self._aimed.add(number)
-                _aim(client.camera, posture)
+            camera, aimed = client.camera, self._aimed.get(number)
+            if aimed is None or _is_at(camera, self._server.initial_camera):
+                self._aimed[number] = _aim(camera, posture, FIRST)
+            elif aimed.size != _size(camera) and _is_at(camera, aimed):
+                self._aimed[number] = _aim(camera, posture, aimed.direction)
 
     def look(self, number: int | None, view: str, posture: Kinematics) -> None:
         """
@@ -79,13 +96,19 @@ class Aiming:
         :param posture: of the world in view
         """
         client = self._server.get_clients().get(number)
-        if client is not None and view in VIEWS:
-            _aim(client.camera, posture, VIEWS[view])
+        if number is not None and client is not None and view in VIEWS:
+            self._aimed[number] = _aim(client.camera, posture, VIEWS[view])
 
-    def _is_at_first_view(self, camera: Any) -> bool:
-        first = self._server.initial_camera
-        return bool(np.abs(camera.position - first.position).max() < _SAME_M
-                    and np.abs(camera.look_at - first.look_at).max() < _SAME_M)
+
+def _is_at(camera: Any, other: Any) -> bool:
+    """Return whether a camera is where another one is, and looks at the same."""
+    return bool(np.abs(camera.position - other.position).max() < _SAME_M
+                and np.abs(camera.look_at - other.look_at).max() < _SAME_M)
+
+
+def _size(camera: Any) -> tuple[int, int]:
+    """Return width and height of the window of a camera [pixels]."""
+    return camera.image_width, max(1, camera.image_height)
 
 
 def _fixed_bodies(model: mujoco.MjModel) -> set[tuple[Any, ...]]:
@@ -94,8 +117,8 @@ def _fixed_bodies(model: mujoco.MjModel) -> set[tuple[Any, ...]]:
             for i in range(model.nbody) if model.body_weldid[i] == 0}
 
 
-def _aim(camera: Any, posture: Kinematics, direction: tuple[float, float, float] = FIRST) -> None:
-    width, height = camera.image_width, max(1, camera.image_height)
+def _aim(camera: Any, posture: Kinematics, direction: tuple[float, float, float]) -> _Aimed:
+    width, height = _size(camera)
     # On a phone the panel is below the picture.
     phone = width <= _PHONE_PIXELS
     position, target = first_view(
@@ -105,6 +128,7 @@ def _aim(camera: Any, posture: Kinematics, direction: tuple[float, float, float]
     camera.fov = FIELD_OF_VIEW
     camera.position = position
     camera.look_at = target
+    return _Aimed(position, target, (width, height), direction)
 
 
 _SCALE = 0.18
