@@ -123,7 +123,7 @@ class Task(ABC):
         if len(arms) < self.arms_needed:
             kit = 'with grippers that grasp' if self.needs_fingers else 'with grippers'
             reason = (f'{self.name} needs {pluralize(self.arms_needed, "arm")} {kit}, '
-                      f'{robot.name} has {len(arms)} here')
+                      f'{robot.type_name} has {len(arms)} here')
         elif kind in self.unable and not moved:
             reason = f'{self.name}: {kind} cannot do it, {self.unable[kind]}'
         else:

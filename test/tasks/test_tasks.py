@@ -344,9 +344,9 @@ def test_a_robot_with_two_arms_hands_over_alone():
 
 
 def test_two_robots_of_a_task_are_given_by_name():
-    with pytest.raises(ModelError, match='hand_over has two robots of Panda0: give robot and'):
+    with pytest.raises(ModelError, match='hand_over has two robots of Panda: give robot and'):
         create_task('hand_over', create_robot('Panda'))
-    with pytest.raises(ModelError, match='two robots of Panda3, for which there is no idn'):
+    with pytest.raises(ModelError, match='two robots of Panda, for which there is no idn'):
         create_task('hand_over', 'Panda', idn=3)
 
 
@@ -445,7 +445,7 @@ def test_experts_of_other_robots_do_tasks(name, robot):
 
 def test_a_robot_that_cannot_do_a_task_is_told_those_that_can():
     with pytest.raises(ModelError, match=(
-            'pick_cube needs 1 arm with grippers that grasp, Panda0 has 0 here; '
+            'pick_cube needs 1 arm with grippers that grasp, Panda has 0 here; '
             'these can do it with their own grippers: .*UR5e')):
         create_task('pick_cube', 'Panda', 'none')
     with pytest.raises(ModelError, match='pick_cube needs 1 arm with grippers that grasp'):
