@@ -183,7 +183,7 @@ def test_what_cannot_be_used_is_said(reach):
     ({'control_hz': 30, 'timestep_s': 0.002},
      r'a control period must be a whole number of timesteps of 0\.002 s, got 0\.0333333 s; the '
      r'nearest rates are 29\.41176471, 31\.25 Hz; or use timestep_s=0\.001960784$'),
-    ({'gripper': 'none'}, 'reach needs 1 arm with grippers, Panda0 has 0'),
+    ({'gripper': 'none'}, 'reach needs 1 arm with grippers, Panda has 0'),
     ({'render_mode': 'ascii'}, "unknown render_mode 'ascii': available: rgb_array")])
 def test_arguments_that_cannot_be_used_are_said(arguments, text):
     with pytest.raises(ManipSimError, match=text):

@@ -138,3 +138,14 @@ def test_the_arena_of_a_user_takes_what_its_constructor_takes(monkeypatch):
 
     assert create_arena('empty', boards=4.0, colour='blue').taken == (4.0, 'blue')
     assert Shelf.parameters[0].limits == '1 to 9'
+
+
+def test_a_camera_is_shifted_without_being_turned_and_a_missing_one_is_left_out():
+    before, arena = create_arena('table').compile(), create_arena('table')
+    arena.shift_camera('agentview', [0.0, -0.2, 0.1])
+    arena.shift_camera('nobody', [1.0, 0.0, 0.0])
+    after = arena.compile()
+    np.testing.assert_array_equal(after.cam_quat, before.cam_quat)
+    moved = after.cam_pos - before.cam_pos
+    np.testing.assert_allclose(moved[after.camera('agentview').id], [0.0, -0.2, 0.1])
+    assert np.count_nonzero(np.abs(moved).max(axis=1)) == 1
