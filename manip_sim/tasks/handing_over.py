@@ -73,12 +73,12 @@ class HandOver(Task):
             world.arena.aim_camera(view, *_IN_FRONT)
             return world
         if not isinstance(robot, (str, PathLike)) or isinstance(gripper, GripperModel):
-            raise ModelError(f'{self.name} has two robots of {first.type_name}: give robot and gripper '
-                             'by name')
+            raise ModelError(f'{self.name} has two robots of {first.type_name}: give robot and '
+                             'gripper by name')
         alone = {'idn', 'prefix', 'position', 'orientation'} & composition.keys()
         if alone:
-            raise ModelError(f'{self.name} has two robots of {first.type_name}, for which there is no '
-                             + ', '.join(sorted(alone)))
+            raise ModelError(f'{self.name} has two robots of {first.type_name}, for which there '
+                             'is no ' + ', '.join(sorted(alone)))
         second = compose_robot(robot, gripper, composition.get('base', DEFAULT), idn=1,
                                tactile=composition.get('tactile', False))
         world.arena.aim_camera(view, *_BESIDE)
