@@ -95,8 +95,16 @@ def compile_copy(spec: mujoco.MjSpec, name: str, visual: bool = True) -> mujoco.
     """
     copied = spec.copy()
     if not visual:
-        copied.compiler.discardvisual = True
+        leave_out_visual(copied)
     return compile_alone(copied, name)
+
+
+def leave_out_visual(spec: mujoco.MjSpec) -> None:
+    """Let a spec be compiled without shapes that only show something, and without their files."""
+    spec.compiler.discardvisual = True
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    _shrink_meshes(spec, lambda body, geom: bool(
+        geom.contype or geom.conaffinity or geom.name in paired or not body.explicitinertial))
 
 
 def compile_without_meshes(spec: mujoco.MjSpec, name: str, kept: Collection[str]
@@ -106,26 +114,41 @@ def compile_without_meshes(spec: mujoco.MjSpec, name: str, kept: Collection[str]
 
     Shapes of meshes become small spheres, also where the mass of the body comes from them.
 
-    :param kept: names of bodies that keep their meshes; if there are any, all keep their masses
+    :param kept: names of bodies that keep their meshes
     """
     light = spec.copy()
-    needed = set()
-    for body in light.bodies:
-        for geom in body.geoms:
-            if int(geom.type) != int(mujoco.mjtGeom.mjGEOM_MESH):
-                continue
-            if body.name in kept or (kept and not body.explicitinertial):
-                needed.add(geom.meshname)
-                continue
-            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_SPHERE, ''
-            geom.size = [_SMALL_M, 0.0, 0.0]
-    for mesh in light.meshes:  # Deleting one takes longer than compiling a small one.
-        if mesh.name not in needed:
-            mesh.file, mesh.uservert, mesh.userface = '', _SMALL_CORNERS_M, _FACES
+    _shrink_meshes(light, lambda body, geom: body.name in kept)
     try:
         return compile_alone(light, name)
     except ModelError:  # Something else than a shape refers to a mesh.
         return compile_copy(spec, name)
+
+
+def _shrink_meshes(spec: mujoco.MjSpec, keeps: Callable[[Any, Any], bool]) -> None:
+    """
+    Replace shapes of meshes by small spheres, meshes without shapes by tetrahedra, images by dots.
+
+    :param keeps: takes a body and a shape of it, and returns whether that keeps its mesh
+    """
+    needed = set()
+    for body in spec.bodies:
+        for geom in body.geoms:
+            if not geom.meshname:
+                continue
+            if int(geom.type) == int(mujoco.mjtGeom.mjGEOM_SDF) or keeps(body, geom):
+                needed.add(geom.meshname)
+                continue
+            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_SPHERE, ''
+            geom.size = [_SMALL_M, 0.0, 0.0]
+    for mesh in spec.meshes:  # Deleting one takes longer than compiling a small one.
+        if mesh.name not in needed:
+            mesh.file, mesh.uservert, mesh.userface = '', _SMALL_CORNERS_M, _FACES
+            mesh.scale, mesh.inertia = np.ones(3), mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            mesh.usernormal = mesh.userfacenormal = mesh.usertexcoord = mesh.userfacetexcoord = []
+    for texture in spec.textures:
+        texture.file, texture.cubefiles = '', [''] * len(texture.cubefiles)
+        texture.builtin, texture.width = mujoco.mjtBuiltin.mjBUILTIN_FLAT, 1
+        texture.height = 1 if int(texture.type) == int(mujoco.mjtTexture.mjTEXTURE_2D) else 6
 
 
 def _reject_what_tactile_sensors_cannot_feel(model: mujoco.MjModel, name: str) -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import lru_cache
 import re
 from typing import Any
@@ -108,7 +108,33 @@ _SHORT_S, _CONTACT_STEPS = 0.002, 4.0
 #: XArm7 and IIWA keep both arms swinging at 0.05 rad/s while they press at 5 ms; with 1.5, the
 #: joints of the Robotiq85Gripper are apart by 1.6 in place of 1.0 % of their range as it closes.
 _COUPLING_DAMPING = 1.5
+_EQ, _TRN = mujoco.mjtEq, mujoco.mjtTrn
+_OF_JOINTS = (int(_TRN.mjTRN_JOINT), int(_TRN.mjTRN_JOINTINPARENT))
+_WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 'signature'))
+
+
+def weld_joints(spec: mujoco.MjSpec, kept: Collection[str]) -> None:
+    """
+    Fix all joints but some where they are, and leave out what drives, ties or senses them.
+
+    :param spec: it has no keyframes
+    :param kept: names of the other joints
+    """
+    delete_elements(spec, list(spec.sensors))
+    joints = [joint for joint in spec.joints if joint.name not in kept]
+    welded = {joint.name for joint in joints}
+    tendons = [tendon for tendon in spec.tendons
+               if any(int(wrap.type) == _WRAPS_JOINT and wrap.target.name in welded
+                      for wrap in tendon.path)]
+    loose = {tendon.name for tendon in tendons}
+    tied = {int(_EQ.mjEQ_JOINT): welded, int(_EQ.mjEQ_TENDON): loose}
+    delete_elements(spec, [equality for equality in spec.equalities if tied.get(
+        int(equality.type), set()) & {equality.name1, equality.name2}])
+    driven = {**dict.fromkeys(_OF_JOINTS, welded), int(_TRN.mjTRN_TENDON): loose}
+    delete_elements(spec, [actuator for actuator in spec.actuators
+                           if actuator.target in driven.get(int(actuator.trntype), ())])
+    delete_elements(spec, [*tendons, *joints])
 
 
 def rename_body(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:

@@ -13,6 +13,7 @@ from files_rig import HAND, write
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models import compose, load_gripper, load_robot
+from manip_sim.models.files import fingers
 from manip_sim.models.files.fingers import control_range, digest_of_meshes
 from manip_sim.models.robots import Panda
 from manip_sim.simulation import Simulation
@@ -415,3 +416,40 @@ def test_meshes_of_one_file_in_other_places_have_other_digests():
         mesh.uservert = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]
         return digest_of_meshes(spec)
     assert digest([0, 0, 0]) == digest([0, 0, 0]) != digest([0, 0, 0.1])
+
+
+@pytest.fixture
+def gripping_arm(tmp_path):
+    """Return an arm of two joints, the second of which carries two fingers with servos."""
+    fingers = ''.join(
+        f'<body name="{side}_finger" pos="0 {y} 0"><joint name="{side}_finger" type="slide" '
+        f'axis="0 {-50 * y:g} 0" range="0 0.02"/><geom size="0.005" pos="0 0 0.06"/></body>'
+        for side, y in (('left', 0.02), ('right', -0.02)))
+    return load_robot(write(tmp_path / 'arm.xml', f"""<mujoco><compiler autolimits="true"/>
+      <worldbody><body name="base"><geom size="0.05"/>
+      <body name="l1" pos="0 0 0.2"><joint name="turn" axis="0 0 1" range="-1 1"/>
+      <geom size="0.03"/><body name="palm" pos="0 0 0.2"><joint name="lift" axis="0 1 0"
+      range="-1 1"/><geom size="0.03"/>{fingers}</body></body></body></worldbody></mujoco>"""))
+
+
+def test_a_hand_of_a_robot_closes_within_a_range_that_was_edited(gripping_arm):
+    hand = gripping_arm.grippers['right']
+    assert hand.closing == {'left_finger': [0.0, 0.02], 'right_finger': [0.0, 0.02]}
+    gripping_arm.spec.actuator('left_finger').ctrlrange = [0.0, 0.01]
+    gripping_arm.refresh()
+    assert hand.closing == {'left_finger': [0.0, 0.01], 'right_finger': [0.0, 0.02]}
+
+
+def test_only_the_hand_and_its_carrier_move_in_trials(gripping_arm, monkeypatch):
+    tried = []
+    monkeypatch.setattr(fingers, '_known', {})
+    trial = fingers.Fingers._trial_model
+    monkeypatch.setattr(fingers.Fingers, '_trial_model', lambda hand: (
+        tried.append(trial(hand)), tried[-1])[1])
+    load_robot(gripping_arm.file)
+    (model,) = tried
+    assert [model.joint(joint).name for joint in range(model.njnt)] == [
+        'lift', 'left_finger', 'right_finger']
+    touching = np.flatnonzero(model.geom_contype)
+    assert {model.body(body).name for body in model.geom_bodyid[touching]} == {
+        'palm', 'left_finger', 'right_finger'}

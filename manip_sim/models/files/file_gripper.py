@@ -142,8 +142,9 @@ class FileGripper(HandFromFile, registered=False):
         tree, hand = _whole(self._own_model)
         fingers = Fingers(tree, hand, self._start)
         key = digest_of(self._own_model) + repr(sorted(self._start.items())).encode()
-        self._set_closing(list(hand.actuators), lambda ids: once(
-            key + repr(ids).encode(), lambda: fingers.closing(ids)), fingers.out_of_touch)
+        self._try_closing(self._actuators, lambda names: once(
+            key + repr(names).encode(), lambda: fingers.closing(names)))
+        self._set_closing(list(hand.actuators), fingers.out_of_touch)
 
     @property
     def name(self) -> str:

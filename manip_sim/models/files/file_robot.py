@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any
 
 import mujoco
@@ -15,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.bases import MobileBaseModel, RobotBaseModel
-from manip_sim.models.files.fingers import digest_of
 from manip_sim.models.files.hand_model import BuiltInGripper
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.files.xacro_expansion import stem_of
@@ -57,14 +55,6 @@ class FileRobot(RobotModel, registered=False):
             return super()._compile_alone()
         return compile_without_meshes(self._spec, self.name, ())
 
-    def _compile_with_hands(self) -> mujoco.MjModel:
-        """Return the robot with the meshes of its hands, with which their closings are tried."""
-        if self._spec_is_shared:
-            return self._own_model
-        roots = [self._spec.body(hand.body) for hand in self._own_hands.values()]
-        return compile_without_meshes(self._spec, self.name, {
-            body.name for root in roots for body in (root, *root.find_all('body'))})
-
     def _record(self) -> None:
         super()._record()
         hands = self._own_hands.values()
@@ -72,11 +62,8 @@ class FileRobot(RobotModel, registered=False):
         self._joints = [name for name in self._joints if name not in not_ours]
         self._actuators = [name for name in self._actuators
                            if name not in not_ours | self._plan.loose_actuators]
-        if hands:
-            key = digest_of(self._own_model) + self._plan.digest_of_meshes
-            compiled = cache(self._compile_with_hands)
-            for hand in hands:
-                hand.bind(self, self._own_model, key, compiled)
+        for hand in hands:
+            hand.bind(self, self._own_model)
 
     def add_base(self, base: RobotBaseModel) -> None:
         """

@@ -31,6 +31,11 @@ _TRIAL_S, _TRIAL_STEP_S = 0.5, 0.002
 _TELLING = 0.02
 #: A fingertip that moves at most this fraction of the greatest motion counts as still.
 _STILL = 0.1
+#: Fingers rest if no joint moves by more than this share of its range, or of a radian, in a
+#: second; they are looked at after so many steps.
+_AT_REST, _STEPS_AT_ONCE = 5e-3, 25
+#: Range of the control of an actuator that nothing limits.
+UNLIMITED = (-1.0, 1.0)
 #: A control range may exceed what the joint can reach by this fraction of the joint's range.
 _BEYOND = 0.5
 #: Time constant of the fingers in a trial [s].
@@ -43,8 +48,8 @@ _SHORTER = (0.75, 0.5, 0.25)
 
 #: Opening and closing control, and whether a trial decided which is which.
 Closing = tuple[float, float, bool]
-#: Closings of actuators by id, and other closings of those that would not open again.
-Closings = tuple[dict[int, Closing], dict[int, Closing]]
+#: Closings of actuators by name, and other closings of those that would not open again.
+Closings = tuple[dict[str, Closing], dict[str, Closing]]
 Result = TypeVar('Result')
 #: Results for hands with their shapes, by digest, and the most that are kept.
 _known: dict[bytes, Any] = {}
@@ -170,15 +175,17 @@ class Fingers:
     """
     The moving parts of a hand.
 
-    :param start: where joints start, by name [rad or m]
+    :param start: where joints start, by name; of others than those of the tree, too [rad or m]
     """
 
     def __init__(self, tree: BodyTree, hand: FoundHand, start: Mapping[str, float]) -> None:
         self._model = model = tree.model
         self._tree, self._hand = tree, hand
         self._data = mujoco.MjData(model)
-        for name, value in start.items():
-            self._data.joint(name).qpos[0] = value
+        for joint in range(model.njnt):
+            name = str(model.joint(joint).name)
+            if name in start:
+                self._data.joint(name).qpos[0] = start[name]
         mujoco.mj_forward(model, self._data)
         below = tree.below(hand.body)
         moved: set[int] = set().union(
@@ -255,14 +262,25 @@ class Fingers:
             data.xmat[body].reshape(3, 3).T, points.mean(axis=0) - data.xpos[body])
         return local
 
-    def closing(self, actuators: Sequence[int]) -> Closings:
-        """Return how actuators close, as :meth:`_ends` and :meth:`_reopening` say."""
-        ends = self._ends(actuators)
-        return ends, self._reopening(ends)
-
-    def _ends(self, actuators: Sequence[int]) -> dict[int, Closing]:
+    def closing(self, actuators: Sequence[str]) -> Closings:
         """
-        Return the opening and the closing control of actuators that have a range.
+        Return how actuators close, as :meth:`_ends` and :meth:`_reopening` say.
+
+        :param actuators: their names
+        """
+        if not actuators:
+            return {}, {}
+        trial = self._trial_model()
+        ends = self._ends(trial, [int(self._model.actuator(name).id) for name in actuators])
+        trial.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        found, changed = ({str(self._model.actuator(i).name): closing
+                           for i, closing in closings.items()}
+                          for closings in (ends, self._reopening(trial, ends)))
+        return found, changed
+
+    def _ends(self, trial: mujoco.MjModel, actuators: Sequence[int]) -> dict[int, Closing]:
+        """
+        Return the opening and the closing control of actuators.
 
         Each is driven to both ends of its range while the others hold. The closing end is that at
         which the fingertips that it moves are nearer to each other, or nearer to the palm if that
@@ -271,11 +289,8 @@ class Fingers:
         :returns: by id, opening and closing control, and whether the trial decided
         """
         closings = {}
-        trial = self._trial_model() if actuators else None
         for actuator in actuators:
-            limits = control_range(self._model, actuator)
-            if limits is None:
-                continue
+            limits = control_range(self._model, actuator) or UNLIMITED
             with _without_warnings():
                 low, high = (self._tips_at(trial, actuator, control) for control in limits)
             # Positive where the fingers are farther apart at the upper end.
@@ -285,30 +300,28 @@ class Fingers:
                 *(limits[::-1] if is_clear and change > 0.0 else limits), is_clear)
         return closings
 
-    def _reopening(self, closing: Mapping[int, Closing]) -> dict[int, Closing]:
+    def _reopening(self, trial: mujoco.MjModel, closing: Mapping[int, Closing]
+                   ) -> dict[int, Closing]:
         """
         Return closings from which the fingers open again, where the given ones lock a hand.
 
-        All actuators close at once, with contacts, and open again. One that does not come back
-        closes less far, or with less effort, see :data:`_SHORTER`. What never opens again stays
-        as it is.
+        All actuators close at once, with contacts of the hand, and open again. One that does not
+        come back closes less far, or with less effort, see :data:`_SHORTER`. What never opens
+        again stays as it is.
 
         :param closing: as :meth:`_ends` returns them
         :returns: those that are other ones, by id
         """
-        if not closing:
-            return {}
-        model = self._trial_model(contacts=True)
         # Slow ones get more time before they count.
         long_s = 2.0 * _TRIAL_S
-        stuck = self._stuck(model, closing, _TRIAL_S) and self._stuck(model, closing, long_s)
+        stuck = self._stuck(trial, closing, _TRIAL_S) and self._stuck(trial, closing, long_s)
         reopening: dict[int, Closing] = {}
         if not stuck:
             return reopening
         for share in _SHORTER:
             changed = {actuator: self._lessened(actuator, closing[actuator], share)
                        for actuator in stuck}
-            still = self._stuck(model, {**closing, **reopening, **changed}, long_s)
+            still = self._stuck(trial, {**closing, **reopening, **changed}, long_s)
             reopening.update({actuator: changed[actuator] for actuator in stuck - still})
             stuck &= still
         return reopening
@@ -330,7 +343,7 @@ class Fingers:
             data.ctrl[ids] = [closing[actuator][end] for actuator in ids]
             try:
                 with _without_warnings():
-                    mujoco.mj_step(model, data, round(duration_s / _TRIAL_STEP_S))
+                    self._settle(model, data, duration_s)
             except mujoco.FatalError:  # More contacts than MuJoCo has memory for.
                 return set()
             lengths.append(data.actuator_length[ids].copy())
@@ -357,14 +370,30 @@ class Fingers:
                                for end in (low, high)))] if moves.any() else [0.0]
         return max(changes, key=abs)
 
-    def _trial_model(self, contacts: bool = False) -> Any:
+    def _settle(self, model: mujoco.MjModel, data: mujoco.MjData, duration_s: float) -> None:
+        """Simulate until the fingers rest, or for a duration [s]."""
+        moved = np.isin(model.dof_bodyid, self._moved)
+        joints = model.dof_jntid[moved]
+        ranges = np.where(model.jnt_limited[joints], np.ptp(model.jnt_range[joints], axis=1), 1.0)
+        for _ in range(round(duration_s / _TRIAL_STEP_S / _STEPS_AT_ONCE)):
+            mujoco.mj_step(model, data, _STEPS_AT_ONCE)
+            if (np.abs(data.qvel[moved]) < _AT_REST * ranges).all():
+                return
+
+    def _trial_model(self) -> mujoco.MjModel:
+        """Return a copy of the model without gravity and contacts, where only the hand touches."""
         model = copy.copy(self._model)
         model.opt.timestep = _TRIAL_STEP_S
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         off = mujoco.mjtDisableBit
-        model.opt.disableflags |= int(off.mjDSBL_GRAVITY | off.mjDSBL_AUTORESET)
-        if not contacts:
-            model.opt.disableflags |= int(off.mjDSBL_CONTACT)
+        model.opt.disableflags |= int(
+            off.mjDSBL_GRAVITY | off.mjDSBL_AUTORESET | off.mjDSBL_CONTACT)
+        elsewhere = ~np.isin(model.geom_bodyid, [*self._palm, *self._moved])
+        model.geom_contype[elsewhere] = model.geom_conaffinity[elsewhere] = 0
+        hand = list(self._hand.actuators)
+        model.actuator_ctrlrange[hand] = [
+            control_range(self._model, actuator) or UNLIMITED for actuator in hand]
+        model.actuator_ctrllimited[hand] = 1
         for actuator in range(model.nu):
             if integrates(self._model, actuator):  # The trials set positions.
                 model.actuator_dyntype[actuator] = int(mujoco.mjtDyn.mjDYN_NONE)
@@ -390,7 +419,7 @@ class Fingers:
         for other in range(model.nu):
             data.ctrl[other] = self._holding_control(other)
         data.ctrl[actuator] = control
-        mujoco.mj_step(model, data, round(_TRIAL_S / _TRIAL_STEP_S))
+        self._settle(model, data, _TRIAL_S)
         return np.vstack([self._palm_point(data), *self._tip_points(data)])
 
     def _holding_control(self, actuator: int) -> float:

@@ -50,6 +50,15 @@ class FoundHand:
     joints: tuple[int, ...]
     actuators: tuple[int, ...]
 
+    def in_tree(self, tree: BodyTree, other: BodyTree) -> FoundHand:
+        """Return the hand by its ids in another tree with the same names."""
+        model = other.model
+        joints, actuators = ([str(element(i).name) for i in ids] for element, ids in (
+            (tree.model.joint, self.joints), (tree.model.actuator, self.actuators)))
+        return FoundHand(int(model.body(tree.name(self.body)).id),
+                         tuple(int(model.joint(name).id) for name in joints),
+                         tuple(int(model.actuator(name).id) for name in actuators))
+
 
 def hand_below(tree: BodyTree, body: int) -> FoundHand:
     """Return the bodies below a body as a hand."""

@@ -16,7 +16,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.fingers import (
-    Closings, control_range, Fingers, integrates, once)
+    Closings, control_range, Fingers, integrates, once, UNLIMITED)
 from manip_sim.models.files.found_hands import FoundHand, hands_of_hand
 from manip_sim.models.files.mount_frames import add_body_at, find_place, free_name
 from manip_sim.models.files.part_descriptions import (
@@ -51,6 +51,8 @@ class HandFromFile(GripperModel, registered=False):
     _where: str
     _description: HandDescription
     _start: Mapping[str, float]
+    #: Control that opens and that closes, by actuator that the description does not name.
+    _found_closings: Mapping[str, tuple[float, float]]
     #: Commands in [-1, 1] that open and close.
     _open: FloatArray
     _closed: FloatArray
@@ -89,26 +91,45 @@ class HandFromFile(GripperModel, registered=False):
         self._important_sensors = {role: prefix + name for role, name in
                                    GripperModel._important_sensors.items()}
 
-    def _set_closing(self, ids: list[int], closing: Callable[[list[int]], Closings],
-                     out_of_touch: list[str]) -> None:
+    def _try_closing(self, names: list[str], closing: Callable[[list[str]], Closings]) -> None:
         """
-        Set which way the actuators close, by the description or by trial.
+        Find which way the actuators close that the description does not name.
 
-        :param ids: of :attr:`actuators`, in the model that the part is compiled in
-        :param closing: tries actuators
-        :param out_of_touch: names of the fingers' bodies if none can touch an object
+        :param names: of the actuators
+        :param closing: tries actuators by name
         """
-        declared, names = self._description.closing, self._actuators
+        declared = self._description.closing
         for name in declared:
             if name not in names:
                 raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
-        closings, changed = closing([i for name, i in zip(names, ids) if name not in declared])
+        closings, changed = closing([name for name in names if name not in declared])
         closings.update(changed)
+        self._found_closings = {name: ends[:2] for name, ends in closings.items()}
+        notes = [f'{name} from {opened:g} to {closed:g}{"" if is_clear else " (a guess)"}'
+                 for name, (opened, closed, is_clear) in closings.items()]
+        if notes:
+            self.inferred.append(f'closing: {", ".join(notes)}')
+        if changed:
+            self.inferred.append(
+                f'closing of {quoted_names(list(changed))}: other than '
+                "the ends of its range, from which it does not open again; 'closing' in a YAML "
+                'file changes it')
+
+    def _set_closing(self, ids: list[int], out_of_touch: list[str]) -> None:
+        """
+        Set which way the actuators close, by the description or as was found.
+
+        :param ids: of :attr:`actuators`, in the model that the part is compiled in
+        :param out_of_touch: names of the fingers' bodies if none can touch an object
+        """
         ends = []
         self.closing = {}
-        for name, actuator in zip(names, ids):
-            opened, closed = declared.get(name) or closings.get(actuator, (-1.0, 1.0, False))[:2]
+        for name, actuator in zip(self._actuators, ids):
+            opened, closed = self._description.closing.get(name) or self._found_closings.get(
+                name, UNLIMITED)
             low, high = control_range(self._own_model, actuator) or (opened, closed)
+            if name in self._found_closings:  # The range may have been edited since.
+                opened, closed = min(max(opened, low), high), min(max(closed, low), high)
             if not all(low <= end <= high for end in (opened, closed)):
                 raise ModelError(f"'closing' of actuator '{name}' in {self._where} must be within "
                                  f'its control range of {low:g} to {high:g}, got [{opened:g}, '
@@ -117,16 +138,6 @@ class HandFromFile(GripperModel, registered=False):
             span = (high - low) or 1.0
             ends.append(2.0 * (np.array([opened, closed]) - low) / span - 1.0)
         self._open, self._closed = np.array(ends).reshape(-1, 2).T
-        notes = [f'{names[ids.index(actuator)]} from {opened:g} to {closed:g}'
-                 f'{"" if is_clear else " (a guess)"}'
-                 for actuator, (opened, closed, is_clear) in closings.items()]
-        if notes:
-            self.inferred.append(f'closing: {", ".join(notes)}')
-        if changed:
-            self.inferred.append(
-                f'closing of {quoted_names([names[ids.index(a)] for a in changed])}: other than '
-                "the ends of its range, from which it does not open again; 'closing' in a YAML "
-                'file changes it')
         if out_of_touch:
             self.inferred.append(
                 f'no shape of the fingers ({", ".join(out_of_touch)}) can touch an object: give '
@@ -172,7 +183,7 @@ def _upright(tree: BodyTree, body: int) -> FloatArray:
 
 
 def _rounded(position: ArrayLike) -> str:
-    return ' '.join(f'{number:.3f}' for number in np.asarray(position))
+    return ' '.join(f'{number:.3f}' for number in np.round(np.asarray(position), 3) + 0.0)
 
 
 def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: list[int]
@@ -187,7 +198,7 @@ def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: l
         element = spec.actuator(model.actuator(actuator).name)
         limits = control_range(model, actuator)
         if limits is None:
-            limits = (-1.0, 1.0)
+            limits = UNLIMITED
             notes.append(f"actuator '{element.name}' has no limits: actions are its control")
         element.inheritrange = 0.0
         if integrates(model, actuator):
@@ -228,8 +239,13 @@ class BuiltInGripper(HandFromFile, registered=False):
         """
         self.inferred += fill_control_ranges(spec, tree.model, list(hand.actuators))
         key += repr((hand, sorted(self._start.items()))).encode()
+
+        def fingers() -> Fingers:
+            whole = with_shapes()
+            return Fingers(whole, hand.in_tree(tree, whole), self._start)
+
         self._add_grasp_frame(spec, tree, hand, f'{self.idn}_hand_', lambda: once(
-            key, lambda: Fingers(with_shapes(), hand, self._start).grasp_point()))
+            key, lambda: fingers().grasp_point()))
         bodies = hands_of_hand(tree, hand)
         if bodies:
             self.inferred.append(
@@ -240,15 +256,14 @@ class BuiltInGripper(HandFromFile, registered=False):
         self._joints = [str(tree.model.joint(joint).name) for joint in hand.joints
                         if int(tree.model.jnt_type[joint]) != 0]
         self._actuators = [str(tree.model.actuator(a).name) for a in hand.actuators]
+        self._try_closing(self._actuators, lambda names: once(
+            key + repr(names).encode(), lambda: fingers().closing(names)))
 
-    def bind(self, robot: RobotModel, model: mujoco.MjModel, key: bytes,
-             with_shapes: Callable[[], mujoco.MjModel]) -> None:
+    def bind(self, robot: RobotModel, model: mujoco.MjModel) -> None:
         """
         Record the elements of the hand.
 
         :param model: the robot, which may lack meshes
-        :param key: digest of the robot with its meshes
-        :param with_shapes: compiles the same robot with the meshes of its hands
         """
         self._robot = robot
         self.file = robot.file
@@ -264,15 +279,7 @@ class BuiltInGripper(HandFromFile, registered=False):
                          tuple(int(model.joint(name).id) for name in self._joints),
                          tuple(int(model.actuator(name).id) for name in self._actuators))
         # Joints of the other arm's hand may have gone with it.
-        present = {model.joint(joint).name for joint in range(model.njnt)}
-        start = {name: value for name, value in self._start.items() if name in present}
-        key += repr((hand, sorted(start.items()))).encode()
-
-        def closing(actuators: list[int]) -> Closings:
-            return once(key + repr(actuators).encode(), lambda: Fingers(
-                BodyTree(with_shapes()), hand, start).closing(actuators))
-
-        self._set_closing(list(hand.actuators), closing, Fingers(tree, hand, start).out_of_touch)
+        self._set_closing(list(hand.actuators), Fingers(tree, hand, self._start).out_of_touch)
         self.current_action = np.zeros(self.dof)
 
     @property

@@ -25,7 +25,8 @@ from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.files.scenery import leave_out_dangling, single_tree, touch_other_files
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.files.urdf_joints import support_couplings
-from manip_sim.models.loading import compile_alone, compile_copy, load_spec, name_unnamed_elements
+from manip_sim.models.loading import (
+    compile_alone, compile_copy, leave_out_visual, load_spec, name_unnamed_elements)
 from manip_sim.models.missing_meshes import infer_inertias_once
 from manip_sim.models.regular_files import Files
 from manip_sim.models.untrusted_models import load_self_contained
@@ -179,7 +180,7 @@ def read_model(file: Path, description: Description, where: object,
     infer_inertias_once(spec)
     original, spec = spec, spec.copy()
     if not visual:
-        original.compiler.discardvisual = True
+        leave_out_visual(original)
     model = compile_alone(original, str(file))
     del original
     if urdf:

@@ -29,6 +29,7 @@ from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
 from manip_sim.models.loading import compile_copy, compile_without_meshes
 from manip_sim.models.regular_files import Files
+from manip_sim.models.spec_edits import weld_joints
 
 #: Height above the floor at which the fingers of a hand alone stay [m].
 _CLEARANCE_M = 0.05
@@ -49,7 +50,6 @@ class RobotPlan:
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     :ivar mocap: the mocap bodies that come with the robot, or None
     :ivar depth_in_floor: how far it is raised where nothing else places it [m]
-    :ivar digest_of_meshes: of those of its hands
     """
 
     file: Path
@@ -66,7 +66,6 @@ class RobotPlan:
     keyframes: dict[str, dict[str, float]]
     mocap: MocapBodies | None
     depth_in_floor: float
-    digest_of_meshes: bytes
 
 
 def plan_robot(file: Path, description: RobotDescription, where: str, files: Files | None = None
@@ -107,7 +106,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     notes += changes
     ends = {side: _add_end(spec, tree, side, arm, description, where, notes)
             for side, arm in arms.items()}
-    own_hands = {side: _own_hand(spec, shapes, side, _in_tree(tree, hand, shapes.light),
+    own_hands = {side: _own_hand(spec, shapes, side, hand.in_tree(tree, shapes.light),
                                  description, where, start) for side, hand in hands.items()}
     of_hand_joints = {j for hand in hands.values() for j in hand.joints}
     by_name = {str(tree.model.joint(j).name): part for j, part in subsystems.items()
@@ -115,8 +114,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
     return RobotPlan(file, description, where, spec, start, by_name, ends, own_hands, arms, loose,
-                     notes, model_file.keyframes, mocap, depth,
-                     shapes.digest_of_meshes)
+                     notes, model_file.keyframes, mocap, depth)
 
 
 def _hang_fingers_on_palm(model_file: ModelFile) -> None:
@@ -138,9 +136,9 @@ def _hang_fingers_on_palm(model_file: ModelFile) -> None:
 
 class _HandShapes:
     """
-    The tree of a robot as it was read, with the shapes of its hands that only show something, too.
+    The tree of a robot as it was read, of which only hands move, and with all shapes of these.
 
-    :ivar light: the tree without meshes
+    :ivar light: the tree without meshes, of which all moves
     :ivar key: digest of the tree with its meshes
     """
 
@@ -149,25 +147,19 @@ class _HandShapes:
         tree = model_file.tree
         self._bodies = {tree.name(body) for hand in hands.values()
                         for body in tree.below(hand.body)}
-        self.light, self.digest_of_meshes, self.key = tree, b'', b''
+        self.light, self.key = tree, b''
         if hands:
             self.light = BodyTree(compile_without_meshes(self._spec, self._file, ()))
-            self.digest_of_meshes = digest_of_meshes(self._spec)
-            self.key = digest_of(self.light.model) + self.digest_of_meshes
+            self.key = digest_of(self.light.model) + digest_of_meshes(self._spec)
+        # With what carries it, as MuJoCo lets fingers touch a palm that cannot move.
+        self._joints = {str(tree.model.joint(joint).name) for hand in hands.values()
+                        for joint in (*hand.joints, *tree.joints(
+                            [int(tree.model.body_weldid[hand.body])]))}
         self.tree = cache(self._compile)
 
     def _compile(self) -> BodyTree:
+        weld_joints(self._spec, self._joints)
         return BodyTree(compile_without_meshes(self._spec, self._file, self._bodies))
-
-
-def _in_tree(tree: BodyTree, hand: FoundHand, other: BodyTree) -> FoundHand:
-    """Return a hand by its ids in another tree of the same bodies, joints and actuators."""
-    model = tree.model
-    joints, actuators = ([str(element(i).name) for i in ids] for element, ids in (
-        (model.joint, hand.joints), (model.actuator, hand.actuators)))
-    return FoundHand(int(other.model.body(tree.name(hand.body)).id),
-                     tuple(int(other.model.joint(name).id) for name in joints),
-                     tuple(int(other.model.actuator(name).id) for name in actuators))
 
 
 def _raised(model: mujoco.MjModel, notes: list[str], description: RobotDescription
