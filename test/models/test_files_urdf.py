@@ -332,6 +332,14 @@ def test_of_an_element_that_is_there_twice_the_first_is_read(tmp_path, element, 
     assert [model.geom_pos[geom][2] for geom in boxes] == [0.3]
 
 
+def test_of_several_shapes_of_a_geometry_the_first_is_read(tmp_path):
+    text = URDF.replace('<link name="upper">', '<link name="upper"><visual><geometry>'
+                        '<box size="0.2 0.2 0.2"/><mesh filename="package://acme/lost.stl"/>'
+                        '<box size="0.4 0.4 0.4"/></geometry></visual>')
+    model = load_robot(write(tmp_path / 'arm.urdf', text)).compile()
+    assert 0.1 in model.geom_size and 0.2 not in model.geom_size
+
+
 @pytest.mark.usefixtures('no_packages')
 def test_each_missing_package_is_told(tmp_path):
     mesh_file(tmp_path / 'acme' / 'meshes' / 'link.stl')

@@ -66,6 +66,9 @@ def test_packages_below_ros_package_path_are_found(tmp_path, monkeypatch):
         load_robot(file)
     monkeypatch.setenv('ROS_PACKAGE_PATH', f'/nowhere:{tmp_path}/ws')
     assert reach(file) == pytest.approx(0.3)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv('ROS_PACKAGE_PATH', 'ws')
+    assert reach(file) == pytest.approx(0.3)
 
 
 def test_folders_that_are_ignored_have_no_packages(tmp_path):

@@ -48,6 +48,7 @@ _OF_SHOULDERS = {'abduction'}
 _TO = re.compile(r'_to_(?=.)')
 #: The name of a root's joint, which is a hinge if the file does not say that it is free.
 _FLOATING_BASE = {'floating', 'base'}
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 #: Joints of a root that moves in the plane are named after an axis: x, y, theta.
 _AXIS = re.compile(r'(?:^|_)(x|y|th|theta)$')
 
@@ -217,13 +218,22 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
 
 
 def _correct_base(tree: BodyTree, subsystems: dict[int, str], declared: Mapping[str, str]) -> None:
-    """Assign the joints of a root to the base if all are named after the axes of a plane."""
+    """
+    Assign the joints of a root to the base if all are named after the axes of a plane.
+
+    So are three slides and a hinge or more that no actuator drives where actuators drive the rest:
+    they stand for the free joint of a robot, whatever its root is called.
+    """
     model = tree.model
+    driven: set[int] = set().union(*map(tree.driven, range(model.nu)))
     for root in (body for body in range(1, model.nbody) if tree.parent(body) == 0):
-        axes = [(joint, _AXIS.search(str(model.joint(joint).name)))
-                for joint in tree.joints([root]) if tree.is_scalar(joint)]
-        if len(axes) >= 2 and all(match for _, match in axes):
-            subsystems.update({joint: 'base' for joint, _ in axes
+        joints = [joint for joint in tree.joints([root]) if tree.is_scalar(joint)]
+        are_axes = len(joints) >= 2 and all(
+            _AXIS.search(str(model.joint(joint).name)) for joint in joints)
+        slides = [int(model.jnt_type[joint]) == _SLIDE for joint in joints]
+        floats = sum(slides) == 3 < len(slides) and driven and not driven.intersection(joints)
+        if are_axes or floats:
+            subsystems.update({joint: 'base' for joint in joints
                                if str(model.joint(joint).name) not in declared})
 
 

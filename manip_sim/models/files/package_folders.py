@@ -92,7 +92,7 @@ class PackageFolders:
         if package == PACKAGE:  # A URDF that was written here.
             yield share_directory()
             return
-        folders = [Path(prefix) / 'share' / package for prefix in
+        folders = [Path(os.path.abspath(prefix)) / 'share' / package for prefix in
                    os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
         for entry in _package_path():
             folders += [entry, entry / package]
@@ -135,8 +135,9 @@ class PackageFolders:
 
 
 def _package_path() -> list[Path]:
-    return [Path(entry) for entry in os.environ.get('ROS_PACKAGE_PATH', '').split(os.pathsep)
-            if entry]
+    # Of a relative path, xacro would look beside the file that includes another.
+    return [Path(os.path.abspath(entry))
+            for entry in os.environ.get('ROS_PACKAGE_PATH', '').split(os.pathsep) if entry]
 
 
 def _walk(top: Path, depth: int, seen: set[str]) -> Iterator[Path]:

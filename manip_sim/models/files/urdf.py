@@ -37,7 +37,7 @@ _READ_BY_MUJOCO = ('link', 'joint', 'material', 'mujoco', 'include')
 #: Shapes, and the attributes that each needs.
 _GEOMETRY = {'box': {'size'}, 'cylinder': {'radius', 'length'}, 'capsule': {'radius', 'length'},
              'sphere': {'radius'}, 'mesh': {'filename'}}
-#: Elements of which an element has one.
+#: Elements of which an element has one; a geometry has one of any.
 _SINGLE = {'link': ('inertial',),
            'visual': ('origin', 'geometry', 'material'), 'collision': ('origin', 'geometry'),
            'inertial': ('origin', 'mass', 'inertia'),
@@ -131,8 +131,9 @@ def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files
     """
     robot, origins = _elements(file, xacro_args, files)
     for element in list(robot.iter()):  # Other readers take the first, too; MuJoCo refuses two.
-        for tag in _SINGLE.get(element.tag, ()):
-            for repeated in element.findall(tag)[1:]:
+        for alike in ([list(element)] if element.tag == 'geometry' else
+                      map(element.findall, _SINGLE.get(element.tag, ()))):
+            for repeated in alike[1:]:
                 element.remove(repeated)
     for color in robot.iter('color'):
         if len(color.get('rgba', '').split()) == 3:
