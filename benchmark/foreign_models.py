@@ -541,7 +541,7 @@ def check_as_found(name: str, moves: bool) -> dict[str, Any]:
 
 def _arm_follows(simulation: Simulation, part: str, row: dict[str, Any], original: Any) -> bool:
     """Return whether an arm follows a sine of positions, if need be without contacts."""
-    names = [joint for joint in simulation.robot.parts[part].driven_joints if joint]
+    names = _movable(simulation, part)
     contacts = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     residual, _, _ = _sine(simulation, part, 'position', names)
     if residual.max() >= FOLLOWED:
@@ -553,6 +553,15 @@ def _arm_follows(simulation: Simulation, part: str, row: dict[str, Any], origina
                              f'{100 * residual.max():.0f} %')
         _explain(simulation, part, 'follows', row, original)
     return bool(residual.max() < FOLLOWED)
+
+
+def _movable(simulation: Simulation, part: str) -> list[str]:
+    """Return the driven joints of a part that no equality constraint holds in place."""
+    model = simulation.model
+    ties = (model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)) & (model.eq_obj2id < 0)
+    held = {model.joint(joint).name for joint in model.eq_obj1id[ties & (model.eq_active0 != 0)]}
+    return [joint for joint in simulation.robot.parts[part].driven_joints
+            if joint and joint not in held]
 
 
 def _explain(simulation: Simulation, part: str, what: str, row: dict[str, Any], original: Any
@@ -572,7 +581,7 @@ def _lack(simulation: Simulation, part: str) -> str:
     """Return which actuator of a part lacks effort for a sine, and how much, or nothing."""
     simulation.reset()
     model, robot = simulation.model, simulation.robot
-    names = [joint for joint in robot.parts[part].driven_joints if joint]
+    names = _movable(simulation, part)
     middle, swing = _room(model, names, robot.state().position[
         [robot.joint_names.index(name) for name in names]])
     ids = robot.parts[part].actuator_ids

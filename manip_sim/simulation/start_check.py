@@ -53,7 +53,7 @@ def check_start(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]
 def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str | int],
                        urdf: tuple[str, ...] = ()) -> list[StartDefect]:
     """
-    Find overlaps, blocked joints, joints outside their range, drive defects and absurd inertias.
+    Find overlaps, blocked joints, joints outside their range, drive defects, absurd inertias.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
@@ -66,7 +66,7 @@ def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterab
                 and of_robots[model.geom_bodyid[contact.geom]].any()]
     joints = [joint for joint in _actuated_joints(model) if of_robots[model.jnt_bodyid[joint]]]
     return [*_overlaps(model, contacts, of_robots, urdf),
-            *_blocked(model, data, contacts, joints, of_robots, urdf),
+            *_blocked(model, data, contacts, joints, of_robots, urdf), *_held(model, joints),
             *_out_of_range(model, data, of_robots, urdf),
             *find_drive_defects(model, data, of_robots, urdf),
             *_inertias(model, of_robots, urdf)]
@@ -134,6 +134,18 @@ def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], jo
         yield StartDefect(
             'blocked', f"joint '{model.joint(joint).name}' starts blocked by "
             f'{_geom(model, neighbour, urdf)}', _apart(model, mover, neighbour, of_robots, urdf))
+
+
+def _held(model: mujoco.MjModel, joints: list[int]) -> Iterator[StartDefect]:
+    """Yield a defect if equality constraints hold joints in place that actuators drive."""
+    held = model.eq_obj1id[(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
+                           & (model.eq_active0 != 0) & (model.eq_obj2id < 0)]
+    names = [str(model.joint(joint).name) for joint in joints if joint in held]
+    if names:
+        yield StartDefect(
+            'blocked', f'equality constraints hold in place what actuators drive: joints '
+            f'{quoted_names(names)}', 'write active="false" in these <joint> of <equality>, or '
+            'leave the actuators out')
 
 
 def _is_blocked(model: mujoco.MjModel, trial: Any, data: mujoco.MjData, joint: int) -> bool:

@@ -42,7 +42,8 @@ REMEDY = 'if another file includes this one, load that'
     ('rocker_rover.urdf', {'base': 8}),
     ('floating_hinge.xml', {'base': 1, 'arm': 3}),
     ('carried_gripper.xml', {'base': 2, 'right/gripper': 2}),
-    ('trunk_on_slides.xml', {'base': 6, 'legs': 8})])
+    ('trunk_on_slides.xml', {'base': 6, 'legs': 8}),
+    ('drawn_hand.xml', {'arm': 2, 'right/gripper': 2})])
 def test_the_parts_are_those_that_a_reader_of_the_file_sees(name, expected):
     parts = Simulation(compose(load_robot(DATA / name))).robot.parts
     assert {part: len(own.joints) for part, own in parts.items()

@@ -131,6 +131,15 @@ def test_joint_without_a_force_limit_is_tried_with_an_acceleration_whatever_its_
     assert ('blocked' in kinds) is blocked
 
 
+@pytest.mark.parametrize(('ties', 'held'), [
+    ('<joint joint1="tip"/>', ["'tip'"]), ('<joint joint1="tip" active="false"/>', []),
+    ('<joint joint1="tip" joint2="middle"/><joint joint1="root"/>', [])])
+def test_what_an_equality_constraint_holds_and_an_actuator_drives_is_told(ties, held):
+    sentences = told_of(arm(BALL.format('tip', 0)), f'{ACTUATORS}<equality>{ties}</equality>')
+    assert sentences == ['equality constraints hold in place what actuators drive: joints '
+                         f'{name}' for name in held]
+
+
 def test_joint_without_an_actuator_is_not_told_as_blocked():
     stops = block(0.3001) + block(0.4999)
     assert told_of(arm(BALL.format('tip', 0), outer=f'<body name="stops">{stops}</body>')) == []

@@ -105,7 +105,8 @@ class HandFromFile(GripperModel, registered=False):
         closings, changed = closing([name for name in names if name not in declared])
         closings.update(changed)
         self._found_closings = {name: ends[:2] for name, ends in closings.items()}
-        notes = [f'{name} from {opened:g} to {closed:g}{"" if is_clear else " (a guess)"}'
+        notes = [f'{name} from {opened + 0.0:g} to {closed + 0.0:g}'
+                 f'{"" if is_clear else " (a guess)"}'
                  for name, (opened, closed, is_clear) in closings.items()]
         if notes:
             self.inferred.append(f'closing: {", ".join(notes)}')
