@@ -221,8 +221,8 @@ def _correct_base(tree: BodyTree, subsystems: dict[int, str], declared: Mapping[
     """
     Assign the joints of a root to the base if all are named after the axes of a plane.
 
-    So are three slides and a hinge or more that no actuator drives where actuators drive the rest:
-    they stand for the free joint of a robot, whatever its root is called.
+    So are three slides and a hinge or more that no actuator drives, of a root that carries joints
+    that some do: they stand for the free joint of a robot, whatever its root is called.
     """
     model = tree.model
     driven: set[int] = set().union(*map(tree.driven, range(model.nu)))
@@ -231,7 +231,8 @@ def _correct_base(tree: BodyTree, subsystems: dict[int, str], declared: Mapping[
         are_axes = len(joints) >= 2 and all(
             _AXIS.search(str(model.joint(joint).name)) for joint in joints)
         slides = [int(model.jnt_type[joint]) == _SLIDE for joint in joints]
-        floats = sum(slides) == 3 < len(slides) and driven and not driven.intersection(joints)
+        floats = (sum(slides) == 3 < len(slides) and not driven.intersection(joints)
+                  and driven.intersection(tree.joints(tree.below(root))))
         if are_axes or floats:
             subsystems.update({joint: 'base' for joint in joints
                                if str(model.joint(joint).name) not in declared})

@@ -147,9 +147,9 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     Left out are lights and grounds of the world body, its cameras, other shapes and sites if the
     only root is free, mocap bodies (without a sentence), empty bodies, free bodies without
     actuators if there are other roots, roots without joints if only one other has some, roots
-    that no actuator drives and nothing ties to another where actuators drive the rest and they
-    touch nothing or that floats, and, with their actuators, roots of which one body moves beside
-    one that floats.
+    that no actuator drives and nothing ties to another, beside a robot that floats or that is
+    driven if none of their shapes collides, and, with their actuators, roots of which one body
+    moves beside a robot that floats.
 
     :param spec: the ``mujoco.MjSpec``, without keyframes; changed in place
     :returns: the spec or, with a new root, another one, and a sentence for each change
@@ -289,25 +289,20 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
         tree.joints(tree.below(model.body(body.name).id))) for body in roots)
     for body in roots:
         below = sorted(tree.below(model.body(body.name).id))
-        joints = tree.joints(below)
-        empty = not joints and not (body.geoms or body.find_all('geom'))
+        joints, shapes = tree.joints(below), [*body.geoms, *body.find_all('geom')]
+        empty = not joints and not shapes
+        is_drawn = shapes and not any(geom.contype or geom.conaffinity for geom in shapes)
         is_object = _is_free(body) and not driven.intersection(joints)
         # Some robots keep the joints that a variant lacks on bodies beside it.
         is_dummy = floats and not _is_free(body) and len({*model.jnt_bodyid[joints]}) == 1
         # What nothing drives, ties or touches shows something, such as where a hand should be.
         is_furniture = (not joints and (floats or len(articulated) == 1)) or (
-            (floats or driven and not _touches(model, below))
+            (floats or driven and is_drawn)
             and not driven.intersection(joints) and not _is_tied(model, below))
         if (body.mocap or empty or is_furniture or is_dummy
                 or (is_object and (driven or len(roots) > 1))):
             objects.append(body)
     return objects if len(objects) < len(roots) else []
-
-
-def _touches(model: mujoco.MjModel, bodies: list[int]) -> bool:
-    """Return whether a shape of some bodies collides."""
-    collides = (model.geom_contype | model.geom_conaffinity) != 0
-    return bool(np.isin(model.geom_bodyid[collides], bodies).any())
 
 
 def _is_tied(model: mujoco.MjModel, bodies: list[int]) -> bool:
