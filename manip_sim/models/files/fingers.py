@@ -31,9 +31,6 @@ _TRIAL_S, _TRIAL_STEP_S = 0.5, 0.002
 _TELLING = 0.02
 #: A fingertip that moves at most this fraction of the greatest motion counts as still.
 _STILL = 0.1
-#: Fingers rest if no joint moves by more than this share of its range, or of a radian, in a
-#: second; they are looked at after so many steps.
-_AT_REST, _STEPS_AT_ONCE = 5e-3, 25
 #: Range of the control of an actuator that nothing limits.
 UNLIMITED = (-1.0, 1.0)
 #: A control range may exceed what the joint can reach by this fraction of the joint's range.
@@ -343,7 +340,7 @@ class Fingers:
             data.ctrl[ids] = [closing[actuator][end] for actuator in ids]
             try:
                 with _without_warnings():
-                    self._settle(model, data, duration_s)
+                    mujoco.mj_step(model, data, round(duration_s / _TRIAL_STEP_S))
             except mujoco.FatalError:  # More contacts than MuJoCo has memory for.
                 return set()
             lengths.append(data.actuator_length[ids].copy())
@@ -369,16 +366,6 @@ class Fingers:
                    _relative(*(np.linalg.norm(end[1:][moves] - end[0], axis=1).mean()
                                for end in (low, high)))] if moves.any() else [0.0]
         return max(changes, key=abs)
-
-    def _settle(self, model: mujoco.MjModel, data: mujoco.MjData, duration_s: float) -> None:
-        """Simulate until the fingers rest, or for a duration [s]."""
-        moved = np.isin(model.dof_bodyid, self._moved)
-        joints = model.dof_jntid[moved]
-        ranges = np.where(model.jnt_limited[joints], np.ptp(model.jnt_range[joints], axis=1), 1.0)
-        for _ in range(round(duration_s / _TRIAL_STEP_S / _STEPS_AT_ONCE)):
-            mujoco.mj_step(model, data, _STEPS_AT_ONCE)
-            if (np.abs(data.qvel[moved]) < _AT_REST * ranges).all():
-                return
 
     def _trial_model(self) -> mujoco.MjModel:
         """Return a copy of the model without gravity and contacts, where only the hand touches."""
@@ -419,7 +406,7 @@ class Fingers:
         for other in range(model.nu):
             data.ctrl[other] = self._holding_control(other)
         data.ctrl[actuator] = control
-        self._settle(model, data, _TRIAL_S)
+        mujoco.mj_step(model, data, round(_TRIAL_S / _TRIAL_STEP_S))
         return np.vstack([self._palm_point(data), *self._tip_points(data)])
 
     def _holding_control(self, actuator: int) -> float:
