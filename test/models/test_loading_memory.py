@@ -38,7 +38,7 @@ print(json.dumps([peak() - begin, seconds[0], min(seconds[1:])]))
 
 @pytest.fixture(params=[0, 2], ids=['without hand', 'with hand'])
 def file(tmp_path, request):
-    """Return a robot of six links, each of a mesh with 40 000 faces, and fingers of two of them."""
+    """Return a robot of six links, each of a mesh with 40 000 faces, and fingers of such ones."""
     fingers = ''.join(
         f'<body name="finger{number}" pos="0 {side} 0.2"><joint name="f{number}" type="slide" '
         f'axis="0 {-side} 0" range="0 0.05"/><geom type="mesh" mesh="link{number}"/></body>'
