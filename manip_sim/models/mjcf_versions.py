@@ -89,7 +89,8 @@ _REMEDIES = {
     r'range\[0\] should be smaller': 'write the lower number first, or limited="false"',
     r'size \d must be positive': 'write its size', 'are negative': 'write positive numbers',
     'free joint can only': 'move it to <worldbody>, or delete its free joint',
-    'transmission target': 'correct its name, or add what it acts on',
+    'transmission target': 'correct its name, or add what it acts on; if another file includes '
+    'this one, load that',
     ' not found in ': 'correct its name, or add it'}
 #: File and line of an element, and of each of some, if they are known.
 Place = tuple[Path, int]
