@@ -440,14 +440,30 @@ def test_a_hand_of_a_robot_closes_within_a_range_that_was_edited(gripping_arm):
     assert hand.closing == {'left_finger': [0.0, 0.01], 'right_finger': [0.0, 0.02]}
 
 
-def test_only_the_hand_and_its_carrier_move_in_trials(gripping_arm, monkeypatch):
-    tried = []
+@pytest.fixture
+def tried(monkeypatch):
+    """Return a function that loads a robot and returns the model in which its hand is tried."""
+    models = []
     monkeypatch.setattr(fingers, '_known', {})
     trial = fingers.Fingers._trial_model
     monkeypatch.setattr(fingers.Fingers, '_trial_model', lambda hand: (
-        tried.append(trial(hand)), tried[-1])[1])
-    load_robot(gripping_arm.file)
-    (model,) = tried
+        models.append(trial(hand)), models[-1])[1])
+    return lambda file: (load_robot(file), models[-1])[1]
+
+
+def test_what_carries_a_hand_keeps_the_mass_of_its_mesh_in_trials(gripping_arm, tried):
+    corners = ' '.join(f'{x} {y} {z}' for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1))
+    text = gripping_arm.file.read_text().replace(
+        '<worldbody>', f'<asset><mesh name="box" vertex="{corners}"/></asset><worldbody>').replace(
+        '<geom size="0.03"/><body name="left', '<geom type="mesh" mesh="box"/><body name="hand">'
+        '<geom size="0.02"/><body name="left')
+    text = text.replace('</body></body></body></worldbody>', '</body>' * 4 + '</worldbody>')
+    model = tried(write(gripping_arm.file.with_name('heavy.xml'), text))
+    assert model.body('palm').mass[0] == pytest.approx(1.0)
+
+
+def test_only_the_hand_and_its_carrier_move_in_trials(gripping_arm, tried):
+    model = tried(gripping_arm.file)
     assert [model.joint(joint).name for joint in range(model.njnt)] == [
         'lift', 'left_finger', 'right_finger']
     touching = np.flatnonzero(model.geom_contype)

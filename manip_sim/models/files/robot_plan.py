@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.errors import ModelError, UnknownNameError
@@ -145,16 +146,19 @@ class _HandShapes:
     def __init__(self, model_file: ModelFile, hands: Mapping[str, FoundHand]) -> None:
         self._spec, self._file = model_file.spec.copy(), str(model_file.file)
         tree = model_file.tree
+        welds = tree.model.body_weldid
+        carriers = {int(welds[hand.body]) for hand in hands.values()} - {0}
         self._bodies = {tree.name(body) for hand in hands.values()
-                        for body in tree.below(hand.body)}
+                        for body in tree.below(hand.body)} | {
+            name for body in np.flatnonzero(np.isin(welds, list(carriers))).tolist()
+            if not self._spec.body(name := tree.name(body)).explicitinertial}
         self.light, self.key = tree, b''
         if hands:
             self.light = BodyTree(compile_without_meshes(self._spec, self._file, ()))
             self.key = digest_of(self.light.model) + digest_of_meshes(self._spec)
         # With what carries it, as MuJoCo lets fingers touch a palm that cannot move.
-        self._joints = {str(tree.model.joint(joint).name) for hand in hands.values()
-                        for joint in (*hand.joints, *tree.joints(
-                            [int(tree.model.body_weldid[hand.body])]))}
+        self._joints = {str(tree.model.joint(joint).name) for joint in (
+            *tree.joints(carriers), *(j for hand in hands.values() for j in hand.joints))}
         self.tree = cache(self._compile)
 
     def _compile(self) -> BodyTree:
