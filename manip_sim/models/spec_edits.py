@@ -116,25 +116,24 @@ _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 's
 
 def weld_joints(spec: mujoco.MjSpec, kept: Collection[str]) -> None:
     """
-    Fix all joints but some where they are, and leave out what drives, ties or senses them.
+    Fix all joints but some where they are, and leave out what drives, ties or measures them.
 
     :param spec: it has no keyframes
     :param kept: names of the other joints
     """
-    delete_elements(spec, list(spec.sensors))
     joints = [joint for joint in spec.joints if joint.name not in kept]
     welded = {joint.name for joint in joints}
     tendons = [tendon for tendon in spec.tendons
                if any(int(wrap.type) == _WRAPS_JOINT and wrap.target.name in welded
                       for wrap in tendon.path)]
-    loose = {tendon.name for tendon in tendons}
+    loose = {tendon.name for tendon in tendons if tendon.name}
     tied = {int(_EQ.mjEQ_JOINT): welded, int(_EQ.mjEQ_TENDON): loose}
     delete_elements(spec, [equality for equality in spec.equalities if tied.get(
         int(equality.type), set()) & {equality.name1, equality.name2}])
     driven = {**dict.fromkeys(_OF_JOINTS, welded), int(_TRN.mjTRN_TENDON): loose}
-    delete_elements(spec, [actuator for actuator in spec.actuators
-                           if actuator.target in driven.get(int(actuator.trntype), ())])
-    delete_elements(spec, [*tendons, *joints])
+    actuators = [actuator for actuator in spec.actuators
+                 if actuator.target in driven.get(int(actuator.trntype), ())]
+    delete_elements(spec, [*actuators, *tendons, *joints])
 
 
 def rename_body(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:

@@ -13,16 +13,18 @@ from manip_sim.models.spec_edits import weld_joints
 def tied_joints():
     """Return the spec of a free body and two joints, with all that may refer to these."""
     return mujoco.MjSpec.from_string("""<mujoco><worldbody><body><freejoint name="root"/>
-      <geom size="1"/><body><joint name="j1"/><geom size="1"/><body><joint name="j2"/>
+      <geom size="1"/><body><joint name="j1"/><geom size="1"/><body name="tip"><joint name="j2"/>
       <geom size="1"/></body></body></body></worldbody>
       <tendon><fixed name="both"><joint joint="j1" coef="1"/><joint joint="j2" coef="1"/></fixed>
       <fixed name="one"><joint joint="j2" coef="1"/></fixed></tendon>
       <equality><joint joint1="j1" joint2="j2"/><tendon tendon1="both"/><joint joint1="j2"/>
       </equality><actuator><motor joint="j1"/><motor joint="j2"/><motor tendon="both"/>
-      <motor tendon="one"/></actuator><sensor><jointpos joint="j1"/></sensor></mujoco>""")
+      <motor tendon="one"/></actuator><sensor><jointpos joint="j1"/>
+      <framepos name="place" objtype="body" objname="tip"/>
+      <framequat name="tip" objtype="body" objname="tip"/></sensor></mujoco>""")
 
 
 def test_what_refers_to_a_welded_joint_goes_with_it(tied_joints):
     weld_joints(tied_joints, {'j2'})
     model = tied_joints.compile()
-    assert (model.nv, model.ntendon, model.neq, model.nu, model.nsensor) == (1, 1, 1, 2, 0)
+    assert (model.nv, model.ntendon, model.neq, model.nu, model.nsensor) == (1, 1, 1, 2, 2)
