@@ -74,6 +74,6 @@ def test_an_arm_that_a_controller_presses_with_its_hand_on_the_pedestal_comes_to
 
 def test_a_motion_that_slides_on_is_given_time_to_arrive(benchmark_module):
     resting = benchmark_module('resting')
-    outcomes = resting.measure('Baxter', 'position', 0.005, [6, 7], seed=71)
+    outcomes = resting.measure('Panda', 'position', 0.005, [0, 1, 2], 'table', seed=41)
     late = [outcome for outcome in outcomes if not outcome.rests]
-    assert [outcome.motion for outcome in late] == [6] and 0.0 < late[0].later_s < resting.LATER_S
+    assert [outcome.motion for outcome in late] == [2] and 0.0 < late[0].later_s < resting.LATER_S
