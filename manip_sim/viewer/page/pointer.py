@@ -34,7 +34,7 @@ _SAME_M = 0.01
 @dataclass(frozen=True)
 class _Aimed:
     """
-    What a camera was aimed at, for a window of a size [pixels].
+    The place and the target of a camera that was aimed, for a window of a size [pixels].
 
     :ivar direction: of view
     """
