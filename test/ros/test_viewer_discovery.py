@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from geometry_msgs.msg import PoseStamped
 from hostile_node import archive, HostileNode, LATCHED, NAME
 import pytest
 from sensor_msgs.msg import JointState
@@ -207,17 +208,18 @@ def test_another_robot_takes_the_place_of_one_that_still_counts_as_present(clien
     former = other.states()['arm/joint_states']
     other.text = lambda what: f'other_{what}'
     other.send_world()
-    finding.until(lambda found: found.models == 2 and found.robots())
-    assert found.robots()[0].parts[0].joints == ()
+    finding.until(lambda found: found.models == 2)
     for _ in range(3):
         other.publishers['arm/joint_states'].publish(former)
         finding.discovery.look()
+        assert found.layout is None
     new = other.states()['arm/joint_states']
 
     def arrived(_):
         other.publishers['arm/joint_states'].publish(new)
-        return [joint.name for joint in found.robots()[0].parts[0].joints] == ['other_joint']
+        return found.layout is not None
     finding.until(arrived)
+    assert [joint.name for joint in found.robots()[0].parts[0].joints] == ['other_joint']
     assert found.layout == layout
     # The same joints with other limits.
     other.urdf.publish(String(data=LIMITED.replace('"joint"', '"other_joint"').format('')))
@@ -246,11 +248,39 @@ def test_the_former_parts_stay_until_all_is_known_of_other_ones(client, other):
     assert found._joints.keys() == {'/torso'}
 
 
+def test_parts_of_a_killed_node_that_still_counts_as_present_are_left_out(client, other):
+    # A torso, a left arm and a robot of a killed node: topics of commands, and nobody publishes.
+    torso = other.node.create_publisher(JointState, 'torso/joint_states', 10)
+    other.node.create_publisher(String, 'ghost/robot_description', LATCHED).publish(
+        String(data=LIMITED.format('')))
+    for topic in ('torso/joint_command', 'left/joint_command', 'ghost/arm/joint_command'):
+        other.node.create_subscription(JointState, topic, print, 10)
+    other.node.create_subscription(PoseStamped, 'left/target_pose', print, 10)
+    finding = Finding(client, NAME)
+    (robot,) = finding.whole().robots()
+    assert (robot.space, robot.end_effectors) == ('/', ('right',))
+    assert [part.name for part in robot.parts] == ['arm']
+
+    # One that was only late is shown as soon as it has states.
+    def arrived(found):
+        torso.publish(other.states()['arm/joint_states'])
+        return found.layout and len(found.robots()[0].parts) == 2
+    found = finding.until(arrived)
+    assert [part.name for part in found.robots()[0].parts] == ['arm', 'torso']
+    # It is gone with the next model, at once if its joints are not there.
+    other.text = lambda what: f'other_{what}'
+    other.send_world()
+    finding.until(lambda found: found.models == 2)
+    assert found.layout is None
+    finding.until(lambda found: found.layout is not None)
+    assert [part.name for part in found.robots()[0].parts] == ['arm']
+
+
 def test_a_part_without_usable_names_of_joints_is_waited_for(client, other):
     finding = Finding(client, NAME)
     other._timer.cancel()
     publisher = other.publishers['arm/joint_states']
-    finding.until(lambda _: publisher.get_subscription_count() > 0)
+    finding.until(lambda found: any(robot.parts for robot in found._seen.robots))
 
     def rejected(_):
         publisher.publish(JointState(name=['a', 'a'], position=[0.0, 0.0]))
@@ -264,6 +294,8 @@ def test_a_part_without_usable_names_of_joints_is_waited_for(client, other):
     finding.until(lambda _: publisher.get_subscription_count() == 0)
     other.model = other.node.create_publisher(UInt8MultiArray, f'{NAME}/mjcf_archive', LATCHED)
     other.send_world()
-    finding.until(lambda _: publisher.get_subscription_count() > 0)
-    publisher.publish(other.states()['arm/joint_states'])
-    finding.whole()
+
+    def whole(found):
+        publisher.publish(other.states()['arm/joint_states'])
+        return found.layout is not None
+    finding.until(whole)

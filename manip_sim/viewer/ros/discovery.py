@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+import itertools
 import re
+import time
 from typing import Any
 
 import mujoco
@@ -130,6 +132,12 @@ _TWIST = (0.5, 0.5, 1.0)
 _BASE = 'base'
 #: Size of a URDF at most [bytes].
 _MAX_URDF_BYTES = 2**23
+#: Wall time after which a part without states belongs to a killed node, which DDS counts as
+#: present for 20 s, if other parts have states [s]; nodes repeat their states ten times a second.
+_SILENT_S = 2.0
+#: Last parts of the names of topics by which robots, objects and cameras are known, and parts.
+_PUBLISHED = (_DESCRIPTION, 'pose', 'image_raw')
+_TAKEN = ('joint_command', 'target_pose', 'cmd_vel')
 
 
 class Discovery:
@@ -154,8 +162,11 @@ class Discovery:
         self._seen = Layout()
         self._subscriptions: dict[str, Any] = {}
         self._joints: dict[str, list[str]] = {}
-        #: The parts whose names of joints came after the model and are in it.
+        #: The parts whose names of joints came after the model and are in it; since when the
+        #: others are waited for [s of wall time]; and those for which nobody waits any more.
         self._current: set[str] = set()
+        self._awaited_s: dict[str, float] = {}
+        self._silent: set[str] = set()
         self._limits: dict[str, Mapping[str, Mapping[str, float]]] = {}
         self._archive = f'/{simulation}/mjcf_archive'
         self._newest, self._tried = b'', b''
@@ -182,10 +193,22 @@ class Discovery:
                 self.models += 1
                 # Another robot may have parts of the same names, and the node before it counts
                 # as present until DDS misses it.
-                self._current.clear()
+                self._expect_names()
+                if not all(map(self._is_in_model, self._joints.values())):
+                    self.layout = None
         if self.checking is None and self._newest != self._tried:
             self._tried = self._newest
             self.checking = begin(partial(load_archive, self._newest))
+
+    def _expect_names(self) -> None:
+        self._current.clear()
+        self._awaited_s.clear()
+        self._silent.clear()
+
+    def _is_in_model(self, names: Collection[str]) -> bool:
+        return self.model is not None and all(
+            mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0
+            for name in names)
 
     def look(self) -> None:
         """Check which model and topics the node has; to be called from time to time."""
@@ -193,37 +216,54 @@ class Discovery:
         if not self.is_there:
             self.forget()
             return
-        namespace, _, name = f'/{self._name}'.rpartition('/')
-        try:
-            published, subscribed = (
-                [topic for topic, _ in list_topics(name, namespace or '/')]
-                for list_topics in (self._node.get_publisher_names_and_types_by_node,
-                                    self._node.get_subscriber_names_and_types_by_node))
-        except RuntimeError:  # Its topics are discovered before the node.
-            return
-        seen = layout_of(self.base, published, subscribed)
+        published = self._topics(_PUBLISHED, self._node.get_publishers_info_by_topic)
+        subscribed = self._topics(_TAKEN, self._node.get_subscriptions_info_by_topic)
+        silent = {f'{part}/{topic}' for part in self._silent for topic in _TAKEN}
+        seen = layout_of(self.base, published, subscribed - silent)
         # Names arrive one by one: a layout that stays equal between two looks is complete.
         settled, self._seen = seen == self._seen, seen
         if settled and seen.robots:
             self._learn(seen)
 
+    def _topics(self, last: Collection[str], list_ends: Callable[[str], Any]) -> set[str]:
+        """
+        Return topics of the node, and of a killed one of its name that counts as present.
+
+        :param last: their names after the last slash
+        :param list_ends: the publishers or the subscriptions of a topic
+        """
+        namespace, _, name = f'/{self._name}'.rpartition('/')
+        topics = (topic for topic, _ in self._node.get_topic_names_and_types()
+                  if topic.startswith(self.base) and topic.rpartition('/')[2] in last)
+        return {topic for topic in itertools.islice(topics, _MAX_TOPICS) if any(
+            (end.node_namespace, end.node_name) == (namespace or '/', name)
+            for end in list_ends(topic))}
+
     def _learn(self, layout: Layout) -> None:
         """Take over a layout when the joints of all parts and all limits are known."""
+        layout = replace(layout, robots=tuple(
+            robot for robot in layout.robots if robot.parts
+            or not any(part.startswith(robot.space) for part in self._silent)))
         spaces = [robot.space for robot in layout.robots]
         parts = [robot.space + name for robot in layout.robots for name in robot.parts]
+        awaited = set(parts) - self._current
+        now_s = time.monotonic()
+        late = {part for part in awaited
+                if now_s - self._awaited_s.setdefault(part, now_s) > _SILENT_S}
+        if len(awaited) < len(parts):
+            self._silent |= late
         # Another description may come at any time, the names of joints come many times a second.
         subscriptions: dict[str, tuple[Any, ...]] = {name_of(space, 'robot_description'): (
             String, partial(self._take_urdf, space), LATCHED, _MAX_URDF_BYTES)
             for space in spaces}
         subscriptions.update({name_of('', '<part>/joint_states', part): (
-            JointState, partial(self._take_names, part), 1) for part in parts
-                       if part not in self._joints or part not in self._current})
+            JointState, partial(self._take_names, part), 1) for part in awaited | self._silent})
         for topic in self._subscriptions.keys() - subscriptions.keys():
             self._node.destroy_subscription(self._subscriptions.pop(topic))
         for topic, (kind, *rest) in subscriptions.items():
             if topic not in self._subscriptions:
                 self._subscriptions[topic] = self._readers.subscribe(kind, topic, *rest)
-        if self._limits.keys() >= set(spaces) and self._joints.keys() >= set(parts):
+        if self._limits.keys() >= set(spaces) and not awaited:
             self.layout = layout
             # A robot that is gone may come again as another one.
             self._limits = {space: self._limits[space] for space in spaces}
@@ -236,18 +276,18 @@ class Discovery:
             raise MessageError(f'the URDF cannot be read: {error}') from error
 
     def _take_names(self, part: str, message: JointState) -> None:
-        names = self._joints[part] = list(readers.joint_states(message).names)
-        if self.model is not None and all(
-                mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0
-                for name in names):
+        names = list(readers.joint_states(message).names)
+        if self._is_in_model(names):
+            self._joints[part] = names
             self._current.add(part)
+            self._silent.discard(part)
 
     def forget(self) -> None:
         """Forget all but the model: the node is gone, and another may come."""
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions, self._joints, self._limits = {}, {}, {}
-        self._current.clear()
+        self._expect_names()
         self.layout, self._seen = None, Layout()
 
     def robots(self) -> list[Robot]:
