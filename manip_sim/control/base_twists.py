@@ -25,6 +25,8 @@ class BaseTwists:
     :param setpoints: of all driven joints
     """
 
+    remembered = ('_stream',)
+
     def __init__(self, servos: Servos, setpoints: SetpointGenerator) -> None:
         self._servos, self._setpoints = servos, setpoints
         self._stream: VelocityStream | None = None

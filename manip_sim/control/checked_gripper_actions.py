@@ -27,8 +27,9 @@ class Formatter:
     :raises ModelError: if the call with zeros raises or does not return ``count`` finite numbers
     """
 
-    #: A value derived on first use, and the record of faults.
-    not_in_digest = ('_closing', 'faults', 'last_fault')
+    #: Only counted and told.
+    remembered = ('faults', 'last_fault')
+    undigested = remembered
 
     def __init__(self, gripper: GripperModel, count: int) -> None:
         self._gripper = gripper

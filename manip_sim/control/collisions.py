@@ -49,6 +49,8 @@ class CollisionObserver:
     :ivar residual: of all joints [N m or N], shape (n,)
     """
 
+    remembered = ('residual',)
+
     def __init__(self, physics: Physics, joints: JointController,
                  readers: Mapping[str, EndEffectorReader]) -> None:
         self._physics, self._joints, self._readers = physics, joints, readers

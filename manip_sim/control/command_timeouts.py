@@ -17,8 +17,9 @@ class CommandTimeouts:
     :ivar counts: number of timeouts of each part
     """
 
+    remembered = ('_timeout_s', '_last_s', 'counts')
     #: Only counted.
-    not_in_digest = ('counts',)
+    undigested = ('counts',)
 
     def __init__(self, parts: Iterable[str]) -> None:
         self._timeout_s = dict.fromkeys(parts, 0.0)

@@ -82,7 +82,7 @@ class Command:
     """
 
     #: Times by clocks that a reset does not restart.
-    not_in_digest: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
+    undigested: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
     #: True if it changes the way in which joints follow the command before: both take effect.
     adds: ClassVar[bool] = False
 

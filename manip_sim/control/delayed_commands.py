@@ -37,6 +37,8 @@ class _Waiting(NamedTuple):
 class DelayedCommands(InTransit[_Waiting]):
     """The commands of a robot that are on their way; those that are withdrawn do not arrive."""
 
+    remembered = ('_queue',)
+
     def add(self, command: Command, arrival: int) -> None:
         """
         Add a command that does not arrive before the commands added before it.

@@ -23,6 +23,8 @@ class Discontinuities:
     :param joints: of the robot
     """
 
+    remembered = ('_last',)
+
     def __init__(self, joints: ControlledJoints) -> None:
         self._joints = joints
         #: Time [s], position and velocity of the last command, by joint.

@@ -56,6 +56,9 @@ class GripperController:
     :raises ModelError: if an actuator or ``format_action`` cannot be used
     """
 
+    remembered = ('_action', '_call', '_in_step', '_goal', '_to_end', '_pressing', '_pace',
+                  '_turned', '_moving')
+
     def __init__(self, physics: Physics, part: Part, timestep_s: float) -> None:
         if part.gripper is None:
             raise ValueError(f'{part.name} is not a gripper')

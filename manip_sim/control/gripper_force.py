@@ -19,6 +19,8 @@ class ForceLimit:
     :param actuators: of the gripper
     """
 
+    remembered = ('_effort',)
+
     def __init__(self, physics: Physics, actuators: GripperActuators) -> None:
         self._physics = physics
         self._actuators = actuators

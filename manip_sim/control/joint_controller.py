@@ -69,7 +69,7 @@ class JointController(ControlledJoints):
     :ivar seats: the laws of users, by part
     """
 
-    not_in_digest = ('_physics',)
+    remembered = ('modes', '_effort', '_targets_end', '_efforts_due', '_written')
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str], chains: Mapping[str, KinematicChain] | None = None,

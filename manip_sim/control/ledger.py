@@ -32,6 +32,8 @@ class Ledger:
         yet
     """
 
+    remembered = ('running', 'waiting', '_owners')
+
     def __init__(self, count: int) -> None:
         self.running: list[Command] = []
         self.waiting: list[JointTrajectory] = []

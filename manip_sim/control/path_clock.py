@@ -23,6 +23,8 @@ class PathClock:
     :ivar scaling: share of simulation time that it comes to, from 0 to 1
     """
 
+    remembered = ('scaling', '_share', '_since_s', '_path_s')
+
     def __init__(self, slew: float) -> None:
         self._slew, self.scaling, self._share = slew, 1.0, 1.0
         self._since_s = self._path_s = 0.0

@@ -78,7 +78,10 @@ class Reflexes:
     :ivar counts: how often each part was stopped, resets included
     """
 
-    not_in_digest = ('counts',)
+    remembered = ('_limits', 'tripped', 'counts', 'is_emergency', 'is_recovering', 'armed',
+                  '_thresholds')
+    #: Only counted.
+    undigested = ('counts',)
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part], joints: JointController,
                  end_effectors: Mapping[str, EndEffectorReader], efforts: ActuatorEfforts) -> None:

@@ -54,7 +54,7 @@ class SeatState:
         self.acts = True
 
     @property
-    def not_in_digest(self) -> tuple[str, ...]:
+    def undigested(self) -> tuple[str, ...]:
         """Attributes that are no state or make no difference, as a wrench that no law reads."""
         return ('law', 'is_compiled', 'status', *(() if self.law.reads[_WRENCH] else ('wrench',)))
 
@@ -124,6 +124,8 @@ class Seats:
     :param tips: readers of end effectors, by the part that ends in each
     :ivar of: the laws in the seats, by part
     """
+
+    remembered = ('of',)
 
     def __init__(self, physics: Physics, servos: Servos, indices: Mapping[str, IntArray],
                  tips: Mapping[str, EndEffectorReader]) -> None:

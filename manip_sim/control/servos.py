@@ -65,6 +65,12 @@ class Servos:
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
 
+    remembered = ('_stiffness', '_damping', 'passive_damping', '_drag', '_gives_effort',
+                  '_sources', '_feedforward', '_damped', '_integral_gains', '_integrates',
+                  'integrals', 'any_integrates')
+    #: Places of results, and what follows from the rest.
+    undigested = ('_sources', 'any_integrates')
+
     def __init__(self, physics: Physics, actuators: Sequence[str], joints: Sequence[str],
                  gains_are_highest: bool = False) -> None:
         model, data = physics.model, physics.data
@@ -116,13 +122,6 @@ class Servos:
         model.actuator_ctrllimited[ids] = 0
         self._compensated = model.body_gravcomp[model.jnt_bodyid[joint_ids]] > 0.0
         self._set_gains(np.arange(len(ids)))
-
-    @property
-    def not_in_digest(self) -> tuple[str, ...]:
-        """Places of results, what follows from the rest, and integral terms that are off."""
-        return ('_highest', 'lowered', '_sources', 'turn', 'any_integrates',
-                *(() if self._integral_gains.any() else (
-                    '_integral_gains', '_integrates', 'integrals')))
 
     def _find_places(self) -> None:
         model = self._physics.model

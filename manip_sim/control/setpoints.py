@@ -40,8 +40,9 @@ class SetpointGenerator:
     :ivar moving: whether any setpoint moves or is about to
     """
 
+    remembered = ('counts', '_state', 'interval_s', 'now_s', 'moving')
     #: Only counted, or set anew in each control period.
-    not_in_digest = ('counts', 'interval_s')
+    undigested = ('counts', 'interval_s')
 
     def __init__(self, position_range: FloatArray, velocity_limit: FloatArray,
                  acceleration_limit: FloatArray) -> None:

@@ -32,6 +32,8 @@ class TrajectoryFollowing:
     :ivar clock: of the time along paths, since which those that lead have begun
     """
 
+    remembered = ('_points',)
+
     def __init__(self, setpoints: SetpointGenerator, commands: Ledger, count: int,
                  slew: float) -> None:
         self._setpoints, self._commands, self._count = setpoints, commands, count

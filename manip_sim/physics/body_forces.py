@@ -11,7 +11,7 @@ the centre of mass of its tree.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -43,6 +43,10 @@ class BodyForces:
     :ivar is_only_touched: whether contacts, or a fluid, alone exert forces on the bodies
     """
 
+    #: Of the period that has passed; nothing in the next one depends on it.
+    remembered: ClassVar[tuple[str, ...]] = ('_sum', '_rows', '_centres', '_steps', '_mean')
+    undigested: ClassVar[tuple[str, ...]] = remembered
+
     uncollected: UncollectedForces
 
     def __init__(self, physics: Physics) -> None:
@@ -55,12 +59,6 @@ class BodyForces:
         self._steps = 1
         #: Force and torque about the origin in world axes; None until somebody needs them.
         self._mean: FloatArray | None = ZERO
-
-    @property
-    def not_in_digest(self) -> tuple[str, ...]:
-        """The period that has passed."""
-        # Nothing in the next period depends on the last one.
-        return ('_rows', '_centres', 'no_forces', '_no_rows', '_sum', '_mean', '_steps')
 
     def _find_bodies(self) -> slice:
         """Return the bodies in the present model, and find their uncollected forces."""
@@ -197,11 +195,6 @@ class RobotForces(BodyForces):
         super().__init__(physics)
         self._joints = tuple(joints)
         physics.on_change(self._find_tool)
-
-    @property
-    def not_in_digest(self) -> tuple[str, ...]:
-        """The period that has passed, and names."""
-        return (*super().not_in_digest, '_joints', '_is_collected')
 
     def _find_bodies(self) -> slice:
         model = self._physics.model

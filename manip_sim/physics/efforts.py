@@ -107,7 +107,8 @@ class ActuatorEfforts:
     """
 
     #: Of the step that has passed; nothing in the next one depends on it.
-    not_in_digest = ('_last', '_values', '_loads', '_loaded', 'stale')
+    remembered = ('_values', 'stale', '_loaded', '_last')
+    undigested = remembered
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics

@@ -45,6 +45,9 @@ class ExternalWrench(BodyForces):
     :ivar payload: of the arm
     """
 
+    remembered = (*BodyForces.remembered, '_tare', '_cutoff_hz', '_filtered', 'payload',
+                  '_momentum')
+
     def __init__(self, physics: Physics, sensor: str) -> None:
         super().__init__(physics)
         self._sensor = sensor
@@ -55,13 +58,6 @@ class ExternalWrench(BodyForces):
         #: Momentum and angular momentum of the payload when the last period ended, in the world.
         self._momentum = ZERO
         physics.on_change(self._find_tool)
-
-    @property
-    def not_in_digest(self) -> tuple[str, ...]:
-        """A name, the period that has passed, and a payload that is none."""
-        # Nothing in the next period depends on the last one.
-        return (*super().not_in_digest, '_sensor',
-                *(() if self.payload.mass else ('payload', '_momentum')))
 
     def _find_bodies(self) -> slice:
         model = self._physics.model

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The state of the objects that control robots: found, pickled, and encoded for a digest.
+The state of the objects that control robots: declared by their classes, pickled, and encoded.
 
 What MuJoCo integrates, and what a whole state of a simulation consists of, is not known here.
 """
@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from manip_sim.control.commands import Command, CommandHandle
+from manip_sim.control.commands import CommandHandle
 from manip_sim.models.grippers import GripperModel
+from manip_sim.models.mjcf import MujocoXMLModel
 
-#: Attributes of all objects with a state, and of grippers.
+#: What all objects with a state remember, and grippers.
 Content = tuple[list[dict[str, Any]], list[dict[str, Any]]]
-#: Modules of the classes that have a state of their own.
+#: Modules of the classes whose objects may have a state, or others that have one.
 _ROOMS = ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.simulation.')
 #: Types of values without identity, which cannot change.
 _VALUES = (type(None), bool, int, float, str, bytes, enum.Enum, np.generic)
@@ -35,42 +36,30 @@ class ControlState:
     """
     The state of the objects that control robots.
 
-    It comprises what can be reached from some objects through attributes and containers, by
-    classes of these rooms; frozen dataclasses that compare by their values are values, such as
-    settings that are replaced as a whole. What else is there at construction stays as it is:
-    models, views into ``MjData``, functions, frozen dataclasses without ``eq``.
+    A class whose objects remember something from one control period to the next declares the
+    names of these attributes in ``remembered``, and in ``undigested`` those of them on which the
+    future does not depend, such as counts. Their values are numbers, texts, arrays, containers,
+    commands, and objects that hold such values; all other attributes stay as they are at
+    construction. Of grippers, whose ``format_action`` may have a state in classes of users too,
+    all arrays and plain values belong to the state.
 
-    :param roots: objects that have a state, between two control periods
-    :param stateless: types of objects that are not looked into
-    :param passing: types of objects that come and go, a part of their owners
+    :param roots: objects from which those with a state are reached through attributes and
+        containers, between two control periods
     """
 
-    def __init__(self, roots: Iterable[object], stateless: tuple[type, ...] = (),
-                 passing: tuple[type, ...] = ()) -> None:
-        #: Objects that a state refers to by index here; the same in every simulation of a world.
-        self._fixed: list[object] = []
-        self._stateful: list[object] = []
-        #: Their ``format_action`` may have a state, in classes of users too.
+    def __init__(self, roots: Iterable[object]) -> None:
+        self._owners: list[Any] = []
         self._grippers: list[GripperModel] = []
-        self._find(list(roots), (*stateless, Command, CommandHandle),
-                   (*passing, Command, CommandHandle))
-        self._index()
-
-    def _index(self) -> None:
-        # The content of a queue is a part of the state, so another one may replace it.
-        self._index_of = {id(item): index for index, item in enumerate(self._fixed)
-                          if not isinstance(item, deque)}
-        places = {id(item): index for index, item in enumerate(self._fixed)}
-        #: By owner: what stands for its queue in a digest while that is empty.
-        self._queues = {id(owner): places[id(value)] for owner in self._stateful
-                        for value in vars(owner).values() if isinstance(value, deque)}
+        #: Models of robots, to which commands refer.
+        self._fixed: list[object] = []
+        self._find(list(roots))
+        self._index_of = {id(item): index for index, item in enumerate(self._fixed)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._index()  # In a copy, other objects are fixed.
+        vars(self).update(state)  # In a copy, other objects are fixed.
+        self._index_of = {id(item): index for index, item in enumerate(self._fixed)}
 
-    def _find(self, left: list[Any], stateless: tuple[type, ...],
-              passing: tuple[type, ...]) -> None:
+    def _find(self, left: list[Any]) -> None:
         seen: set[int] = set()
         while left:
             item = left.pop(0)
@@ -78,24 +67,22 @@ class ControlState:
                 continue
             seen.add(id(item))
             if isinstance(item, Mapping):
-                left += [*item, *item.values()]
+                left += item.values()
             elif isinstance(item, (list, tuple, set, frozenset)):
                 left += item
-            elif isinstance(item, np.ndarray):
-                if is_foreign(item):
-                    self._fixed.append(item)
-            elif not (isinstance(item, passing) or is_frozen(item, compares=True)):
+            elif isinstance(item, MujocoXMLModel):
                 self._fixed.append(item)
                 if isinstance(item, GripperModel):
                     self._grippers.append(item)
-                if _is_own(item) and not isinstance(item, stateless):
-                    left += vars(item).values()
-                    if not is_frozen(item):
-                        self._stateful.append(item)
+            elif type(item).__module__.startswith(_ROOMS) and hasattr(item, '__dict__'):
+                left += vars(item).values()
+                if hasattr(type(item), 'remembered'):
+                    self._owners.append(item)
 
     def content(self) -> Content:
-        """Return the attributes of all objects with a state, and of grippers; no copies."""
-        return [vars(item) for item in self._stateful], [_numbers(g) for g in self._grippers]
+        """Return what all objects with a state remember, and grippers; no copies."""
+        return [{name: getattr(owner, name) for name in owner.remembered}
+                for owner in self._owners], [_numbers(gripper) for gripper in self._grippers]
 
     @property
     def fixed(self) -> list[object]:
@@ -109,8 +96,10 @@ class ControlState:
 
     @property
     def layout(self) -> str:
-        """Objects that a state refers to; others where control consists of other parts."""
-        return ' '.join(type(item).__qualname__ for item in self._fixed)
+        """The objects with a state, what they remember, and the models that it refers to."""
+        return ' '.join([*(f'{type(owner).__qualname__}({",".join(owner.remembered)})'
+                           for owner in self._owners),
+                         *(type(item).__qualname__ for item in self._fixed)])
 
     def save(self) -> bytes:
         """Return the state, pickled."""
@@ -125,17 +114,13 @@ class ControlState:
 
     def replace(self, content: Content) -> None:
         """Restore a content, which nobody else may use then."""
-        controls, grippers = content
-        for owner, values in zip(self._stateful, controls):
-            vars(owner).clear()
+        for owner, values in zip((*self._owners, *self._grippers), (*content[0], *content[1])):
             vars(owner).update(values)
-        for gripper, values in zip(self._grippers, grippers):
-            vars(gripper).update(values)
 
     def encoded(self) -> Iterator[bytes]:
         """Yield the state in a form that depends on nothing else, for a digest."""
-        encoder = _Encoder(self._index_of, self._queues)
-        for owner in self._stateful:
+        encoder = _Encoder(self._index_of)
+        for owner in self._owners:
             yield from encoder.members(owner)
         for gripper in self._grippers:
             yield from encoder.value(_numbers(gripper))
@@ -145,10 +130,6 @@ def _numbers(gripper: GripperModel) -> dict[str, Any]:
     """Return the attributes of a gripper that are arrays or plain values."""
     return {name: value for name, value in vars(gripper).items()
             if isinstance(value, (*_VALUES, np.ndarray))}
-
-
-def _is_own(item: object) -> bool:
-    return type(item).__module__.startswith(_ROOMS) and hasattr(item, '__dict__')
 
 
 def is_frozen(item: object, compares: bool = False) -> bool:
@@ -219,21 +200,18 @@ class _StateUnpickler(pickle.Unpickler):
 class _Encoder:
     """Turns objects into bytes that are the same in each process, whatever was read or ended."""
 
-    def __init__(self, index_of: Mapping[int, int], queues: Mapping[int, int]) -> None:
-        self._index_of, self._queues = index_of, queues
+    def __init__(self, index_of: Mapping[int, int]) -> None:
+        self._index_of = index_of
         self._number_of: dict[int, int] = {}
 
     def members(self, owner: object) -> Iterator[bytes]:
         """Yield the attributes of an object, by name."""
         yield type(owner).__qualname__.encode()
-        left_out = getattr(owner, 'not_in_digest', ())
-        for name, value in sorted(vars(owner).items()):
+        left_out = getattr(owner, 'undigested', ())
+        for name in getattr(owner, 'remembered', None) or sorted(vars(owner)):
             if name not in left_out:
                 yield name.encode()
-                if isinstance(value, deque) and not value:
-                    yield b'@%d' % self._queues[id(owner)]
-                else:
-                    yield from self.value(value)
+                yield from self.value(getattr(owner, name))
 
     def value(self, value: Any) -> Iterator[bytes]:
         """Yield a value."""

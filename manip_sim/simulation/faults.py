@@ -46,6 +46,8 @@ class RobotFaults:
     :ivar seen: measurement of the joints while states are at fault, shape (3 n,), else None
     """
 
+    remembered = ('scheduled', 'lost', 'seen', '_held')
+
     def __init__(self, reader: RobotReader, clock: Clock) -> None:
         self._reader, self._clock = reader, clock
         self.scheduled: list[tuple[str, str, int, int, float, int]] = []

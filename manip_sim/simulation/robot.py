@@ -73,6 +73,8 @@ class SimulatedRobot:
     :ivar indices_of: indices of each part's joints in :attr:`joint_names`, by part
     """
 
+    remembered = ('_period_s',)
+
     def __init__(self, physics: Physics, robot: RobotModel, efforts: ActuatorEfforts,
                  clock: Clock) -> None:
         self._physics, model = physics, physics.model

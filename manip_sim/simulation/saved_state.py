@@ -14,17 +14,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
-from manip_sim.control.cartesian.pose_stream import PoseStream
-from manip_sim.control.cartesian.targets import Target
-from manip_sim.control.command_parser import CommandParser
-from manip_sim.control.seats import SeatState
-from manip_sim.control.streamed_trajectories import PointStreams
-from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.errors import ModelError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
-from manip_sim.physics.frame_tree import OdometryReader
 from manip_sim.physics.physics import Physics, PHYSICS
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.resources import package_version
@@ -34,8 +26,6 @@ from manip_sim.simulation.robot import SimulatedRobot
 
 #: Numbers of a model that control changes: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
-#: Attributes that come with commands: parts of states, and not there at construction.
-_PASSING = (PointStreams, PoseStream, SeatState, Target, VelocityStream)
 
 
 @dataclass(frozen=True)
@@ -106,9 +96,7 @@ class SavedStates:
         self._control = None
 
     def _find_control(self) -> ControlState:
-        return ControlState([self._efforts, *self._robots.values()],
-                            (Clock, Physics, CartesianParser, CommandParser, OdometryReader),
-                            _PASSING)
+        return ControlState([self._efforts, *self._robots.values()])
 
     @property
     def control(self) -> ControlState:

@@ -71,7 +71,9 @@ class CartesianController:
     :ivar posture: that redundant arms tend to [rad], shape (n,)
     """
 
-    not_in_digest = ('interval_s',)
+    remembered = ('posture', 'settings', 'period_s', 'interval_s', '_targets', '_streams')
+    #: Set anew in each control period.
+    undigested = ('interval_s',)
 
     def __init__(self, physics: Physics, chains: Mapping[str, KinematicChain],
                  names: Sequence[str], servos: Servos, setpoints: SetpointGenerator,

@@ -55,9 +55,10 @@ class CartesianReport:
     """
 
     #: Only reported, never used.
-    not_in_digest: ClassVar[tuple[str, ...]] = (
-        'contact', 'unreachable', 'joint_limit', 'singular', 'slowed', 'aside', 'texts', '_active',
-        'seen_s', '_stalled_s')
+    remembered: ClassVar[tuple[str, ...]] = ('contact', 'unreachable', 'joint_limit', 'singular',
+                                             'slowed', 'aside', 'texts', '_active', 'seen_s',
+                                             '_stalled_s')
+    undigested: ClassVar[tuple[str, ...]] = remembered
 
     arm: str
     contact: Contact | None = None
