@@ -24,7 +24,7 @@ from manip_sim.models.asset_files import MAX_ASSET_BYTES
 from manip_sim.models.loading import compile_spec, spec_from_string
 from manip_sim.models.regular_files import InMemoryFile, read_file
 from manip_sim.models.untrusted_models import compile_held, LIGHT, try_to_do
-from manip_sim.models.xml_check import Budget, product, XmlModel
+from manip_sim.models.xml_check import Budget, Limits, product, XmlModel
 from manip_sim.quoting import quoted
 
 
@@ -80,8 +80,7 @@ MAX_ARCHIVE_BYTES, _MAX_UNPACKED_BYTES = 2**26, 2**27
 _MAX_RATIO = 200
 #: Number of files, size of the list of them [bytes], and length of their names.
 _MAX_FILES, _MAX_LIST_BYTES, _MAX_NAME = 1000, 2**18, 200
-#: Number of elements of a model, and how deep they may be nested.
-_MAX_ELEMENTS, _MAX_DEPTH = 200_000, 100
+_LIMITS = Limits(elements=200_000, nested=100)
 #: CPU time that a model may take to compile [s]; robots with large meshes take seconds.
 _MAX_CPU_S = 10
 #: Elements, their number and pixels of a texture that compile within 0.1 s for sure.
@@ -187,10 +186,17 @@ def load_archive(data: bytes) -> mujoco.MjModel:
     contents = _unpacked(data)
     if _MODEL not in contents:
         raise ModelError(f'the archive has no {_MODEL}')
-    contents[_MODEL], is_light = _checked_xml(contents[_MODEL], contents)
-    xml, name = contents.pop(_MODEL).decode(), 'the model of the archive'
-    text = InMemoryFile(xml, name)
-    XmlModel(text.file, Budget(), files=text)
+    name = 'the model of the archive'
+    text = InMemoryFile(contents.pop(_MODEL), name, '; the model of an archive loads no other')
+    model = XmlModel(text.file, Budget(_LIMITS), files=text)
+    if model.is_urdf:
+        raise ModelError(f"{name} begins with 'robot', and MJCF with 'mujoco'")
+    is_light = model.elements <= _MAX_LIGHT_ELEMENTS
+    for element in model.tree.iter():
+        _check_names(element, contents)
+        is_light = is_light and _is_light(element.tag, element.attrib)
+    # MuJoCo reads the text as it was understood here.
+    xml = ElementTree.tostring(model.tree, encoding='unicode')
     if not is_light:
         try_to_do(name, compile_held, xml, {}, contents, max_cpu_s=_MAX_CPU_S)
     return compile_spec(spec_from_string(xml, Path(name), {}, contents), name)
@@ -276,62 +282,14 @@ def _check_files(files: list[zipfile.ZipInfo], size: int) -> None:
         seen.add(name)
 
 
-def _checked_xml(xml: bytes, files: Collection[str]) -> tuple[bytes, bool]:
-    """
-    Return a model's XML as it was understood here, so that MuJoCo reads the checked text.
-
-    :returns: the XML, and whether it compiles quickly for sure
-
-    :raises ModelError: if it is none, is too large, or names files beside these
-    """
-    tree = _CheckedTree(files)
-    parser = ElementTree.XMLParser(target=tree)
-    try:
-        root = ElementTree.fromstring(xml, parser)
-    except (ElementTree.ParseError, LookupError, ValueError) as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError(f'the model of the archive is not well-formed XML: {error}') from error
-    return ElementTree.tostring(root), tree.is_light
-
-
-class _CheckedTree(ElementTree.TreeBuilder):
-    """Builds the tree of a model that names no files but these, and loads no other models."""
-
-    def __init__(self, files: Collection[str]) -> None:
-        super().__init__()
-        self._files = files
-        self._count = self._depth = 0
-        self.is_light = True
-
-    def doctype(self, *_: object) -> None:
-        raise ModelError('the model of the archive has a document type; models have none')
-
-    def start(self, tag: str, attributes: dict[str, str]) -> ElementTree.Element:
-        self._count += 1
-        self._depth += 1
-        if self._count > _MAX_ELEMENTS or self._depth > _MAX_DEPTH:
-            raise ModelError(f'the model of the archive has more than {_MAX_ELEMENTS} elements, '
-                             f'or they are nested more than {_MAX_DEPTH} deep')
-        if self._depth == 1 and tag != 'mujoco':
-            raise ModelError(f'the model of the archive begins with {quoted(tag)}, and MJCF with '
-                             "'mujoco'")
-        if tag in ('include', 'model', 'attach'):
-            raise ModelError(f'the model of the archive has an element {quoted(tag)}, which loads '
-                             'another model')
-        for attribute, value in attributes.items():
-            if attribute in ('meshdir', 'texturedir', 'assetdir') and value:
-                raise ModelError(f'the model of the archive names the folder {quoted(value)}')
-            if attribute.startswith('file') and value and value not in self._files:
-                raise ModelError(f'the model of the archive names the file {quoted(value)}, which '
-                                 'is not in the archive')
-        self.is_light = (self.is_light and self._count <= _MAX_LIGHT_ELEMENTS
-                         and _is_light(tag, attributes))
-        return super().start(tag, attributes)
-
-    def end(self, tag: str) -> ElementTree.Element:
-        self._depth -= 1
-        return super().end(tag)
+def _check_names(element: ElementTree.Element, files: Collection[str]) -> None:
+    """Reject an element of a model that names files beside these."""
+    for attribute, value in element.items():
+        if attribute in ('meshdir', 'texturedir', 'assetdir') and value:
+            raise ModelError(f'the model of the archive names the folder {quoted(value)}')
+        if attribute.startswith('file') and value and value not in files:
+            raise ModelError(f'the model of the archive names the file {quoted(value)}, which is '
+                             'not in the archive')
 
 
 def _is_light(tag: str, attributes: Mapping[str, str]) -> bool:

@@ -196,14 +196,14 @@ class InMemoryFile(Files):
     """
     No file but a text that somebody sent in place of one.
 
+    :param rule: message on a file that it names
     :ivar file: what to read it as
     """
 
-    rule = '; a text must not name files, only a file below spawn_roots may'
-
-    def __init__(self, text: str, name: str) -> None:
-        self.content = text.encode(errors='replace')
-        self.file = Path(name)
+    def __init__(self, text: str | bytes, name: str, rule: str = (
+            '; a text must not name files, only a file below spawn_roots may')) -> None:
+        self.content = text if isinstance(text, bytes) else text.encode(errors='replace')
+        self.file, self.rule = Path(name), rule
 
     def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
         """
@@ -212,8 +212,8 @@ class InMemoryFile(Files):
         :raises ModelError: if it is too large, or a file is asked for
         """
         if file is not self.file:
-            raise ModelError(f'{self.file} names the {kind} {quoted(str(file), 200)}: a text '
-                             'must not name files, only a file below spawn_roots may')
+            raise ModelError(f'{self.file} names the {kind} {quoted(str(file), 200)}'
+                             + self.rule.replace(';', ':', 1))
         if len(self.content) > max_bytes:
             raise ModelError(f'{self.file} has {len(self.content)} bytes, and at most {max_bytes} '
                              'are read')

@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from manip_sim.errors import ModelError
-from manip_sim.models.regular_files import Files
+from manip_sim.models.regular_files import Files, InMemoryFile
 from manip_sim.quoting import one_line, quoted
 
 #: Number of keyframes, which MuJoCo takes long to remove.
@@ -134,6 +134,8 @@ def _numbers(attributes: Mapping[str, str], name: str) -> list[float]:
         return []  # MuJoCo reports it.
 
 
+#: Signs that begin a tag for each element that is allowed: its own, its end, a comment.
+_MAX_SIGNS = 3
 #: The elements that name files, or say where they are.
 _FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler', 'mesh'))
 _CHECKED = _FOLLOWED | LIMITED | {'composite'}
@@ -243,7 +245,7 @@ class XmlModel:
         """Return the root element of a file, which is made some times, in so many elements."""
         limits = self._budget.limits
         data = self._files.read(file, kind, limits.bytes)
-        real = Path(os.path.realpath(file))
+        real = file if isinstance(self._files, InMemoryFile) else Path(os.path.realpath(file))
         if real in self._chain:
             loop = [*self._chain[self._chain.index(real):], real]
             raise ModelError(f'{one_line(str(self._file))} is loaded into itself: '
@@ -254,6 +256,8 @@ class XmlModel:
             raise ModelError(f'{one_line(str(self._file))} is loaded from more than '
                              f'{limits.files} files, {limits.bytes / 1e6:.0f} MB of XML, or files '
                              f'that are loaded by others {limits.depth} deep')
+        if data.count(b'<') > _MAX_SIGNS * limits.elements:  # Before it takes memory as a tree.
+            raise ModelError(f'{one_line(str(file))}: {_too_many_elements(limits)}')
         data = in_utf8(declared_first(data))
         self._chain.append(real)
         self._open.append(_OpenFile(data))
@@ -314,9 +318,7 @@ class XmlModel:
                 current.looked_at += 1
                 if (self.elements >= limits.elements
                         or depth + len(levels) > limits.nested):
-                    raise ModelError(
-                        f'{self._place()}: a model may have at most {limits.elements} elements, '
-                        f'{limits.nested} in each other')
+                    raise ModelError(f'{self._place()}: {_too_many_elements(limits)}')
                 self.elements += times
                 if times > 1:
                     self._make(times)
@@ -415,6 +417,10 @@ class XmlModel:
             where = self._place() if self._open else one_line(str(self._file))
             raise ModelError(f'{where}: elements that make several, such as replicate, would make '
                              f'more than {self._budget.limits.made}')
+
+
+def _too_many_elements(limits: Limits) -> str:
+    return f'a model may have at most {limits.elements} elements, {limits.nested} in each other'
 
 
 def in_utf8(data: bytes) -> bytes:

@@ -5,6 +5,7 @@
 
 import io
 import struct
+import tracemalloc
 import zipfile
 
 import numpy as np
@@ -97,9 +98,10 @@ def test_what_may_take_long_is_tried(element, untried):
 
 
 @pytest.mark.parametrize(('element', 'text'), [
-    ('<include file="/etc/passwd"/>', "'include', which loads another model"),
-    ('<asset><model name="m" file="model.xml"/></asset>', "'model', which loads"),
-    ('<worldbody><attach model="m" body="b" prefix="x"/></worldbody>', "'attach', which loads"),
+    ('<include file="/etc/passwd"/>', "names the included file '/etc/passwd': the"),
+    ('<asset><model name="m" file="model.xml"/></asset>',
+     "the model file 'model.xml': the model of an archive loads no other"),
+    ('<worldbody><attach model="m" body="b" prefix="x"/></worldbody>', "could not find model 'm'"),
     ('<asset><mesh name="m" file="/etc/passwd"/></asset>', "the file '/etc/passwd', which is not"),
     ('<asset><mesh name="m" file="../model.xml"/></asset>', "'../model.xml', which is not"),
     ('<asset><texture name="t" type="cube" fileright="/a.png"/></asset>', "the file '/a.png'"),
@@ -110,25 +112,39 @@ def test_what_may_take_long_is_tried(element, untried):
     ('<compiler assetdir=".."/>', "names the folder '..'"),
     ('<worldbody><replicate count="100000"><geom size="1"/></replicate></worldbody>', 'replicate'),
     ('<size nuserdata="2000000000"/>', 'nuserdata'),
-    ('<worldbody>' + 200_001 * '<geom size="1"/>' + '</worldbody>', 'more than 200000 elements'),
-    (101 * '<default>' + 101 * '</default>', 'more than 100 deep'),
+    ('<worldbody>' + 200_001 * '<geom size="1"/>' + '</worldbody>',
+     'may have at most 200000 elements'),
+    (101 * '<default>' + 101 * '</default>', '100 in each other'),
     ('<worldbody><geom size="-1"/></worldbody>', 'size 0 must be positive'),
     ('<worldbody>', 'not well-formed XML')])
 def test_a_model_that_reaches_out_of_its_archive_or_is_too_large_is_rejected(element, text):
     rejected(of_xml(f'<mujoco>{element}</mujoco>'), text)
 
 
+def test_elements_are_counted_before_they_take_memory():
+    data = archive({'model.xml': '<mujoco>' + 8_000_000 * '<a/>' + '</mujoco>',
+                    'noise': np.random.default_rng(1).bytes(200_000)})
+    tracemalloc.start()
+    rejected(data, 'may have at most 200000 elements')
+    assert tracemalloc.get_traced_memory()[1] < 1.5e8
+    tracemalloc.stop()
+
+
 @pytest.mark.parametrize(('xml', 'text'), [
     (XML.replace('mujoco', 'robot'), "begins with 'robot'"), ('', 'not well-formed'),
-    # tinyxml2 ends a document type at the first bracket, and would see what expat takes for none.
-    ('<!DOCTYPE mujoco [ <!-- > <mujoco><include file="/etc/passwd"/></mujoco> --> ]>' + XML,
-     'document type'),
     ('<!DOCTYPE mujoco [<!ENTITY e SYSTEM "file:///etc/passwd">]><mujoco>&e;</mujoco>',
-     'document type'),
+     "the model of the archive, line 1: the entity 'e' is declared"),
     (XML.encode() + b'\0<mujoco/>', 'not well-formed'),
     (f'<?xml version="1.0" encoding="nonsense"?>{XML}', 'not well-formed')])
 def test_what_two_parsers_may_read_differently_is_rejected(xml, text):
     rejected(of_xml(xml), text)
+
+
+def test_what_two_parsers_read_differently_is_read_as_it_was_checked():
+    # tinyxml2 ends a document type at the first bracket, and would see what expat takes for none.
+    hidden = '<mujoco><worldbody><body/><body/><body/></worldbody></mujoco>'
+    model = load_archive(of_xml(f'<!DOCTYPE mujoco [ <!-- > {hidden} --> ]>{XML}'))
+    assert (model.nbody, model.njnt) == (2, 1)
 
 
 @pytest.mark.parametrize('name', [
