@@ -121,6 +121,17 @@ def test_a_model_that_reaches_out_of_its_archive_or_is_too_large_is_rejected(ele
     rejected(of_xml(f'<mujoco>{element}</mujoco>'), text)
 
 
+@pytest.mark.parametrize('folder', ['', ' meshdir="{}"'], ids=['by path', 'by folder'])
+def test_a_mesh_beside_the_archive_is_not_read_though_it_is_there(folder, tmp_path):
+    # In the other process MuJoCo would take a file that is there, and that it cannot open, for an
+    # empty one: not each reader of a format must reject that, so names are checked.
+    (tmp_path / 'm.stl').write_bytes(sphere(50))
+    name = 'm.stl' if folder else f'{tmp_path}/m.stl'
+    rejected(of_xml(f'<mujoco><compiler{folder.format(tmp_path)}/><asset><mesh name="m" '
+                    f'file="{name}"/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody>'
+                    '</mujoco>'), 'the model of the archive names the f(ile|older) ')
+
+
 def test_elements_are_counted_before_they_take_memory():
     data = archive({'model.xml': '<mujoco>' + 8_000_000 * '<a/>' + '</mujoco>',
                     'noise': np.random.default_rng(1).bytes(200_000)})
