@@ -192,56 +192,18 @@ class AllowedRoots(Files):
         return any(folder in real.parents for folder in self._folders)
 
 
-class InMemoryFile(Files):
-    """
-    No file but a text that somebody sent in place of one.
-
-    :param rule: message on a file that it names
-    :ivar file: what to read it as
-    """
-
-    def __init__(self, text: str | bytes, name: str, rule: str = (
-            '; a text must not name files, only a file below spawn_roots may')) -> None:
-        self.content = text if isinstance(text, bytes) else text.encode(errors='replace')
-        self.file, self.rule = Path(name), rule
-
-    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
-        """
-        Return the text.
-
-        :raises ModelError: if it is too large, or a file is asked for
-        """
-        if file is not self.file:
-            raise ModelError(f'{self.file} names the {kind} {quoted(str(file), 200)}'
-                             + self.rule.replace(';', ':', 1))
-        if len(self.content) > max_bytes:
-            raise ModelError(f'{self.file} has {len(self.content)} bytes, and at most {max_bytes} '
-                             'are read')
-        return self.content
-
-    def first(self, places: Sequence[Path]) -> Path:
-        """Return the first place; no file is looked for."""
-        return places[0]
-
-    def is_file(self, path: Path) -> bool:
-        """Return whether it is what the text is read as."""
-        return path == self.file
-
-    def is_folder(self, path: Path) -> bool:
-        """Return False: a text has no folders."""
-        return False
-
-
 class CachedFiles(Files):
     """
     Files that are read once, so that nobody can change them in between.
 
     A copy, also in another process, has the contents read before, and reads nothing more.
+
+    :param files: that are read; None: no more than what is held
     """
 
-    def __init__(self, files: Files) -> None:
-        self.rule = files.rule
-        self._files: Files | None = files
+    def __init__(self, files: Files | None) -> None:
+        self.rule = files.rule if files else ''
+        self._files = files
         self._contents: dict[Path, bytes] = {}
         self._answers: dict[tuple[str, Path], Any] = {}
 
@@ -291,3 +253,33 @@ class CachedFiles(Files):
         if (what, path) not in self._answers:
             self._answers[what, path] = getattr(self._files, what)(path)
         return self._answers[what, path]
+
+
+class InMemoryFile(CachedFiles):
+    """
+    No file but a text that somebody sent in place of one.
+
+    :param rule: message on a file that it names
+    :ivar file: what to read it as
+    """
+
+    def __init__(self, text: str | bytes, name: str, rule: str = (
+            '; a text must not name files, only a file below spawn_roots may')) -> None:
+        super().__init__(None)
+        self.content = text if isinstance(text, bytes) else text.encode(errors='replace')
+        self.file, self.rule = Path(name), rule
+        self._answers['is_file', self.file] = True
+
+    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
+        """
+        Return the text.
+
+        :raises ModelError: if it is too large, or a file is asked for
+        """
+        if file is not self.file:
+            raise ModelError(f'{self.file} names the {kind} {quoted(str(file), 200)}'
+                             + self.rule.replace(';', ':', 1))
+        if len(self.content) > max_bytes:
+            raise ModelError(f'{self.file} has {len(self.content)} bytes, and at most {max_bytes} '
+                             'are read')
+        return self.content
