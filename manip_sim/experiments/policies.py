@@ -280,12 +280,14 @@ def _watched(name: str) -> Iterator[None]:
     folder, opened, package = file.resolve().parent, set[Path](), _installed(file.resolve())
     _watch_opening()
     _WATCHERS.append(opened)
-    modules = {*sys.modules}
+    before = sys.modules.copy()
     try:
         yield
-        for module in {*sys.modules} - modules:
-            if _is_below(Path(getattr(sys.modules[module], '__file__', None) or '/'), folder):
-                opened.update(Path(value) for value in vars(sys.modules[module]).values()
+        # A file of the same name may have been loaded before, from another folder.
+        for module in [found for key, found in sys.modules.items()
+                       if found is not before.get(key)]:
+            if _is_below(Path(getattr(module, '__file__', None) or '/'), folder):
+                opened.update(Path(value) for value in vars(module).values()
                               if isinstance(value, (str, Path)) and os.path.isfile(value))
     finally:
         _WATCHERS.remove(opened)

@@ -130,6 +130,7 @@ def test_a_file_that_is_no_interface_is_told_in_one_line(tmp_path, content, text
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_run_is_rejected_by_the_file_beside_its_policy_and_takes_that_of_a_run(
         tmp_path, capsys, episode):
     policy = tmp_path / 'policy.py'
@@ -156,6 +157,7 @@ def test_a_network_gets_the_observations_that_its_file_lists():
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_wall_times_of_answers_are_in_rows_summaries_and_records(tmp_path, capsys):
     pytest.importorskip('mcap', reason='mcap is not installed')
     from manip_sim.records.recorded import Record

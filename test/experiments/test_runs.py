@@ -74,6 +74,7 @@ def test_a_run_has_the_rows_of_episodes_that_are_run_by_hand(whole):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_the_rows_say_which_faults_of_a_plan_were_injected(whole, tmp_path, capsys):
     plan = tmp_path / 'faults.yaml'
     plan.write_text('faults:\n- {what: lost_commands, part: arm, from: [0.1, 0.5]}\n')
@@ -204,6 +205,7 @@ def test_an_interrupted_run_says_that_it_goes_on(tmp_path):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_policy_that_fails_costs_its_episode(tmp_path, capsys):
     assert run(tmp_path / 'fails', policy='Sometimes') == 1
     found = rows(tmp_path / 'fails')
@@ -217,6 +219,7 @@ def test_a_policy_that_fails_costs_its_episode(tmp_path, capsys):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 @pytest.mark.parametrize('policy, error', [
     ('Interrupts', 'act() of the policy: KeyboardInterrupt: '),
     ('Exits', 'act() of the policy: SystemExit: 0'),
@@ -232,6 +235,7 @@ def test_whatever_a_policy_raises_costs_one_episode_only(whole, tmp_path, capfd,
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 @pytest.mark.parametrize('policy', [
     'Hangs', 'HangsWhateverIsRaised', 'HangsInTheSecondProcess', 'HangsAfterStoppingItself',
     'HangsWithoutAlarms', 'HangsWithATimerOfItsOwn'])
@@ -250,6 +254,7 @@ def test_a_process_that_cannot_begin_says_why():
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_process_that_dies_is_noticed_though_a_copy_of_it_lives(tmp_path):
     assert run(tmp_path / 'copies', policy='DiesBesideACopy', seeds='1:4', worlds='1') == 1
     assert [row['error'] for row in rows(tmp_path / 'copies')] == [
@@ -257,12 +262,14 @@ def test_a_process_that_dies_is_noticed_though_a_copy_of_it_lives(tmp_path):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_copy_that_a_policy_forks_gives_no_second_row(whole, tmp_path):
     assert run(tmp_path / 'forks', policy='Forks', seeds='1:4', worlds='1') == 0
     assert rows(tmp_path / 'forks') == rows(whole)[1:4]
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_policy_that_changes_the_folder_moves_no_file(whole, tmp_path, monkeypatch):
     pytest.importorskip('mcap', reason='mcap is not installed')
     for name in ('here', 'there'):
@@ -307,6 +314,7 @@ def test_a_process_that_dies_loses_nothing(whole, tmp_path, monkeypatch):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_seed_whose_process_always_dies_is_a_row_with_that_error(tmp_path):
     assert run(tmp_path / 'dies', policy='AlwaysDeadly', seeds='1:4') == 1
     assert [row['error'] for row in rows(tmp_path / 'dies')] == [
@@ -314,18 +322,21 @@ def test_a_seed_whose_process_always_dies_is_a_row_with_that_error(tmp_path):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_memory_that_earlier_episodes_keep_costs_no_seed(whole, tmp_path):
     assert run(tmp_path / 'leaks', policy='Leaks', worlds='1') == 0
     assert rows(tmp_path / 'leaks') == rows(whole)
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_seed_that_never_has_memory_is_a_row_with_that_error(tmp_path):
     assert run(tmp_path / 'none', policy='NeverHasMemory', seeds='2:3', worlds='1') == 1
     assert rows(tmp_path / 'none')[0]['error'] == 'its process ran out of memory 3 times'
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_process_whose_memory_grows_beyond_its_share_is_replaced(monkeypatch):
     monkeypatch.setattr(processes, '_MEMORY_SHARE', 0.0)
     pool = processes.WorkerPool(Experiment(Setting('reach'), f'{POLICIES}:Towards'), 1)
@@ -360,6 +371,7 @@ def policy_files(tmp_path, monkeypatch):
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 def test_a_policy_that_has_changed_is_not_reported_with_its_old_rows(
         policy_files, tmp_path, capsys):
     out = tmp_path / 'out'
@@ -401,14 +413,15 @@ def test_a_file_that_a_policy_names_by_its_folders_is_a_part_of_it(tmp_path, lin
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures('forked')
 @pytest.mark.parametrize('line', [
     "W = (HERE / 'nets' / f'{KIND}.pt').read_text()", "W = HERE / 'nets' / f'{KIND}.pt'",
     "W = [file.read_text() for file in (HERE / 'nets').iterdir()]",
     "W = np.fromfile('nets/{}.pt'.format(KIND), np.uint8)",
-    "W = open(HERE / json.loads((HERE / 'names.json').read_text())['file']).read()",
+    "with open(HERE / json.loads((HERE / 'names.json').read_text())['file']) as file: file.read()",
     "W = importlib.import_module(KIND + '_gain')"])
 def test_a_file_that_a_policy_computes_the_name_of_is_a_part_of_it(
-        tmp_path, monkeypatch, line):
+        tmp_path, monkeypatch, capsys, line):
     policy = tmp_path / 'policy.py'
     policy.write_text(
         'import importlib\nimport json\nfrom pathlib import Path\nimport numpy as np\n\n'
@@ -417,22 +430,20 @@ def test_a_file_that_a_policy_computes_the_name_of_is_a_part_of_it(
     (tmp_path / 'names.json').write_text('{"file": "nets/best.pt"}')
     read = tmp_path / ('best_gain.py' if 'import_module' in line else 'nets/best.pt')
     read.parent.mkdir(exist_ok=True)
-    command = [sys.executable, '-m', 'manip_sim.cli', 'run', 'reach', '--policy',
-               f'{policy}:act', '--seeds', '0:1', '--worlds', '1', '--out', 'out']
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
 
     def again():
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300.0,
-                              env={**os.environ, 'PYTHONPATH': str(tmp_path)}, check=False)
+        sys.modules.pop('best_gain', None)
+        return run(Path('out'), policy=f'{policy}:act', seeds='0:1', worlds='1')
     read.write_text('A = 1')
-    assert again().returncode == 0
+    assert again() == 0
     assert (tmp_path / 'log.txt').is_file()
-    assert again().returncode == 0  # What it writes is no part of it.
+    assert again() == 0  # What it writes is no part of it.
     read.write_text('A = 20')
-    done = again()
-    assert done.returncode == 1
-    assert 'as it was before its files changed' in done.stderr
+    assert again() == 1
+    assert 'as it was before its files changed' in capsys.readouterr().err
     described = json.loads((tmp_path / 'out' / 'run.json').read_text())
-    monkeypatch.chdir(tmp_path)
 
     def content():  # As `manip_sim compare` has it, which does not load the policy.
         return policy_content(described['policy'], described['policy_files'])
