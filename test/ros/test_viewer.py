@@ -331,7 +331,7 @@ def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(br
     process, address = start_viewer('--node', 'late', '--ros-args', '-r', '__ns:=/cell')
     page = browser.new_page(viewport={'width': 480, 'height': 360})
     page.set_default_timeout(PATIENCE_MS)
-    page.add_init_script(SLOWLY.format(500))  # This test is about texts.
+    page.add_init_script(SLOWLY.format(3000))  # This test is about texts.
     try:
         page.goto(address)
         page.get_by_text('waiting for the node /cell/late').wait_for()
