@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.optimize
-import scipy.stats
+import scipy
 
 pytest.importorskip('pyarrow', reason='pyarrow is not installed')
 pytest.importorskip('tqdm', reason='tqdm is not installed')
