@@ -225,7 +225,8 @@ def test_an_unknown_key_or_name_is_told_with_file_key_and_nearest(tmp_path, yaml
                                                   'tags are not read, found one in line 1'),
     ('{', 'arm.yaml is invalid or unsafe YAML'),
     ('[' * 3000, 'arm.yaml is invalid or unsafe YAML: it is nested too deeply'),
-    ('model: other.xml', "'model' of .*arm.yaml: no such file: .*other.xml")])
+    ('model: other.xml', "'model' of .*arm.yaml: no such file: .*other.xml"),
+    (f'model: {"a/" * 2000}o.xml', "'model' of .*arm.yaml: no such file: ")])
 def test_yaml_that_cannot_be_used_is_told_in_one_line(tmp_path, yaml, message):
     with pytest.raises(ModelError, match=message) as raised:
         described(tmp_path, yaml)

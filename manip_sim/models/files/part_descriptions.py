@@ -347,7 +347,8 @@ def _model_of(file: Path, description: Description, stem: str, files: Files) -> 
     if description.model is not None:
         model = file.parent / Path(description.model).expanduser()
         if not files.is_file(model):
-            raise ModelError(f"'model' of {file}: no such file: {model}{files.rule}")
+            raise ModelError(f"'model' of {file}: no such file: {one_line(str(model), 200)}"
+                             f'{files.rule}')
         return model
     if isinstance(description, ArenaDescription) and description.arena is not None:
         return file
