@@ -102,8 +102,9 @@ class ActuatorEfforts:
 
     :param physics: of the world, after ``mj_forward``; :attr:`values` have to be read before
         another model replaces that of the last step
-    :ivar stale: whether others have recorded a step into :attr:`room` since they were computed,
-        shape (1,)
+    :ivar stale: whether a step has been recorded since they were computed, shape (1,)
+    :ivar rules: whether the integrator of the model is implicit, and whether servos are integrated
+        explicitly at the force limits of actuators, and of joints, shape (3,)
     """
 
     #: Of the step that has passed; nothing in the next one depends on it.
@@ -112,7 +113,8 @@ class ActuatorEfforts:
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
-        _explicit_at_limits()  # Now: a callback of MuJoCo that is set later would see its steps.
+        # Now: a callback of MuJoCo that is set later would see its steps.
+        self.rules: BoolArray = np.array([False, *_explicit_at_limits()])
         self._values: FloatArray = np.zeros(0)
         self.stale: BoolArray = np.zeros(1, dtype=bool)
         self._loaded: FloatArray | float = 0.0
@@ -120,7 +122,7 @@ class ActuatorEfforts:
         physics.on_change(self._find_views)
 
     def _find_views(self) -> None:
-        model, data, before = self._physics.model, self._physics.data, self.values
+        model, data, before = self._physics.model, self._physics.data, self.values.copy()
         # Views, which need not be fetched each time; a mode or a grasp changes the last three.
         self._views = (data.qfrc_actuator, data.qvel, data.actuator_force, data.actuator_velocity,
                        model.actuator_biasprm[:, 2], model.actuator_forcerange.reshape(-1),
@@ -141,7 +143,9 @@ class ActuatorEfforts:
         """
         present = self._physics.data.qfrc_actuator - self._of_loads()
         if dofs is None:
-            self._values = present.copy()
+            if len(self._values) != len(present):
+                self._values = np.empty(len(present))
+            self._values[:] = present
             self.stale[0] = False
         else:
             self.values[dofs] = present[dofs]
@@ -156,13 +160,22 @@ class ActuatorEfforts:
         """Room for a record that others make; None where that takes more than copies of arrays."""
         return self._last if self._loads is None else None
 
+    @property
+    def kept(self) -> FloatArray:
+        """Room for the efforts, which others compute after such a record, shape (nv,)."""
+        return self._values
+
+    def refresh_rules(self) -> None:
+        """Take over the integrator of the model."""
+        self.rules[0] = int(self._world.options.integrator) in _IMPLICIT
+
     def set_aside(self) -> tuple[Any, ...]:
         """Return what :meth:`record` changes."""
-        return self.values, self._last.copy(), self._loaded
+        return self.values.copy(), self._last.copy(), self._loaded
 
     def take_back(self, content: tuple[Any, ...]) -> None:
         """Go on with what :meth:`set_aside` has returned."""
-        self._values, self._last[:], self._loaded = content
+        self._values[:], self._last[:], self._loaded = content
         self.stale[0] = False
 
     def _of_loads(self) -> FloatArray | float:
@@ -211,7 +224,7 @@ def compute(efforts: Iterable[ActuatorEfforts]) -> None:
             alike.setdefault(item._world.sizes, []).append(item)
     for (nv, nu, njnt), some in alike.items():
         for item, acted in zip(some, _acted(some, nv, nu, njnt)):
-            item._values = acted - item._loaded
+            item._values[:] = acted - item._loaded
             item.stale[0] = False
 
 

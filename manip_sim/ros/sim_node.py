@@ -51,6 +51,7 @@ from manip_sim.ros.until_contact import MotionsUntilContact
 from manip_sim.ros.visualization_topics import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.compiled_period import load
 
 F = TypeVar('F', bound=Feature)
 #: Number of publications that may wait, by stepping: states would become old in ``free``, else as
@@ -307,8 +308,8 @@ class SimNode(Node):
         self.thread.start()
         if self._command_thread is not None:
             self._command_thread.start()
-        if kept and self.declared.value('stepping') == 'realtime':
-            # The first command should not wait for them.
+        if kept:
+            # The first command should not wait for them, and steps in Python cost more.
             threading.Thread(target=_load_laws, name='laws').start()
         for feature in self.shared.features:
             feature.started()
@@ -346,6 +347,7 @@ def _load_laws() -> None:
     from manip_sim.control.law.loading import load_laws  # It imports numba.
     try:
         load_laws()
+        load()
     except OSError as error:
         raise ManipSimError(f'cannot keep compiled control laws in {laws_folder()}: '
                             f'{error.strerror}; set XDG_CACHE_HOME to another folder') from error

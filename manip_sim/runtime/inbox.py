@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
+import contextlib
 import threading
 from typing import TypeVar
 
@@ -17,11 +18,14 @@ class Inbox:
     """A signal by which other threads wake the one that waits."""
 
     def __init__(self) -> None:
-        self._woken = threading.Event()
+        #: Held while nobody has woken it.
+        self._asleep = threading.Lock()
+        self._asleep.acquire()
 
     def wake(self) -> None:
         """End the present wait, or the next one if nobody waits; any thread may call this."""
-        self._woken.set()
+        with contextlib.suppress(RuntimeError):  # It is woken already.
+            self._asleep.release()
 
     def wait(self, timeout_s: float) -> None:
         """
@@ -29,8 +33,7 @@ class Inbox:
 
         :param timeout_s: how long to wait at most [s]
         """
-        if self._woken.wait(timeout_s):
-            self._woken.clear()
+        self._asleep.acquire(timeout=max(0.0, timeout_s))
 
     def take(self, most: int) -> None:
         """

@@ -91,6 +91,7 @@ class CompiledPeriod:
         room.orders[:] = begins, ends, (
             steps.begin_by_law() if begins else stepping and steps.take_resumes()), 0, stepping
         notes = self._derived.of['notes'] = self.notes(left)
+        steps.efforts.refresh_rules()
         for run in runs:
             run.room.write(run.joints, run.targets, run.grippers)
         robots = self._derived.made_of(_addresses, *[run.room for run in runs])
@@ -124,16 +125,19 @@ class CompiledPeriod:
         """Return the arrays that last as long as the model."""
         steps = self._steps
         return self._derived.made_of(
-            self._make_room, steps.divergence, steps.efforts.room, steps.efforts.stale)
+            self._make_room, steps.divergence, steps.efforts.room, steps.efforts.stale,
+            steps.efforts.kept, steps.efforts.rules)
 
-    def _make_room(self, watched: DivergenceWatch, efforts: FloatArray | None, stale: BoolArray
-                   ) -> _Room:
+    def _make_room(self, watched: DivergenceWatch, last: FloatArray | None, stale: BoolArray,
+                   efforts: FloatArray, rules: BoolArray) -> _Room:
         """
         Make it for a model, and for efforts that a restored state has replaced.
 
         :param watched: keeps the good state, of each model another
-        :param efforts: room for the efforts of the last step, or None
-        :param stale: says that they were noted
+        :param last: room for what efforts of the last step depend on, or None
+        :param stale: says that it was noted
+        :param efforts: room for the efforts
+        :param rules: of their computation
         """
         from manip_sim.control.law.period import (  # It imports numba.
             PERIOD, Standing, Time, Weight)
@@ -146,7 +150,8 @@ class CompiledPeriod:
             watched.good, steps.computed_from, halves.reshape(-1, 2), PHYSICS,
             data.qpos, data.qacc,
             words_of(watched.warnings.ctypes.data, 2 * len(watched.warned) - 1), watched.warned,
-            LastStep.of(model, data, np.zeros(0) if efforts is None else efforts, stale))
+            LastStep.of(model, data, np.zeros(0) if last is None else last, stale, efforts,
+                        rules))
         options = options_of(model)
         return _Room(
             Row(PERIOD), (addresses.model, addresses.data),

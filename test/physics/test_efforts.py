@@ -190,6 +190,29 @@ def test_efforts_computed_together_are_those_of_each_world_alone(one_joint_arm):
         np.testing.assert_array_equal(one, alone)
 
 
+@pytest.mark.parametrize('limit', ['none', 'actuator', 'joint'])
+@pytest.mark.parametrize('integrator', ['EULER', 'IMPLICITFAST'])
+def test_efforts_that_compiled_code_computes_are_those_of_python_to_the_last_bit(
+        one_joint_arm, limit, integrator):
+    arm = one_joint_arm('<position name="turn" joint="joint1" kp="200" kv="20"/>')
+    simulation = Simulation(World([arm]))
+    simulation.model.opt.integrator = getattr(mujoco.mjtIntegrator, f'mjINT_{integrator}')
+    if limit == 'actuator':
+        simulation.model.actuator_forcelimited[:] = True
+        simulation.model.actuator_forcerange[:] = -3.0, 3.0
+    if limit == 'joint':
+        simulation.model.jnt_actfrclimited[:] = True
+        simulation.model.jnt_actfrcrange[:] = -2.0, 2.0
+    robot, efforts = simulation.robot, simulation.efforts
+    robot.apply(*robot.parse.joint_command(['robot0_joint1'], position=[0.8]))
+    for _ in range(20):
+        simulation.advance(5)
+        assert not efforts.stale[0]
+        by_laws = efforts.values.tobytes()
+        efforts.stale[0] = True
+        assert efforts.values.tobytes() == by_laws
+
+
 def test_effort_outlasts_a_change_of_the_objects(panda_sim):
     moved(panda_sim)
     effort = panda_sim.robot.state().effort

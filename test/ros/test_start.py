@@ -9,6 +9,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import threading
 
 from forks import ends
 import pytest
@@ -146,6 +147,16 @@ def test_compiled_laws_that_cannot_be_kept_are_one_line(monkeypatch):
     with pytest.raises(ManipSimError, match='cannot keep compiled control laws in .*: No space '
                        'left on device; set XDG_CACHE_HOME to another folder'):
         sim_node._load_laws()
+
+
+@pytest.mark.parametrize('stepping', ['realtime', 'free', 'lockstep'])
+def test_laws_that_are_kept_are_loaded_before_the_first_command(serve, monkeypatch, stepping):
+    monkeypatch.setattr(sim_node, 'all_are_kept', lambda: True)
+    loaded = threading.Event()
+    monkeypatch.setattr('manip_sim.ros.sim_node.load', loaded.set)
+    node = serve(stepping=stepping)
+    assert loaded.wait(300.0)
+    assert node.declared.value('stepping') == stepping
 
 
 def first_joint_and_warnings(process, client, *arguments):

@@ -454,7 +454,7 @@ def test_attributes_that_methods_set_are_declared_as_a_state():
 
 
 #: What follows from the rest.
-FOLLOWS = {'Formatter': ('_closing',), 'Servos': ('lowered',)}
+FOLLOWS = {'ActuatorEfforts': ('rules',), 'Formatter': ('_closing',), 'Servos': ('lowered',)}
 
 
 def attributes_set_by(method):

@@ -255,7 +255,8 @@ def _example() -> tuple[Period, ScratchArrays]:
         Weight(nobody, data.qfrc_applied), nobody, nobody,
         notes_of(data, np.zeros((0, 3), np.int64), 0),
         Watch(none, none, np.zeros((0, 2), np.int64), 0, data.qpos, data.qacc,
-              words, words, LastStep.of(model, data, none, np.zeros(1, np.bool_))),
+              words, words, LastStep.of(
+                  model, data, none, np.zeros(1, np.bool_), none, np.zeros(3, np.bool_))),
         np.zeros(2, np.int64), Standing(none, nobody, data.xfrc_applied, words, words))
     return period, ScratchArrays(place[1], world.kinematics)
 

@@ -30,6 +30,7 @@ from manip_sim.physics.physics import Addresses
 _MARKS = (987654321, 0)
 #: The options of a model have fewer words from gravity on.
 _MOST_OPTIONS = 100
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 #: Share of the memory of ``MjData`` that may have been used so far.
 _MEMORY = 0.5
 #: Sum of the squares of velocities from which on somebody has to look [(rad/s or m/s)^2].
@@ -108,8 +109,18 @@ class LastStep(NamedTuple):
     :ivar biases: ``actuator_biasprm``, shape (nu, k)
     :ivar ranges: ``actuator_forcerange``, shape (nu, 2)
     :ivar limited: ``actuator_forcelimited``, shape (nu,)
+    :ivar kinds: ``actuator_biastype``, shape (nu,)
+    :ivar moments: ``actuator_moment``, shape (m,)
+    :ivar counts: ``moment_rownnz``, shape (nu,)
+    :ivar begins: ``moment_rowadr``, shape (nu,)
+    :ivar dofs: ``moment_colind``, shape (m,)
+    :ivar joint_limited: ``jnt_actfrclimited``, shape (njnt,)
+    :ivar joint_dofs: ``jnt_dofadr``, shape (njnt,)
+    :ivar joint_ranges: ``jnt_actfrcrange``, shape (njnt, 2)
     :ivar last: of the last step, the first four, damping, ranges and limits one after another
-    :ivar stale: whether that was noted, shape (1,)
+    :ivar stale: whether that was noted and efforts have not been computed of it, shape (1,)
+    :ivar values: the efforts, shape (nv,)
+    :ivar rules: as ``ActuatorEfforts.rules``, shape (3,)
     """
 
     acted: FloatArray
@@ -119,16 +130,29 @@ class LastStep(NamedTuple):
     biases: FloatArray
     ranges: FloatArray
     limited: NDArray[Any]
+    kinds: NDArray[np.int32]
+    moments: FloatArray
+    counts: NDArray[np.int32]
+    begins: NDArray[np.int32]
+    dofs: NDArray[np.int32]
+    joint_limited: NDArray[Any]
+    joint_dofs: NDArray[np.int32]
+    joint_ranges: FloatArray
     last: FloatArray
     stale: BoolArray
+    values: FloatArray
+    rules: BoolArray
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, last: FloatArray, stale: BoolArray
-           ) -> LastStep:
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, last: FloatArray, stale: BoolArray,
+           values: FloatArray, rules: BoolArray) -> LastStep:
         """Return the views of a model and its data."""
         return cls(data.qfrc_actuator, data.qvel, data.actuator_force, data.actuator_velocity,
                    model.actuator_biasprm, model.actuator_forcerange,
-                   model.actuator_forcelimited, last, stale)
+                   model.actuator_forcelimited, model.actuator_biastype, data.actuator_moment,
+                   data.moment_rownnz, data.moment_rowadr, data.moment_colind,
+                   model.jnt_actfrclimited, model.jnt_dofadr, model.jnt_actfrcrange, last, stale,
+                   values, rules)
 
 
 class Watch(NamedTuple):
@@ -333,6 +357,7 @@ def compute_end(addresses: Addresses, watch: Watch) -> bool:
     _record(watch.last_step)
     _mj_get_state(addresses.model, addresses.data, watch.computed.ctypes.data, watch.parts)
     _mj_forward(addresses.model, addresses.data)
+    _compute_efforts(watch.last_step)
     for kind in range(len(watch.warned)):
         if watch.warned[kind] != watch.warnings[2 * kind]:
             return False
@@ -360,3 +385,31 @@ def _record(step: LastStep) -> None:
         last[place + 3 * actuators + 2 * k] = step.ranges[k, 0]
         last[place + 3 * actuators + 2 * k + 1] = step.ranges[k, 1]
         last[place + 5 * actuators + k] = step.limited[k]
+
+
+@inner
+def _compute_efforts(step: LastStep) -> None:
+    """Compute the efforts of the last step as ``efforts.compute`` does, with the same bits."""
+    last, values, joints, actuators = step.last, step.values, len(step.acted), len(step.forces)
+    for k in range(joints):
+        values[k] = 0.0
+    for actuator in range(actuators):
+        place, begin = 2 * joints + actuator, step.begins[actuator]
+        low, high = step.ranges[actuator, 0], step.ranges[actuator, 1]
+        if not step.rules[0] or step.kinds[actuator] != _AFFINE or (
+                step.rules[1] and step.limited[actuator] and not low < last[place] < high):
+            continue
+        speed = 0.0
+        for k in range(begin, begin + step.counts[actuator]):
+            speed += step.moments[k] * last[joints + step.dofs[k]]
+        missing = step.biases[actuator, 2] * (speed - last[place + actuators])
+        for k in range(begin, begin + step.counts[actuator]):
+            values[step.dofs[k]] += step.moments[k] * missing
+    for joint in range(len(step.joint_limited)):
+        dof = step.joint_dofs[joint]
+        if step.rules[2] and step.joint_limited[joint] and not (
+                step.joint_ranges[joint, 0] < last[dof] < step.joint_ranges[joint, 1]):
+            values[dof] = 0.0
+    for k in range(joints):
+        values[k] += last[k]
+    step.stale[0] = False
