@@ -24,9 +24,6 @@ from manip_sim.interface.world_topics import topics_of_robot
 from manip_sim.models import compose_robot
 from manip_sim.models.bases import base_names
 from manip_sim.models.composing import DEFAULT, NONE
-from manip_sim.models.files.requested_robot import load_requested
-from manip_sim.models.files.urdf import is_moving_urdf
-from manip_sim.models.files.xacro_expansion import split_arguments, stem_of
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_creation import (
     create_object, named_by_itself, object_from_model, object_from_text, ObjectModel, UNNAMED)
@@ -105,6 +102,8 @@ class RequestedRobot:
     @property
     def name(self) -> str:
         """The name that it gives itself, or what kind of robot it is."""
+        # These files need pydantic, whose import would make each start longer.
+        from manip_sim.models.files.xacro_expansion import split_arguments, stem_of
         named: str = self._values[self.KEY]
         default_name = named if self._given is None else stem_of(Path(split_arguments(named)[0]))
         name: str = self._values.get('name', default_name)
@@ -118,6 +117,7 @@ class RequestedRobot:
         :param pose: of its base
         :raises ModelError: if the parts do not fit together
         """
+        from manip_sim.models.files.requested_robot import load_requested
         robot = compose_robot(
             self._values[self.KEY] if self._given is None else load_requested(
                 self._given, self._files, name), self._values.get('gripper', DEFAULT),
@@ -391,6 +391,7 @@ def _prepared(request: Any, files: AllowedRoots) -> tuple[bool, Callable[[], _It
 
 
 def _from_text(text: InMemoryFile, files: AllowedRoots) -> tuple[bool, Callable[[], _Item]]:
+    from manip_sim.models.files.urdf import is_moving_urdf
     if is_moving_urdf(text.content):
         return False, lambda: RequestedRobot.from_text(text, files)
     if not text.content.startswith(b'<'):

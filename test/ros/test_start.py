@@ -149,6 +149,13 @@ def test_compiled_laws_that_cannot_be_kept_are_one_line(monkeypatch):
         sim_node._load_laws()
 
 
+def test_a_start_does_not_import_what_only_files_of_users_or_commands_need():
+    script = ("import sys; import manip_sim.ros.process; print(sorted("
+              "{'numba', 'pydantic', 'manip_sim.models.files'} & sys.modules.keys()))")
+    assert subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                          timeout=300.0, check=True).stdout == '[]\n'
+
+
 @pytest.mark.parametrize('stepping', ['realtime', 'free', 'lockstep'])
 def test_laws_that_are_kept_are_loaded_before_the_first_command(serve, monkeypatch, stepping):
     monkeypatch.setattr(sim_node, 'all_are_kept', lambda: True)
