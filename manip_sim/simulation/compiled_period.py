@@ -24,6 +24,8 @@ from manip_sim.simulation.robot_runs import RobotRun, RunRoom
 _REMEMBERED = 64
 #: Compiled code runs so many steps at once, as there is room for notes of each.
 MOST_STEPS = 1000
+#: The number of a world that is the only one of its table.
+_ALONE = np.zeros(1, np.int64)
 #: No world of no table goes on by itself.
 _NONE = np.zeros((0, 5), np.int64), np.zeros(0, np.int64)
 
@@ -216,6 +218,18 @@ def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> No
         _period().run_rows(table[worlds, ROW], table, worlds, steps, _row_in_thread(scratch))
     else:
         table[worlds, BECAME] = STOOD
+
+
+def go_on_alone(standing: IntArray, steps: int, scratch: Scratch) -> None:
+    """
+    Let a world go on as in its last period, if Python has nothing to do for it.
+
+    :param standing: ``Physics.standing``, of periods of so many steps
+    :param steps: of the period
+    :param scratch: of this thread and of this world
+    """
+    _period().run_rows(
+        standing[ROW:ROW + 1], standing[None], _ALONE, steps, _row_in_thread(scratch))
 
 
 def renew(table: IntArray, robots: IntArray, worlds: IntArray, indices: IntArray,

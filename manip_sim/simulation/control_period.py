@@ -18,7 +18,7 @@ from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.spring_forces import SpringForces
-from manip_sim.simulation.compiled_period import CompiledPeriod, go_on, is_loaded, MOST_STEPS
+from manip_sim.simulation.compiled_period import CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_runs import RobotRun
 
@@ -26,8 +26,6 @@ from manip_sim.simulation.robot_runs import RobotRun
 _INTERVAL_S = 0.004
 #: Nothing to be measured within a period.
 _NOTHING: Mapping[int, Callable[[], None]] = {}
-#: The world of a simulation, by its number.
-_ALONE = np.zeros(1, np.int64)
 #: Of how many lengths of periods the intervals are kept.
 _REMEMBERED = 64
 
@@ -80,9 +78,12 @@ class ControlPeriods:
     @property
     def idle(self) -> bool:
         """True if nothing but physics happens until the next command."""
-        self._steps.physics.interrupt()
-        return (self.diverged is None and not self._pulls and not self._awake()
-                and not any([robot.sensing.settings.measures for robot in self._robots]))
+        if self.diverged is not None or self._pulls:
+            return False
+        if self._steps.physics.standing.item(STEPS):
+            return not self._standing[0]
+        return not (self._awake()
+                    or any([robot.sensing.settings.measures for robot in self._robots]))
 
     def advance(self, steps: int) -> None:
         """
@@ -93,7 +94,7 @@ class ControlPeriods:
         """
         physics = self._steps.physics
         if physics.standing.item(STEPS) == steps:
-            go_on(physics.standing[None], _ALONE, steps, physics.scratch)
+            go_on_alone(physics.standing, steps, physics.scratch)
             became = physics.standing.item(BECAME)
             if became == WENT_ON:
                 return

@@ -12,10 +12,10 @@ from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.physics import physics_steps as module
-from manip_sim.physics.physics import BECAME, STOOD
+from manip_sim.physics.physics import BECAME, STEPS, STOOD
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.simulation import control_period, Simulation
-from manip_sim.simulation.compiled_period import CompiledPeriod
+from manip_sim.simulation.compiled_period import CompiledPeriod, load
 from manip_sim.simulation.control_period import ControlPeriods
 
 EVERYTHING = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -79,19 +79,19 @@ def count(monkeypatch):
         begins, _, resumes, *_ = period.orders.tolist()
         parts.extend(['mj_step2'] * (begins and resumes))
     monkeypatch.setattr(CompiledPeriod, 'run', ran)
-    advance, go_on, advanced = ControlPeriods.advance, control_period.go_on, []
+    advance, go_on, advanced = ControlPeriods.advance, control_period.go_on_alone, []
 
     def advancing(periods, steps):
         advanced[:] = [periods]
         advance(periods, steps)
 
-    def going_on(table, *rest):
-        go_on(table, *rest)
-        if table[0, BECAME] != STOOD:
+    def going_on(standing, *rest):
+        go_on(standing, *rest)
+        if standing[BECAME] != STOOD:
             _, _, resumes, *_ = advanced[0].compiled.orders.tolist()
             parts.extend(['', 'mj_step2', 'mj_implicit'][resumes:resumes + 1] * (resumes > 0))
     monkeypatch.setattr(ControlPeriods, 'advance', advancing)
-    monkeypatch.setattr(control_period, 'go_on', going_on)
+    monkeypatch.setattr(control_period, 'go_on_alone', going_on)
     return parts
 
 
@@ -170,6 +170,15 @@ def test_a_divergence_at_rest_is_told_and_held(by_law, monkeypatch):
     assert simulation.diverged == 'the physics diverged at 0.220 s: a velocity is above 10000'
     assert simulation.step_count == 110 and not simulation.idle
     assert not simulation.data.warning.number.any() and not simulation.data.qvel.any()
+
+
+def test_a_world_that_is_asked_whether_it_is_idle_goes_on(panda_sim):
+    load()
+    for _ in range(3):
+        panda_sim.advance(5)
+    assert panda_sim.physics.standing[STEPS] == 5
+    assert panda_sim.idle
+    assert panda_sim.physics.standing[STEPS] == 5
 
 
 def test_a_simulation_is_idle_only_while_no_command_is_under_way(panda_sim):
