@@ -14,6 +14,8 @@ from targets.processes import Process, start_node, start_script
 
 #: What the targets call one client.
 ONE_CLIENT = ('joint_states', 'right/wrench')
+#: After the first states, a start goes on for so long: a node then loads its compiled laws [s].
+_START_S = 2.0
 #: After it stood still, a process gets so long to find its pace again [s].
 _RECOVERY_S = 0.4
 
@@ -51,6 +53,7 @@ class Watched:
             self.listener: Process = self._stack.enter_context(
                 start_script('listener.py', *topics, apart=apart))
             self.listener.ask('ready', 60.0)
+            time.sleep(_START_S)
         except BaseException:
             self._stack.close()
             raise
