@@ -453,10 +453,6 @@ def test_attributes_that_methods_set_are_declared_as_a_state():
         assert set_here <= declared | {*FOLLOWS.get(kind.__name__, ())}, kind
 
 
-#: What follows from the rest.
-FOLLOWS = {'ActuatorEfforts': ('rules',), 'Formatter': ('_closing',), 'Servos': ('lowered',)}
-
-
 def attributes_set_by(method):
     """Return the attributes of its object that the source of a method sets or sets a part of."""
     (function,) = ast.parse(textwrap.dedent(inspect.getsource(method))).body
@@ -494,13 +490,14 @@ def undeclared(robot):
             for name, value in vars(owner).items():
                 if name not in getattr(kind, 'remembered', ()):
                     left.append(value)
-                    if name not in DERIVED.get(kind.__name__, ()):
+                    if name not in FOLLOWS.get(kind.__name__, ()):
                         found[kind.__name__, id(owner), name] = plain(value)
     return found
 
 
-#: What follows from the rest when it is first asked for.
-DERIVED = {'Formatter': ('_closing',), 'Derived': ('of',)}
+#: What follows from the rest.
+FOLLOWS = {'ActuatorEfforts': ('rules',), 'Formatter': ('_closing',), 'Servos': ('lowered',),
+           'Derived': ('of',)}
 
 
 def plain(value):
