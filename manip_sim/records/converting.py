@@ -145,19 +145,24 @@ def convert(paths: Iterable[Path], name: str, target: Path,
     notes: list[str] = []
     done, where = 0, ''
 
+    def leave_out(path: Path, number: int) -> None:
+        notes.append(f'{path}: episode {number} is not complete, and was left out')
+
     def frames() -> Iterator[Frames]:
         nonlocal done, where
         for path in paths:
-            for recorded in Record(path).episodes():
+            record = Record(path)
+            for recorded in record.episodes():
                 if recorded.result is None or recorded.result.get('error'):
-                    notes.append(f'{path}: episode {recorded.number} is not complete, and was '
-                                 'left out')
+                    leave_out(path, recorded.number)
                 elif recorded.success or not only_success:
                     where = f'{path}: '
                     yield Frames(recorded)
                     where = ''
                     done += 1
                     progress(done)
+            if record.begun is not None:
+                leave_out(path, record.begun)
     try:
         # Of its own name, as another process may write the same data set.
         with tempfile.TemporaryDirectory(prefix='.unfinished', dir=target.parent) as folder:

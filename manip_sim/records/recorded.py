@@ -211,11 +211,14 @@ class Record:
     :ivar path: of the file
     :ivar cut_off: whether the file has turned out to end before its end was written, as when its
         writer was killed
+    :ivar begun: number of the episode of which the file has turned out to have the begin alone,
+        or None
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.cut_off = False
+        self.begun: int | None = None
 
     def episodes(self) -> Iterator[RecordedEpisode]:
         """
@@ -355,6 +358,8 @@ class Record:
                     open_one.add(topic, kind, item.log_time, item.data)
         if open_one is not None and open_one.messages:
             yield open_one
+        elif isinstance(open_one, RecordedEpisode):
+            self.begun = open_one.number
         if not any_yet:
             raise RecordError('it contains no episodes of tasks' + (
                 ' and ends early' if self.cut_off else ''))

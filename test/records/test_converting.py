@@ -312,3 +312,15 @@ def test_a_record_that_was_cut_off_says_how_many_episodes_are_incomplete(
     alone.write_bytes(content[:episodes - 30])
     assert main(['convert', str(alone), '--to', 'hdf5', str(tmp_path / 'b.hdf5')]) == 1
     assert 'there are no episodes; 1 incomplete' in capsys.readouterr().err
+
+
+def test_an_episode_of_which_nothing_was_written_is_incomplete_too(recording, tmp_path, capsys):
+    with open(recording, 'rb') as file:
+        content = file.read()
+    end = content.rindex(b'manip_sim/result', 0, len(content) - 3000)
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(content[:(content.rindex(b'manip_sim/episode', 0, end) + end) // 2])
+    assert main(['convert', str(cut), '--to', 'hdf5', str(tmp_path / 'a.hdf5')]) == 0
+    out = capsys.readouterr().out
+    assert f'{cut}: episode 1 is not complete' in out
+    assert out.endswith('; 1 incomplete)\n') and '(1 episode, ' in out
