@@ -64,8 +64,10 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     observable = any(value.value is not None for joint in found.joints
                      for value in joint.values.values())
     if options.json:
-        return json.dumps({**asdict(found), 'topic': motion.topic, 'notes': _notes(
-            options, motion, found)}, indent=2).replace('NaN', 'null'), int(not observable)
+        return json.dumps({
+            **asdict(found), 'suffices_s': found.suffices_s, 'topic': motion.topic,
+            'notes': _notes(options, motion, found)}, indent=2).replace('NaN', 'null'), int(
+                not observable)
     return _report(options, motion, found), int(not observable)
 
 
@@ -156,6 +158,7 @@ def _notes(options: argparse.Namespace, motion: RecordedMotion, found: Identific
     notes += [f'the efforts fit a payload of {load.mass.value:.2f} +- {load.mass.error:.1g} kg '
               f'more at the flange of {load.arm}: choose the --gripper, or add --payload'
               for load in found.hints]
+    notes += _length(found)
     if motion.missing:
         notes.append('not in the bag, and taken at the start pose: '
                      + quoted_names(motion.missing))
@@ -176,3 +179,16 @@ def _unobserved(found: Identification) -> list[tuple[str, str, str]]:
             if value.value is None:
                 rows.setdefault((joint.name, value.reason), []).append(kind)
     return [(name, ', '.join(kinds), reason) for (name, reason), kinds in rows.items()]
+
+
+def _length(found: Identification) -> list[str]:
+    """Return whether a longer record would tell more, as far as its own scatter says."""
+    short = [(value.more, f'{kind} of {joint.name}', value) for joint in found.joints
+             for kind, value in joint.values.items() if value.more > 1.0]
+    if not short:
+        return []
+    _, name, value = max(short, key=lambda entry: entry[0])
+    others = (f', and {pluralize(len(short) - 1, "other value")} by more than 5 %'
+              if len(short) > 1 else '')
+    return [f'the record is short: {name} can be wrong by {value.within:.2g} (at 95 %){others}; '
+            f'{math.ceil(found.suffices_s / 10.0) * 10} s of this motion would suffice']

@@ -48,6 +48,11 @@ _LAG = 3.0
 #: Greatest standard errors, as shares of the inertia of a joint and of its effort limit (damping:
 #: at its highest velocity in the record).
 _SURE = {'armature': 0.1, 'damping': 0.01, 'frictionloss': 0.01, 'offset': 0.01}
+#: Share of a value to which a record should tell it at 95 %; standard errors of that (Student's t
+#: of 12 blocks); and what the method itself leaves of a joint's inertia in records without noise.
+_WANTED, _SURELY, _LEFT = 0.05, 2.2, 0.002
+#: Error of a value that does not matter, as a share of its tolerance.
+_NO_MATTER = 0.01
 #: A payload is hinted at if it leaves less than this share of the squares, and has this mass [kg].
 _BETTER, _LEAST_MASS = 0.9, 0.03
 
@@ -62,6 +67,9 @@ class Value:
     :ivar before: what the model has
     :ivar tolerance: standard error up to which the value is told
     :ivar reason: why it cannot be observed, or empty
+    :ivar within: by which the value may be wrong, at 95 %
+    :ivar more: factor of the record's length with which that would be 5 % of the value, or too
+        little to matter
     """
 
     value: float | None
@@ -69,6 +77,8 @@ class Value:
     before: float = 0.0
     tolerance: float = 0.0
     reason: str = ''
+    within: float = 0.0
+    more: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -129,6 +139,12 @@ class Identification:
     lag_s: float
     fitted_s: float
     held_out_s: float
+
+    @property
+    def suffices_s(self) -> float:
+        """Length of such a record that tells all values to 5 % [s]."""
+        return (self.fitted_s + self.held_out_s) * max(
+            value.more for joint in self.joints for value in joint.values.values())
 
 
 class _Gaussian:
@@ -196,6 +212,9 @@ class RigidModel:
         self.arms = list(flanges)
         self._flanges = [self._model.body(body).id for body in flanges.values()]
         self.limits = _effort_limits(model, self._dofs)
+        # Damping acts with the velocity at the end of a step, half a step after the middle between
+        # its ends: the arm of a simulation has so much more inertia for each unit of damping.
+        self.late_s = 0.5 * float(model.opt.timestep)
 
     def _addresses(self, joints: Sequence[str]) -> tuple[IntArray, IntArray]:
         ids = [self._model.joint(name).id for name in joints]
@@ -508,16 +527,28 @@ def _joint_fit(rows: _Rows, model: RigidModel, sums: _Sums, efforts: FloatArray,
         why, tolerance = reason, _SURE[kind] * scale[kind]
         if not why and error > tolerance:
             why = f'the standard error would be {error:.2g}'
-        values[kind] = Value(None if why else float(value), float(error), before[kind],
-                             float(tolerance), why)
+        if kind == 'armature':
+            value -= model.late_s * found[0][KINDS.index('damping')]
+        off = _LEFT * scale[kind] if kind == 'armature' else 0.0
+        values[kind] = Value(
+            None if why else float(value), float(error), before[kind], float(tolerance), why,
+            float(_SURELY * error + off), 0.0 if why or kind == 'offset' else _more(
+                max(abs(value), before[kind]), error, tolerance, off))
     late = used & (np.arange(len(used)) >= fitted)
     plain = efforts[:, index] - rows.rigid[:, index] - rows.columns[:, index] @ [
-        before[kind] for kind in KINDS]
+        before[kind] + (model.late_s * before['damping'] if kind == 'armature' else 0.0)
+        for kind in KINDS]
     rest, whole = left[late, index], efforts[late, index]
     spread = float(whole.var()) if len(whole) else 0.0
     return JointFit(
         name, values, _rms(left[:fitted, index][used[:fitted]]), _rms(rest), _rms(plain[late]),
         1.0 - float(rest.var()) / spread if spread else math.nan)
+
+
+def _more(value: float, error: float, tolerance: float, off: float) -> float:
+    """Return the factor of the record's length with which a value is told to the wanted share."""
+    room = max(_WANTED * value - off, _NO_MATTER * tolerance)
+    return float((_SURELY * error / room) ** 2)
 
 
 def _rms(values: FloatArray) -> float:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import json
 import sqlite3
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -20,7 +21,7 @@ pytest.importorskip('mcap_ros2', reason='needs the extra records')
 from manip_sim.identification.excitation import find_excitation, record_excitation  # noqa: E402
 from manip_sim.identification.least_squares import identify, KINDS, RigidModel  # noqa: E402
 from manip_sim.identification.recorded_motion import (  # noqa: E402
-    bag_messages, read_motion, Stretch)
+    bag_messages, read_motion, RecordedMotion, Stretch)
 from manip_sim.records.record_file import definition, encoded, full_name, RecordFile  # noqa: E402
 
 KIND = 'sensor_msgs/JointState'
@@ -157,6 +158,61 @@ def test_another_load_than_that_of_the_model_is_told_and_identified(here, excite
         {'robot': 'SO101', 'gripper': gripper})).world).model.body_mass.sum()
         for gripper in ('default', 'none'))
     assert mass == pytest.approx(whole - bare, rel=0.05)
+
+
+def test_what_damping_adds_to_the_inertia_in_each_step_is_no_rotor():
+    # Half a step of damping is 4 % of this rotor.
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco><option timestep="0.002" integrator="implicitfast" gravity="0 0 0"/><worldbody>
+          <body><joint name="hinge" axis="0 0 1" armature="0.05" damping="2"/>
+            <geom type="box" size="0.1 0.05 0.05" pos="0.1 0 0" mass="1"/></body></worldbody>
+        </mujoco>""")
+    data, positions = mujoco.MjData(model), []
+    times = model.opt.timestep * np.arange(6000)
+    efforts = sum(np.sin(2.0 * np.pi * (hz * times + hz**2)) for hz in (0.3, 0.5, 0.8, 1.3, 1.9))
+    for effort in efforts:
+        data.qfrc_applied[0] = effort
+        mujoco.mj_step(model, data)
+        positions.append(data.qpos[0])
+    motion = RecordedMotion('', [Stretch(model.opt.timestep, {'hinge': np.array(positions)},
+                                         {'hinge': efforts})], [], [])
+    (joint,) = identify(motion, RigidModel(model, data.qpos, ['hinge'], {})).joints
+    assert joint.values['armature'].value == pytest.approx(0.05, rel=0.01)
+    assert joint.values['damping'].value == pytest.approx(2.0, rel=0.01)
+    # The values of the model are those of the arm that was recorded.
+    assert joint.held_out_before < 1e-3
+
+
+def noised(bag, target, size):
+    """Write a record again with noise of its positions [rad], and of its efforts in proportion."""
+    random = np.random.default_rng(3)
+
+    def add(message):
+        message.position = list(message.position + size * random.normal(
+            size=len(message.position)))
+        message.effort = list(message.effort + 20.0 * size * random.normal(
+            size=len(message.effort)))
+        return message
+    return rewritten(bag, target, add)
+
+
+def test_a_record_that_is_too_short_says_which_length_suffices(here, excited, tmp_path):
+    bag, values = excited
+    clean, _ = identified(here, bag, '--robot', 'SO101')
+    assert clean['suffices_s'] < 12.0
+    assert not any('the record is short' in note for note in clean['notes'])
+    lengths = []
+    for size in (1e-3, 2e-3):
+        noisy, told = identified(
+            here, noised(bag, tmp_path / f'{size}.mcap', size), '--robot', 'SO101')
+        lengths.append(noisy['suffices_s'])
+        (note,) = [note for note in noisy['notes'] if 'the record is short' in note]
+        assert f'{np.ceil(lengths[-1] / 10.0) * 10:.0f} s of this motion would suffice' in note
+        within = np.array([[joint['values'][kind]['within'] for joint in noisy['joints']]
+                           for kind in KINDS[:3]])
+        assert (np.abs(told - values) < within).mean() > 0.9
+    # What noise adds falls with the square root of the time.
+    assert lengths[0] > 12.0 and lengths[1] / lengths[0] == pytest.approx(4.0, rel=0.5)
 
 
 def as_sqlite(source, folder):
