@@ -257,7 +257,10 @@ def test_parts_of_a_killed_node_that_still_counts_as_present_are_left_out(client
         other.node.create_subscription(JointState, topic, print, 10)
     other.node.create_subscription(PoseStamped, 'left/target_pose', print, 10)
     finding = Finding(client, NAME)
-    (robot,) = finding.whole().robots()
+    finding.whole()
+    finding.until(lambda found: found._silent == {'/torso', '/left', '/ghost/arm'}
+                  and [robot.end_effectors for robot in found.layout.robots] == [('right',)])
+    (robot,) = finding.discovery.robots()
     assert (robot.space, robot.end_effectors) == ('/', ('right',))
     assert [part.name for part in robot.parts] == ['arm']
 
