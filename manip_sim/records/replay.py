@@ -145,6 +145,8 @@ def _reason(recorded: RecordedEpisode, episode: Episode) -> str:
 
 #: Objects, or items of a list of parameters, that a record may ask for; an object takes 0.2 MB.
 _MOST_ITEMS = 1000
+#: Robots; each makes the checks of the start longer for all: 40 of two arms take a minute.
+_MOST_ROBOTS = 32
 #: Parameters with files that are not in the catalogue.
 _FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'randomization', 'faults', 'model_path')
 
@@ -337,9 +339,10 @@ def _composed(given: dict[str, Any]) -> Composition:
     :raises RecordError: if they name files
     """
     for name, value in given.items():
-        if isinstance(value, list) and len(value) > _MOST_ITEMS:
+        most = _MOST_ROBOTS if name == 'robots' else _MOST_ITEMS
+        if isinstance(value, list) and len(value) > most:
             raise RecordError(f'the parameter {quoted(name)} has {len(value)} items, and at most '
-                              f'{_MOST_ITEMS} are repeated')
+                              f'{most} are repeated')
         if name.rpartition('.')[2] in _FILES:
             for text in map(str, value if isinstance(value, list) else [value]):
                 described = parse_yaml(text, name) if text.lstrip().startswith('{') else {}

@@ -250,9 +250,11 @@ BALLS = [f'{{shape: sphere, name: b{n}, size: [0.1]}}' for n in range(20000)]
 @pytest.mark.parametrize('parameters, objects, text', [
     ({'objects': BALLS}, [], "the parameter 'objects' has 20000 items, and at most 1000"),
     ({'cameras': BALLS}, [], "the parameter 'cameras' has 20000 items, and at most 1000"),
+    ({'robots': [f'r{n}' for n in range(200)]}, [],
+     "the parameter 'robots' has 200 items, and at most 32"),
     ({}, [['b', 'x', None, None, None]] * 20000, 'the record has 20000 objects, and at most 1000'),
 ])
-def test_a_journal_that_asks_for_very_many_objects_takes_no_memory(
+def test_a_journal_that_asks_for_very_many_things_takes_neither_memory_nor_time(
         parameters, objects, text, tmp_path, capsys):
     path = tmp_path / 'bomb.mcap'
     journal(path, {'parameters': {'robot': 'Panda', **parameters}, 'task_seed': None,
