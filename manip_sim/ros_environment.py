@@ -21,6 +21,8 @@ _SHARED_DOMAINS = (102, 214)
 _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT', 'NOT_SET')
 #: Ranges with which rmw_fastrtps takes its own transports, whatever the environment says.
 _OWN_TRANSPORTS = ('LOCALHOST', 'NOT_SET')
+#: Values of ROS's variable that mean Fast DDS.
+_FAST_DDS = ('', 'rmw_fastrtps_cpp', 'rmw_fastrtps_dynamic_cpp')
 #: Environment in which Fast DDS does without shared memory.
 _WITHOUT = 'FASTDDS_BUILTIN_TRANSPORTS=UDPv4 and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET'
 #: Remedy for nodes that are found, but whose messages do not arrive.
@@ -60,11 +62,15 @@ def check_ros_environment() -> None:
     if chosen and installed and chosen not in installed:
         raise ManipSimError(f'RMW_IMPLEMENTATION is {quoted(chosen)}, which is not installed; '
                             f'installed: {", ".join(installed)}')
-    if chosen in ('', 'rmw_fastrtps_cpp', 'rmw_fastrtps_dynamic_cpp'):
-        _check_shared_memory()
+    check_shared_memory()
 
 
-def _check_shared_memory() -> None:
+def check_shared_memory() -> None:
+    """
+    Check that shared memory has room, without which the import of rclpy may end the process.
+
+    :raises ManipSimError: naming what fills it
+    """
     if not _SHARED_MEMORY.is_dir() or not _uses_shared_memory():
         return
     file_system = os.statvfs(_SHARED_MEMORY)
@@ -86,6 +92,8 @@ def _check_shared_memory() -> None:
 
 
 def _uses_shared_memory() -> bool:
+    if os.environ.get('RMW_IMPLEMENTATION', '') not in _FAST_DDS:
+        return False
     transports = os.environ.get('FASTDDS_BUILTIN_TRANSPORTS', 'DEFAULT')
     return os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _OWN_TRANSPORTS or not (
         'UDP' in transports or 'TCP' in transports)

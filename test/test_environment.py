@@ -150,6 +150,12 @@ def test_without_mujoco_the_node_names_it_and_not_ros():
     assert done.stderr == "sim_node: no module 'mujoco': install it with pip install mujoco\n"
 
 
+#: Where no node has left files, the import of rclpy ends by SIGBUS.
+FULL_OF_OTHERS = """
+mount -t tmpfs -o size=1m tmpfs /dev/shm || exit 77
+dd if=/dev/zero of=/dev/shm/full bs=4k 2> /dev/null
+"$0" -m "$@"
+"""
 FULL = """
 mount -t tmpfs -o size=8m tmpfs /dev/shm || exit 77
 "$0" -c "import rclpy; rclpy.init(); node = rclpy.create_node('killed')
@@ -160,20 +166,25 @@ dd if=/dev/zero of=/dev/shm/full bs=4k 2> /dev/null
 """
 
 
-@pytest.mark.full
-@pytest.mark.parametrize('transports', ['DEFAULT', 'UDPv4'])
-@pytest.mark.parametrize('program', [['manip_sim'], ['manip_sim.cli', 'topic', 'list']])
-def test_a_full_shared_memory_is_one_line_that_names_what_killed_nodes_have_left(
-        program, transports):
+def run_without_room(script, program, transports='DEFAULT'):
     pytest.importorskip('rclpy', reason='needs ROS 2')
     done = subprocess.run(
-        ['unshare', '--user', '--map-root-user', '--mount', 'sh', '-c', FULL, sys.executable,
-         *program], capture_output=True, text=True, timeout=300.0,
+        ['unshare', '--user', '--map-root-user', '--mount', 'sh', '-c', script,
+         sys.executable, *program], capture_output=True, text=True, timeout=300.0,
         # With this range, rmw_fastrtps uses shared memory whatever the transports are.
         env={**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
              'FASTDDS_BUILTIN_TRANSPORTS': transports})
     if done.returncode == 77 or 'unshare' in done.stderr:
         pytest.skip('no mounts of its own here')
+    return done
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('transports', ['DEFAULT', 'UDPv4'])
+@pytest.mark.parametrize('program', [['manip_sim'], ['manip_sim.cli', 'topic', 'list']])
+def test_a_full_shared_memory_is_one_line_that_names_what_killed_nodes_have_left(
+        program, transports):
+    done = run_without_room(FULL, program, transports)
     left = done.stdout.split()[0].rpartition('/')[2]
     assert done.returncode == 1
     line = done.stderr.splitlines()[-1]
@@ -181,3 +192,16 @@ def test_a_full_shared_memory_is_one_line_that_names_what_killed_nodes_have_left
     assert line.startswith(f'{name}: /dev/shm has 0.0 MB left, and ROS needs 4 MB there: nodes '
                            'that were killed have left 0.')
     assert f'{left}*' in line and 'rm fastrtps_' in line
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('program', [
+    ['pytest', '-q', '-p', 'no:cacheprovider', 'test_of_mine.py'],
+    ['manip_sim.cli', 'run', 'reach', '--policy', 'ros:/policy', '--seeds', '0', '--out', 'run']])
+def test_a_full_shared_memory_ends_neither_tests_nor_runs_without_a_word(
+        program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'test_of_mine.py').write_text('def test_it(sim_node):\n    sim_node()\n')
+    done = run_without_room(FULL_OF_OTHERS, program)
+    assert done.returncode == 1
+    assert '/dev/shm has 0.0 MB left, and ROS needs 4 MB there' in done.stdout + done.stderr

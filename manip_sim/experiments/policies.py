@@ -27,6 +27,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import describe_choices, ManipSimError, ModelError
 from manip_sim.quoting import one_line, quoted
+from manip_sim.ros_environment import check_ros_environment
 from manip_sim.tasks import Episode
 from manip_sim.tasks.expert import Policy
 from manip_sim.tasks.observation import IMAGE, Observation
@@ -240,6 +241,7 @@ def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S, batched: 
     if name == EXPERT:
         return episode.task.expert(episode.simulation)
     if name.startswith(ROS):
+        check_ros_environment()
         try:
             from manip_sim.experiments.ros_policy import RosPolicy
         except ImportError as error:

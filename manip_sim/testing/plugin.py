@@ -14,6 +14,7 @@ from typing import Any, TYPE_CHECKING
 
 import pytest
 
+from manip_sim.ros_environment import check_shared_memory
 from manip_sim.testing.domains import reserve_domain
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ def sim_node(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
     fails the test [s]. It returns a ``SimulationUnderTest``, which ends with the test. What the
     test starts meanwhile, here or as a process, finds the same domain in its environment.
     """
+    check_shared_memory()
     pytest.importorskip('rclpy', reason='the fixture sim_node needs ROS 2')
     from manip_sim.testing.simulation_under_test import SimulationUnderTest
     running = request.node.stash.setdefault(_RUNNING, [])
