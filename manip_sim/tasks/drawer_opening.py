@@ -77,9 +77,12 @@ class _Puller(Expert):
         # are narrow along it.
         across = out if fingers_side_by_side(self.simulation.model, arm) else along
         down = pointing_down([across, -across], arm.rotation)
-        behind = (np.array(self.simulation.data.site('handle').xpos) - _BEHIND_M * out
-                  - [0.0, 0.0, _BELOW_M])
         arm.closing = 1.0
-        yield from self.move(arm, behind + up, down)
-        yield from self.move(arm, behind, longest_m=0.03)
-        yield from self.move(arm, behind + 0.17 * out, longest_m=0.03)
+        # Fingers that slip off the handle try again, where it is then.
+        while True:
+            behind = (np.array(self.simulation.data.site('handle').xpos) - _BEHIND_M * out
+                      - [0.0, 0.0, _BELOW_M])
+            yield from self.move(arm, behind + up, down)
+            yield from self.move(arm, behind, longest_m=0.03)
+            yield from self.move(arm, behind + 0.17 * out, longest_m=0.03)
+            yield from self.move(arm, self.end_effector(arm)[0] + up)

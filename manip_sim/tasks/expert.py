@@ -26,8 +26,10 @@ _LOGGER = logging.getLogger(__name__)
 
 #: An end effector has arrived if it is within this of its goal [m], and turned so: the cosine.
 _ARRIVED_M, _TURNED = 0.006, 0.998
-#: It is given up after this many control periods.
-_MOST_PERIODS = 60
+#: It is given up after this many control periods, or if it came nearer by less than this in some
+#: of them; a radian counts as a metre [m].
+_MOST_PERIODS, _STALLED = 60, 10
+_NEARER_M = 0.005
 #: Fingers are waited for, but for so many control periods at most.
 _MOST_WAITED = 40
 #: Distance of fingers beyond the width of an object before they are around it [m].
@@ -139,12 +141,16 @@ class Expert(ABC):
         """
         arm.position, arm.longest_m = position, longest_m
         arm.rotation = arm.rotation if rotation is None else rotation
+        ways: list[float] = []
         for _ in range(_MOST_PERIODS):
             yield
             here, turned = self.end_effector(arm)
             # The trace of a turn by an angle is one, and twice its cosine.
             cosine = (float((arm.rotation * turned).sum()) - 1.0) / 2.0
             if length(arm.position - here) <= within_m and cosine >= _TURNED:
+                return
+            ways.append(length(arm.position - here) + float(np.arccos(np.clip(cosine, -1.0, 1.0))))
+            if min(ways) > min(ways[:-_STALLED], default=np.inf) - _NEARER_M:
                 return
 
     def grip(self, arm: Hold, closing: float, periods: int = 10, body: str = '') -> Iterator[None]:

@@ -107,6 +107,18 @@ def test_fingers_side_by_side_go_down_between_the_handle_and_the_drawer(seed):
     assert episode.periods * episode.period_s < 7.0
 
 
+def test_an_expert_whose_hand_rests_on_the_cabinet_waits_no_longer_and_pulls():
+    # The hand of a Panda touches the cabinet above the depth at which its fingers are to pull.
+    episode = episode_of('open_drawer', 'Panda')
+    assert episode.run(episode.task.expert(episode.simulation), 0)
+    assert episode.periods * episode.period_s < 2.5
+
+
+def test_an_expert_whose_fingers_slip_off_the_handle_tries_again():
+    episode = episode_of('open_drawer', 'Jaco')
+    assert episode.run(episode.task.expert(episode.simulation), 1)
+
+
 def test_the_pressure_on_a_cube_is_its_weight_until_fingers_press():
     episode = episode_of('pick_cube')
     episode.reset(0)
