@@ -16,7 +16,8 @@ import signal
 import sys
 from typing import Any
 
-from manip_sim.cli.output import table, terminal_width
+from manip_sim.cli.output import table, terminal_width, write_whole
+from manip_sim.cli.sweep_plot import success_over
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.experiments import Experiment, parse_seeds, parse_shard, RunFolder, Worker
 from manip_sim.experiments.policies import ROS
@@ -38,6 +39,9 @@ _PROFILES = ('franka', 'ideal', 'ur')
 _FOLDERS = {'command': 'latency', 'state': 'latency', 'answer': 'answer_time'}
 _HEADS = {'command': 'latency of a command', 'state': 'latency of a state',
           'answer': 'answer time'}
+
+#: Picture of a sweep, in the folder of its runs.
+PLOT = 'success.svg'
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
@@ -84,7 +88,21 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         if summary is None:
             return _interrupted(options)
         found.append((late_s, summary))
+    _plot(found, kind, options.out / PLOT)
     return _sweep_text(found, kind)
+
+
+def _plot(found: list[tuple[Any, dict[str, Any]]], kind: str, file: Path) -> None:
+    """Draw the success over latencies of which at least two are numbers."""
+    numbers = [entry for entry in found if not isinstance(entry[0], str)]
+    if len(numbers) > 1:
+        title = _sweep_title(found)
+        write_whole(file, lambda part: part.write_text(
+            success_over(title, _HEADS[kind], numbers)))
+
+
+def _sweep_title(found: list[tuple[Any, dict[str, Any]]]) -> str:
+    return f'{found[0][1]["task"]}, {found[0][1]["policy"]}'
 
 
 def _or_one(given: list[float] | None, default: float) -> list[float]:
@@ -146,7 +164,7 @@ def _sweep_text(found: list[tuple[Any, dict[str, Any]]], kind: str) -> tuple[str
         rows.append((late, f'{summary["successes"]} of {summary["episodes"]}',
                      f'{low} to {high} %', '-' if time_s is None else f'{time_s:.2f} s',
                      str(sum(summary['errors'].values()))))
-    title = f'{found[0][1]["task"]}, {found[0][1]["policy"]}'
+    title = _sweep_title(found)
     heads = _HEADS[kind], 'success', '95 % interval', 'median time', 'failed'
     return (table(title, heads, rows, terminal_width()),
             int(any(summary['errors'] for _, summary in found)))

@@ -761,6 +761,7 @@ def test_a_sweep_over_latencies_is_one_command_that_repeats_to_the_last_bit(
             summary = json.loads((tmp_path / name / f'latency_{late}/summary.json').read_text())
             time_s = summary['median_time_of_success_s']
             assert (' - ' if time_s is None else f' {time_s:.2f} s ') in line
+        assert (tmp_path / name / 'success.svg').read_text().count('<circle') == 2
     late = [rows(tmp_path / 'one' / f'latency_{late}') for late in ('0', '0.4')]
     assert late == [rows(tmp_path / 'two' / f'latency_{late}') for late in ('0', '0.4')]
     assert late[0] == rows(whole)[:2] and late[1] != late[0]
