@@ -183,6 +183,7 @@ def declare_parts(parameters: ParameterSource,
     for scope, parts in served:
         commanded = commanded_parts(parts)
         parameters.declare(mode_parameters(scope, commanded))
+        parameters.couple(scope, parts)
         modes = {part: parameters.value(scope.parameter(f'control_mode.{part}'))
                  for part in commanded}
         for part in commanded:
@@ -199,6 +200,7 @@ def declare_parts(parameters: ParameterSource,
                             *integral_parameters(scope, commanded)])
         parameters.declare(reflex_parameters(scope, commanded, arms))
         parameters.declare([*sensing_parameters(scope), speed_parameter(scope)])
+        parameters.couple(scope, parts)
 
 
 def declare_cameras(parameters: ParameterSource, world: World, model: mujoco.MjModel

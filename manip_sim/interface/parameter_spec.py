@@ -5,19 +5,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 import math
 from pathlib import Path
 import re
 from typing import Any, Protocol
 
+from manip_sim.control.reflexes import ReflexLimits
 from manip_sim.errors import describe_choices, ModelError, ParameterError
 from manip_sim.interface.topics import Scope
 from manip_sim.models.composing import read_gripper
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.models.sources import find_source, is_path
 from manip_sim.models.strict_yaml import read_yaml, StrictLoader
+from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted, quoted_names
 
 #: The node's name with its namespace, unless it is started in another one.
@@ -228,11 +230,36 @@ _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 SPAWNED = 'spawned'
 
 
+#: Parameters of parts that set the same parameters of the parts that a part consists of.
+COUPLED = ('control_mode.{}', 'command_timeout.{}', 'timeout_follows_mode.{}',
+           'stream_interval.{}', 'stream_hold.{}', 'integral_gain.{}',
+           *(f'reflex.{{}}.{field.name}' for field in fields(ReflexLimits)))
+
+
+def coupled_names(scope: Scope, pattern: str, parts: Iterable[str], known: Container[str]
+                  ) -> dict[str, str]:
+    """
+    Return the names of the parameters of one of :data:`COUPLED` that are known, by part.
+
+    :param scope: of the robot
+    :param pattern: with the part as ``{}``
+    """
+    return {part: name for part in parts
+            if (name := scope.parameter(pattern.format(part))) in known}
+
+
 class ParameterSource(Protocol):
     """A declarer of parameters that returns their values: a node or :class:`GivenParameters`."""
 
     def declare(self, specs: Sequence[ParameterSpec]) -> None:
         """Declare parameters; ParameterError if a given value cannot be used."""
+
+    def couple(self, scope: Scope, parts: Mapping[str, Part]) -> None:
+        """
+        Let parameters of a part set the same ones of its parts, and under its other name.
+
+        Those that are declared; a value given for one arm overrides one given for both.
+        """
 
     def value(self, name: str) -> Any:
         """Return the value of a declared parameter."""
@@ -267,6 +294,21 @@ class GivenParameters:
                 if problem:
                     raise ParameterError(problem)
                 self._values[spec.name] = value
+
+    def couple(self, scope: Scope, parts: Mapping[str, Part]) -> None:
+        """Let parameters of a part set the same ones of its parts, and under its other name."""
+        for pattern in COUPLED:
+            names = coupled_names(scope, pattern, parts, self.specs)
+            for part in sorted(names, key=lambda part: parts[part].atomic == (part,)):
+                if names[part] in self.given:
+                    value = self.specs[names[part]].as_declared(self.given[names[part]])
+                    self._values.update({name: value for other, name in names.items()
+                                         if {*parts[other].atomic} <= {*parts[part].atomic}})
+            # Parts that consist of several have the values in which these agree.
+            for part, name in names.items():
+                shared = {self._values[names[one]] for one in parts[part].atomic if one in names}
+                if len(shared) == 1:
+                    self._values[name] = shared.pop()
 
     def value(self, name: str) -> Any:
         """Return the value of a declared parameter."""

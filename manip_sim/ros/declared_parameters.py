@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -16,18 +16,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.control.modes import MODES
-from manip_sim.control.reflexes import ReflexLimits
 from manip_sim.errors import ParameterError
-from manip_sim.interface.parameter_spec import check_names, forget_spawned, ParameterSpec
+from manip_sim.interface.parameter_spec import (
+    check_names, COUPLED, coupled_names, forget_spawned, ParameterSpec)
 from manip_sim.interface.parameters import default_timeout
 from manip_sim.interface.topics import Scope
 from manip_sim.physics.parts import Part
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
-
-#: Parameters of parts that set the same parameters of the parts that a part consists of.
-_COUPLED = ('control_mode.{}', 'command_timeout.{}', 'timeout_follows_mode.{}',
-            'stream_interval.{}', 'stream_hold.{}', 'integral_gain.{}',
-            *(f'reflex.{{}}.{field.name}' for field in fields(ReflexLimits)))
 
 #: Groups of parameters that set one another, by the name of one of them.
 _TIMED = dict.fromkeys(('control_mode', 'command_timeout', 'timeout_follows_mode'), 'control_mode')
@@ -136,9 +131,8 @@ class Parameters:
         """
         overrides = parameter_overrides(self._node)
         coupled = {}
-        for pattern in _COUPLED:
-            names = {part: name for part in parts
-                     if (name := scope.parameter(pattern.format(part))) in self._specs}
+        for pattern in COUPLED:
+            names = coupled_names(scope, pattern, parts, self._specs)
             for part, name in names.items():
                 atomic = parts[part].atomic
                 coupled[name] = _PartParameter(

@@ -107,8 +107,6 @@ class SimNode(Node):
         declare_parts(self.declared, [(scope, r.parts) for scope, r in robots.items()])
         cameras = declare_cameras(self.declared, self._world, self.simulation.model)
         self.declared.check_names()
-        for scope, robot in robots.items():
-            self.declared.couple(scope, robot.parts)
         names = (self.profile.joint_names(*robots.values()) if self.profile.name else
                  JointNames())
         self.shared = self._create_context(composition, robots, names)

@@ -173,7 +173,6 @@ class SpawnedRobots:
         context.robots[scope] = robot
         context.parameters.declare([spawned_parameter(scope)])
         declare_parts(context.parameters, [(scope, robot.parts)])
-        context.parameters.couple(scope, robot.parts)
         for feature in context.features:
             feature.robot_added(scope, robot)
         log_robot(context, robot)

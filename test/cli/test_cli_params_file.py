@@ -162,6 +162,30 @@ def test_the_tag_of_ros2_control_has_the_modes_of_the_file(here, parameters_file
     assert commands['gripper0_right_finger_joint1'] == ['position']
 
 
+@pytest.mark.parametrize(('text', 'right', 'left'), [
+    ('control_mode: {arm: effort}', 'effort', 'effort'),
+    ('control_mode: {left: velocity, arm: effort}', 'effort', 'velocity'),
+    ('control_mode: {left: position, arm: effort}', 'effort', 'position')])
+def test_a_mode_for_both_arms_is_that_of_each_unless_it_has_its_own(
+        text, right, left, here, described, parameters_file, tmp_path):
+    file = parameters_file(f'robot: Baxter\n{text}')
+    found = described('--params-file', file)
+    modes = {row['name']: row['control_mode'] for row in found['parts']}
+    assert (modes['right'], modes['left']) == (right, left)
+    timeouts = {row['name']: row['value'] for row in found['parameters']}
+    assert timeouts['command_timeout.right'] == 0.2
+    assert here('export', tmp_path / 'out.urdf', '--ros2-control', '--params-file', file)[0] == 0
+    joints = ElementTree.parse(tmp_path / 'out.urdf').findall('ros2_control/joint')
+    commands = {joint.get('name'): [c.get('name') for c in joint.findall('command_interface')]
+                for joint in joints}
+    assert commands['robot0_right_s0'] == [right] and commands['robot0_left_s0'] == [left]
+
+
+def test_a_single_arm_has_the_mode_of_its_other_name(described, parameters_file):
+    found = described('--params-file', parameters_file('control_mode: {right: velocity}'))
+    assert [row['control_mode'] for row in found['parts']] == ['velocity', 'velocity', 'position']
+
+
 def test_a_lidar_with_several_rings_has_a_cloud_and_one_with_one_a_scan(
         described, parameters_file):
     for rings, topic, kind in ((1, 'scan', 'LaserScan'), (2, 'points', 'PointCloud2')):

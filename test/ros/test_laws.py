@@ -79,6 +79,24 @@ def test_a_law_is_chosen_and_tuned_at_the_start_and_live(serve, client):
     assert "law 'compensated'" in described.description and not described.read_only
 
 
+@pytest.mark.parametrize(('parameters', 'laws'), [
+    ({'robot': 'Baxter', 'control_mode__arm': MODE, 'law__left__stiffness': 150.0},
+     {'right': 300.0, 'left': 150.0}),
+    ({'robot': 'Baxter', 'control_mode__arm': MODE, 'control_mode__right': 'law:soft',
+      'law__left__stiffness': 150.0, 'law__right__stiffness': 60.0},
+     {'right': 60.0, 'left': 150.0}),
+    ({'robot': 'Baxter', 'control_mode__arm': MODE, 'control_mode__right': 'position',
+      'law__left__stiffness': 150.0}, {'left': 150.0}),
+    ({'control_mode__right': MODE, 'law__arm__stiffness': 150.0}, {'arm': 150.0})],
+    ids=['both arms', 'a law for each arm', 'all arms but one', 'the other name of an arm'])
+def test_a_law_by_any_name_of_a_part_has_the_parameters_of_its_arms(
+        parameters, laws, serve, client):
+    robot = serve(start_paused=True, **parameters).simulation.robot
+    assert {part: robot.law_parameters(part)['stiffness'] for part in robot.laws} == laws
+    assert {name: get(client, name) for name in of_laws(client) if 'stiffness' in name} == {
+        f'law.{part}.stiffness': [stiffness] for part, stiffness in laws.items()}
+
+
 def test_parameters_of_laws_come_and_go_with_the_law(serve, client):
     node = serve(start_paused=True)
     assert of_laws(client) == []
