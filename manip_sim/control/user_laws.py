@@ -230,11 +230,16 @@ def _checked_name(function: Callable[..., object]) -> str:
     name = getattr(function, '__name__', None)
     if not callable(function) or not (isinstance(name, str) and name.isidentifier()):
         raise ModelError(f'a law must be a function with a name, got {format_value(function)}')
+    signature = inspect.signature(function)
     try:
-        inspect.signature(function).bind(*ARGUMENTS)
+        signature.bind(*ARGUMENTS)
     except TypeError as error:
         raise ModelError(f"law '{name}' must take {len(ARGUMENTS)} arguments, "
                          f'{", ".join(ARGUMENTS)}: {error}') from error
+    for argument, expected in zip(signature.parameters, ARGUMENTS):
+        if argument != expected and argument in ARGUMENTS:
+            raise ModelError(f"law '{name}' must take {', '.join(ARGUMENTS)}, in this order: "
+                             f"'{argument}' is in the place of '{expected}'")
     return name
 
 

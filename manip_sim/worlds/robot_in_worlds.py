@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import command_numbers
 from manip_sim.control.seats import LawParameters
 from manip_sim.control.user_laws import Law, law_of
-from manip_sim.errors import CommandError, ModelError
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.physics.end_effectors import EndEffector
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.poses_and_twists import Pose, Twist
@@ -109,8 +110,9 @@ class RobotInWorlds:
         worlds = np.flatnonzero(world_mask(where, len(self))).tolist()
         by_world = {name: self._each(name, values) for name, values in parameters.items()}
         sets = [{name: values[world] for name, values in by_world.items()} for world in worlds]
-        for values in sets:
-            checked.values(values)
+        for world, values in zip(worlds, sets):
+            with _naming(world):
+                checked.values(values)
         for world, values in zip(worlds, sets):
             self._robots[world].set_law(part, checked, compiled=compiled, **values)
 
@@ -146,8 +148,10 @@ class RobotInWorlds:
         masses = self._each('mass', mass)
         places, turns = (self._each_of(name, values, length) for name, values, length in (
             ('center_of_mass', center_of_mass, 3), ('inertia', inertia, 6)))
-        payloads = [Payload.checked(masses[world], places[world], turns[world])
-                    for world in worlds]
+        payloads = []
+        for world in worlds:
+            with _naming(world):
+                payloads.append(Payload.checked(masses[world], places[world], turns[world]))
         for world, payload in zip(worlds, payloads):
             self._robots[world].joints.set_payload(arm, payload)
 
@@ -216,10 +220,12 @@ class LawParametersInWorlds(MutableMapping[str, FloatArray]):
         :raises ModelError: if a value is not a finite number; no world has changed then
         :raises UnknownNameError: if the parameter is unknown
         """
-        checked = [world.checked(name, value)
-                   for world, value in zip(self._worlds, self._each(name, values))]
-        for world, value in zip(self._worlds, checked):
-            world[name] = value
+        checked = []
+        for world, value in enumerate(self._each(name, values)):
+            with _naming(world):
+                checked.append(self._worlds[world].checked(name, value))
+        for parameters, value in zip(self._worlds, checked):
+            parameters[name] = value
 
     def __delitem__(self, name: str) -> None:
         del self._worlds[0][name]
@@ -229,6 +235,17 @@ class LawParametersInWorlds(MutableMapping[str, FloatArray]):
 
     def __len__(self) -> int:
         return len(self._worlds[0])
+
+
+@contextlib.contextmanager
+def _naming(world: int) -> Iterator[None]:
+    """Let an error about a value name the world that it is for."""
+    try:
+        yield
+    except UnknownNameError:
+        raise
+    except (CommandError, ModelError) as error:
+        raise type(error)(f'world {world}: {error}') from error
 
 
 def _together(states: Sequence[EndEffector]) -> EndEffector:

@@ -249,6 +249,18 @@ def test_what_no_law_can_be_is_rejected_and_changes_nothing(act, error, text, pa
     assert panda_sim.digest() == digest and not panda_sim.robot.laws
 
 
+def test_arguments_of_a_law_may_have_other_names_but_not_those_of_one_another():
+    def renamed(t, position, v, bias, m, jacobian, wrench, setpoint, numbers, memory, effort):
+        """Do nothing."""
+
+    def swapped(t, v, q, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+        """Do nothing."""
+
+    assert law(renamed).name == 'renamed'
+    with pytest.raises(ModelError, match="'v' is in the place of 'q'"):
+        law(swapped)
+
+
 @pytest.mark.parametrize(('arguments', 'text'), [
     ({'parameters': [1.0]}, 'parameters must be a dict'),
     ({'parameters': {'two words': 1.0}}, 'must be a word'),

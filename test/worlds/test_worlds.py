@@ -786,7 +786,7 @@ def test_a_law_of_a_user_has_parameters_and_memory_of_its_own_in_each_world(pair
 @pytest.mark.parametrize(('act', 'error', 'text'), [
     (lambda robot: robot.set_law('arm', pulled, stiffness=[1.0, 2.0]), CommandError, 'axis of 3'),
     (lambda robot: robot.set_law('arm', pulled, stiffness=[1.0, 2.0, math.nan]), ModelError,
-     'stiffness must be a finite number, got nan'),
+     'world 2: .*stiffness must be a finite number, got nan'),
     (lambda robot: robot.set_law('arm', pulled, stiffness=np.ones((3, 1))), CommandError,
      'a number or one for each world'),
     (lambda robot: robot.set_law('arm', pulled, stifness=1.0), UnknownNameError, 'stiffness'),
@@ -794,7 +794,8 @@ def test_a_law_of_a_user_has_parameters_and_memory_of_its_own_in_each_world(pair
     (lambda robot: robot.set_law('arm', 'pulled'), ModelError, 'must be a function'),
     (lambda robot: robot.law_parameters('arm'), ModelError, 'no law moves arm'),
     (lambda robot: _of_one(robot).__setitem__('damping', [1.0, 2.0, math.inf]), ModelError,
-     'damping must be a finite number, got inf')])
+     'world 2: .*damping must be a finite number, got inf'),
+    (lambda robot: robot.set_payload('right', [1.0, -1.0, 1.0]), CommandError, 'world 1: .*mass')])
 def test_what_no_law_of_worlds_can_be_changes_no_world(act, error, text, pair):
     before = None if 'inf' in text else pair.worlds.digest()
     with pytest.raises(error, match=text):
