@@ -20,6 +20,16 @@ command_numbers = partial(as_numbers, error=CommandError)
 finite_command_numbers = partial(finite_numbers, error=CommandError)
 
 
+def numbers_of(text: str) -> list[float]:
+    """
+    Return the numbers of a text such as ``[1, 2.5]``, in brackets or without.
+
+    :raises ValueError: if it is something else
+    """
+    inner = text[1:-1] if text.startswith('[') and text.endswith(']') else text
+    return [float(word) for word in inner.split(',')]
+
+
 def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:
     """
     Clamp numbers to their ranges.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.clamping import command_numbers, finite_command_numbers
+from manip_sim.clamping import command_numbers, finite_command_numbers, numbers_of
 from manip_sim.control.joint_controller import JointController
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError
@@ -123,7 +123,7 @@ def read_thresholds(value: ArrayLike, limits: FloatArray) -> tuple[float, ...]:
             return ()
         if value == DEFAULT:
             return tuple((_DEFAULT_SHARE * limits).tolist())
-        value = _numbers_of(value)
+        value = _thresholds_of(value)
     if isinstance(value, (bool, int, float)):
         value = [positive_number(value, 'a limit', CommandError, or_zero=True)]
     numbers = command_numbers(value, 'thresholds of collisions')
@@ -136,10 +136,9 @@ def read_thresholds(value: ArrayLike, limits: FloatArray) -> tuple[float, ...]:
     return tuple(thresholds.tolist()) if thresholds.any() else ()
 
 
-def _numbers_of(text: str) -> list[float]:
-    inner = text[1:-1] if text.startswith('[') and text.endswith(']') else text
+def _thresholds_of(text: str) -> list[float]:
     try:
-        return [float(word) for word in inner.split(',')]
+        return numbers_of(text)
     except ValueError:
         raise CommandError(f"thresholds of collisions must be '{OFF}', '{DEFAULT}', a number or "
                            f'one for each joint such as [20, 20, 10], '

@@ -623,7 +623,7 @@ class JointController(ControlledJoints):
         flags[:] = setpoints.moving, self._efforts_due, self._written, self._acts
         return self._derived.made_of(
             RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
-            setpoints.counts, self.cartesian.posture, flags, indices, path, *base,
+            setpoints.counts, self.cartesian.postures, flags, indices, path, *base,
             self.payloads.loads, servos.integrals), targets, count
 
     def begin_python_steps(self, steps: int, now_s: float) -> None:

@@ -356,9 +356,13 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
                       'Damping ratio of each mode of that impedance; 1 is critical damping.',
                       live=True, minimum=0.01, maximum=3.0),
         ParameterSpec(f'null_space_stiffness.{arm}', settings.null_space_stiffness,
-                      'Stiffness of that impedance towards the initial posture, in what leaves '
-                      'the end effector where it is; 0: such motions are free.', 'N m/rad',
+                      f'Stiffness of that impedance towards null_space_posture.{arm}, in what '
+                      'leaves the end effector where it is; 0: such motions are free.', 'N m/rad',
                       live=True, minimum=0.0, maximum=1e4),
+        ParameterSpec(f'null_space_posture.{arm}', settings.null_space_posture,
+                      'Posture that a redundant arm tends to in Cartesian commands: initial, or a '
+                      "position [rad] for each of its joints such as '[0.0, 0.5, 1.0]'.",
+                      live=True),
         ParameterSpec(f'cartesian_frame.{arm}', settings.cartesian_frame,
                       'Axes of that impedance: those of the base of the arm, of the end effector '
                       '(tool), or of the world.', live=True, choices=FRAMES))]

@@ -142,6 +142,71 @@ def test_the_posture_yields_as_its_own_stiffness_says_and_the_end_effector_stays
     assert moved[10.0] / moved[40.0] == pytest.approx(4.0, rel=0.1) and moved[40.0] > 2e-3
 
 
+@pytest.mark.parametrize('mode', ['effort', 'position'])
+def test_a_redundant_arm_is_drawn_to_the_posture_that_is_set_and_back(mode):
+    op = impedance('IIWA')
+    start, initial = op.pose, op.robot.state().position[:7].copy()
+    jacobian, _ = arm_of(op)
+    # Another posture with the same pose: where a torque in the null space leads to.
+    op.robot.joints.cartesian.set('right', 'null_space_stiffness', 0.0)
+    op.simulation.data.qfrc_applied[op.part.dof_addresses] = 4.0 * np.linalg.svd(jacobian)[2][-1]
+    op.run(1.0)
+    op.simulation.data.qfrc_applied[:] = 0.0
+    op.run(3.0)
+    op.robot.joints.cartesian.set('right', 'null_space_stiffness', 10.0)
+    other = op.robot.state().position[:7].copy()
+    assert np.abs(other - initial).max() > 0.2
+    if mode == 'position':
+        op.robot.set_control_mode('arm', mode)
+        op.go_to(start)
+    for posture, reached in (('initial', initial), (other.tolist(), other),
+                             (str(initial.tolist()), initial), (other, other)):
+        op.robot.joints.cartesian.set('right', 'null_space_posture', posture)
+        op.run(6.0)
+        np.testing.assert_allclose(op.robot.state().position[:7], reached, atol=0.02)
+        np.testing.assert_allclose(error_of(op, start), 0.0, atol=2e-3)
+    assert op.robot.settings['null_space_posture.right'] == str(other.tolist())
+
+
+def test_a_posture_that_is_set_is_kept_by_resets_states_and_worlds():
+    worlds = Worlds(compose('Panda'), 2)
+    posture = [0.0, 0.3, 0.4, -2.4, 0.0, 2.7, 0.8]
+    simulation = Simulation(compose('Panda'))
+    simulation.reset(0)
+    for robot in (simulation.robot, worlds.robot[1]):
+        settings = robot.joints.cartesian
+        settings.set('right', 'null_space_posture', posture)
+        robot.set_control_mode('arm', 'effort')
+        settings.set('right', 'cartesian_stiffness', STIFFNESS)
+        pose = robot.state().end_effectors['right'].pose
+        robot.apply(robot.parse_cartesian.pose('right', pose.position, pose.quat_xyzw))
+    simulation.advance(50)
+    worlds.advance(50)
+    assert worlds.digest()[1] == simulation.digest() != worlds.digest()[0]
+    state = pickle.loads(pickle.dumps(simulation.save()))
+    simulation.advance(50)
+    digest, ended = simulation.digest(), simulation.robot.state().position
+    simulation.robot.joints.cartesian.set('right', 'null_space_posture', 'initial')
+    simulation.restore(state)
+    simulation.advance(50)
+    assert simulation.digest() == digest
+    assert (simulation.robot.state().position == ended).all()
+    simulation.reset()
+    assert simulation.robot.settings['null_space_posture.right'] == str(posture)
+
+
+@pytest.mark.parametrize(('value', 'message'), [
+    ([0.0] * 6, 'must have 7 numbers'), ([math.nan] * 7, 'finite'), ('home', "must be 'initial'"),
+    ('[0, x]', "must be 'initial'"),
+    ([0.0, 0.0, 0.0, 1.0, 0.0, 2.0, 0.0], 'robot0_joint4.* must be from -3.07.* to -0.06')])
+def test_a_posture_that_cannot_be_used_is_rejected(value, message):
+    op = impedance('Panda')
+    digest = op.simulation.digest()
+    with pytest.raises(CommandError, match=message):
+        op.robot.joints.cartesian.set('right', 'null_space_posture', value)
+    assert op.simulation.digest() == digest
+
+
 def test_a_far_goal_is_approached_within_the_limit_and_without_overshoot():
     op = impedance('Panda')
     op.robot.joints.cartesian.set('right', 'linear_velocity', 0.2)

@@ -66,7 +66,7 @@ def set_live(node, **values):
 
 def number_of(node):
     return [name for name in live(node) if name not in OF_NODE
-            and not name.startswith('control_mode')]
+            and not name.startswith(('control_mode', 'null_space_posture'))]
 
 
 @pytest.mark.full
@@ -92,6 +92,24 @@ def test_get_and_what_acts_agree_for_every_live_parameter(robot, serve):
     assert_agree(node)
     assert {name: node.declared.value(name) for name in number_of(node)} == saved
     assert node.declared.value('control_mode.arm') == 'position'
+
+
+def test_a_posture_of_the_null_space_acts_and_one_out_of_range_is_rejected(serve):
+    node = serve(start_paused=True, null_space_posture__right='[0, 0.1, 0, -2, 0, 2, 0]')
+    assert_agree(node)
+    set_live(node, null_space_posture__right='0.1, 0.1, 0.0, -2.0, 0.0, 2.0, 0.0')
+    assert_agree(node)
+    for text, reason in (('[0, 0, 0, 0, 0, 0, 0]', "joint 'robot0_joint4' must be from"),
+                         ('home', "must be 'initial'"), ('[1, 2]', 'must have 7 numbers')):
+        result = node.set_parameters_atomically(
+            [Parameter('null_space_posture.right', value=text)])
+        assert not result.successful and reason in result.reason
+        assert_agree(node)
+    node.thread.reset()
+    assert_agree(node)
+    assert node.declared.value('null_space_posture.right').startswith('0.1, 0.1')
+    set_live(node, null_space_posture__right='initial')
+    assert_agree(node)
 
 
 @pytest.mark.full

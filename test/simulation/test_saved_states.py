@@ -395,7 +395,12 @@ def nothing_was_read():
     return template.copy
 
 
-@pytest.mark.parametrize('setting', SETTINGS, ids=lambda setting: ' '.join(map(str, setting[2:])))
+#: That of a Panda.
+POSTURE = 'cartesian', 'robot0', 'right', 'null_space_posture', '[0, 0.3, 0, -2, 0, 2, 0]'
+
+
+@pytest.mark.parametrize('setting', [*SETTINGS, POSTURE], ids=(
+    lambda setting: ' '.join(map(str, setting[2:]))))
 def test_every_setting_is_a_part_of_digests_saved_states_and_journals(setting, nothing_was_read):
     first, later = nothing_was_read(), nothing_was_read()
     before = later.digest()

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+import functools
 import math
 from typing import Any
 
@@ -13,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_command_numbers
+from manip_sim.clamping import command_numbers, finite_command_numbers, numbers_of
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.quoting import format_value
 from manip_sim.validation import positive_number
 
 #: Frames whose axes the springs of an impedance may have: that of the base of the arm,
@@ -22,13 +24,15 @@ from manip_sim.validation import positive_number
 FRAMES = BASE, TOOL, WORLD = 'base', 'tool', 'world'
 #: Settings of an impedance, which have a parameter each for each arm.
 IMPEDANCE = ('cartesian_stiffness', 'cartesian_damping_ratio', 'null_space_stiffness',
-             'cartesian_frame')
+             'null_space_posture', 'cartesian_frame')
+#: Word for the posture in which an episode begins.
+INITIAL = 'initial'
 
 
 @dataclass(frozen=True)
 class CartesianSettings:
     """
-    Settings of an arm; all but the limits and the timeout apply to effort mode only.
+    Settings of an arm; all but limits, timeout and posture apply to effort mode only.
 
     :ivar stiffness: acceleration of ``grip_site`` per error, robosuite's kp [1/s^2]
     :ivar damping_ratio: 1 is critical damping
@@ -39,6 +43,8 @@ class CartesianSettings:
         ``stiffness`` and ``damping_ratio`` instead of an impedance
     :ivar cartesian_damping_ratio: of an impedance, of each of its modes; 1 is critical damping
     :ivar null_space_stiffness: of an impedance, towards the posture [N m/rad]
+    :ivar null_space_posture: that a redundant arm tends to, :data:`INITIAL` or the text of the
+        positions of its joints [rad]
     :ivar cartesian_frame: whose axes these are, one of :data:`FRAMES`
     """
 
@@ -50,6 +56,7 @@ class CartesianSettings:
     cartesian_stiffness: tuple[float, ...] = (0.0,) * 6
     cartesian_damping_ratio: float = 1.0
     null_space_stiffness: float = 10.0
+    null_space_posture: str = INITIAL
     cartesian_frame: str = BASE
 
     @property
@@ -71,7 +78,8 @@ class CartesianSettings:
         """
         Return the settings with another value for one of them.
 
-        :param value: a number, six numbers for ``cartesian_stiffness``, or the name of a frame
+        :param value: a number, six numbers for ``cartesian_stiffness``, positions of joints, their
+            text or :data:`INITIAL` for ``null_space_posture``, or the name of a frame
         :raises CommandError: if a number is not finite, or not positive where it has to be
         :raises UnknownNameError: if the setting or frame is unknown
         """
@@ -83,6 +91,9 @@ class CartesianSettings:
             if value not in FRAMES:
                 raise UnknownNameError('frame of a Cartesian stiffness', str(value), FRAMES)
             checked = value
+        elif name == 'null_space_posture':
+            checked = (value.strip() if isinstance(value, str) else
+                       str(command_numbers(value, name).tolist()))
         elif name == 'cartesian_stiffness':
             checked = tuple(finite_command_numbers(value, 6, name).tolist())
             if min(checked) < 0.0:
@@ -90,3 +101,22 @@ class CartesianSettings:
         else:
             checked = positive_number(value, name, CommandError, name == 'null_space_stiffness')
         return replace(self, **{name: checked})
+
+
+@functools.lru_cache
+def posture_of(text: str, joints: int) -> FloatArray | None:
+    """
+    Return the positions of the joints of an arm that a text has [rad], or None if it is initial.
+
+    :param joints: their number
+    :returns: shape (n,), not to be changed
+    :raises CommandError: if the text is something else
+    """
+    if text == INITIAL:
+        return None
+    try:
+        numbers = numbers_of(text)
+    except ValueError:
+        raise CommandError(f"null_space_posture must be '{INITIAL}' or a position for each joint "
+                           f'such as [0.0, 0.5, 1.0], got {format_value(text)}') from None
+    return finite_command_numbers(numbers, joints, 'null_space_posture')

@@ -16,7 +16,8 @@ from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.cartesian.arms import Arms
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench, ForceMode, GuardedTwist)
-from manip_sim.control.cartesian.cartesian_settings import BASE, CartesianSettings, TOOL
+from manip_sim.control.cartesian.cartesian_settings import (
+    BASE, CartesianSettings, posture_of, TOOL)
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport, Contact
@@ -31,7 +32,7 @@ from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.derived import Derived
-from manip_sim.errors import UnknownNameError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
@@ -68,7 +69,7 @@ class CartesianController:
     :ivar reports: by arm
     :ivar period_s: length of the control period [s]
     :ivar interval_s: length of the intervals in which setpoints move in this part of it [s]
-    :ivar posture: that redundant arms tend to [rad], shape (n,)
+    :ivar posture: in which the episode begins [rad], shape (n,)
     """
 
     remembered = ('posture', 'settings', 'period_s', 'interval_s', '_targets', '_streams')
@@ -84,8 +85,12 @@ class CartesianController:
         self._names = names
         self._servos = servos
         self._setpoints = setpoints
-        self.posture = physics.data.qpos[servos.qpos].copy()
+        self.posture: FloatArray = physics.data.qpos[servos.qpos].copy()
         self._low, self._high = servos.position_clamp().T
+        #: Joints of each arm, of all driven ones, in the arm's order.
+        self._joints = {arm: np.array([number for address in chain.qpos.tolist() for number in
+                                       np.flatnonzero(servos.qpos == address)], dtype=np.int64)
+                        for arm, chain in chains.items()}
         self.settings = {arm: CartesianSettings() for arm in chains}
         self.reports = {arm: CartesianReport(arm) for arm in chains}
         self.period_s = self.interval_s = self._timestep_s = float(physics.model.opt.timestep)
@@ -114,15 +119,45 @@ class CartesianController:
         """
         Change a setting of an arm, one of :class:`CartesianSettings`.
 
-        :raises CommandError: if a number is not finite, or not positive where it has to be
+        :raises CommandError: if a number is not finite, not positive where it has to be, or a
+            position is out of the range of its joint
         :raises UnknownNameError: if the arm, setting or frame is unknown
         """
         if arm not in self.settings:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
         self._physics.interrupt()
-        changed = self.settings[arm].changed(name, value)
-        if changed != self.settings[arm]:  # Equal ones would have another digest.
-            self.settings[arm] = changed
+        before, changed = self.settings[arm], self.settings[arm].changed(name, value)
+        if changed == before:  # Equal ones would have another digest.
+            return
+        if changed.null_space_posture != before.null_space_posture:
+            self._check_posture(arm, changed.null_space_posture)
+            if arm in self._targets:
+                self._targets[arm].settled_in = None
+        self.settings[arm] = changed
+
+    def _check_posture(self, arm: str, text: str) -> None:
+        """Reject a posture of an arm that it cannot have."""
+        joints = self._joints[arm]
+        positions = posture_of(text, len(joints))
+        for joint, position in zip(joints, [] if positions is None else positions.tolist()):
+            if not self._low[joint] <= position <= self._high[joint]:
+                raise CommandError(
+                    f"null_space_posture: joint '{self._names[joint]}' must be from "
+                    f'{self._low[joint]:g} to {self._high[joint]:g}, got {position:g}')
+
+    @property
+    def postures(self) -> FloatArray:
+        """Positions that redundant arms tend to [rad], shape (n,), a view."""
+        given = {arm: positions for arm, settings in self.settings.items() if (positions := (
+            posture_of(settings.null_space_posture, len(self._joints[arm])))) is not None}
+        if not given:
+            return self.posture
+        # The same array each time, as compiled code keeps its address.
+        postures: FloatArray = self._derived.of.setdefault('postures', self.posture.copy())
+        postures[:] = self.posture
+        for arm, positions in given.items():
+            postures[self._joints[arm]] = positions
+        return postures
 
     def set_stream(self, arm: str, longest_s: float | None = None, hold_s: float | None = None
                    ) -> None:
