@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from itertools import takewhile
 from typing import NamedTuple
 
+from manip_sim.control.cartesian.cartesian_commands import GuardedTwist
 from manip_sim.control.commands import (
     Command, CommandHandle, GripperCommand, JointTrajectory, Status)
 from manip_sim.sensing.delays import InTransit
@@ -68,9 +69,10 @@ class DelayedCommands(InTransit[_Waiting]):
 
     @property
     def busy_parts(self) -> frozenset[str]:
-        """The parts for which a trajectory waits."""
-        return frozenset().union(*(waiting.command.parts for _, waiting in self
-                                   if isinstance(waiting.command, JointTrajectory)))
+        """The parts for which a motion that has an end waits."""
+        return frozenset().union(*(
+            waiting.command.parts for _, waiting in self
+            if isinstance(waiting.command, (JointTrajectory, GuardedTwist))))
 
     def withdraw(self, handle: CommandHandle, reason: str) -> bool:
         """Abort a command, and return whether it was here."""

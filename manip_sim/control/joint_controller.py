@@ -18,7 +18,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import clamp
 from manip_sim.control.base_twists import BaseTwists
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianCommand, CartesianWrench, PoseAction)
+    CartesianCommand, CartesianWrench, GuardedTwist, PoseAction)
 from manip_sim.control.cartesian.controller import CartesianController
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.command_timeouts import CommandTimeouts
@@ -152,9 +152,14 @@ class JointController(ControlledJoints):
 
     @property
     def busy_parts(self) -> frozenset[str]:
-        """The atomic parts that follow a trajectory, or wait for its start."""
-        return frozenset().union(*(
-            self.parts_of(t.indices) for t in self.commands.trajectories))
+        """The atomic parts with a motion that has an end: a trajectory, or one until contact."""
+        return frozenset().union(*(self.parts_of(command.indices) for command in (
+            *self.commands.trajectories, *(c for c in self._guarded if c.handle.is_active))))
+
+    @property
+    def _guarded(self) -> list[GuardedTwist]:
+        """Motions until contact, and those that have ended, where the arm stays."""
+        return [c for c in self.commands.running if isinstance(c, GuardedTwist)]
 
     # ------------------------------------------------------------------ commands
 
@@ -565,7 +570,10 @@ class JointController(ControlledJoints):
         for part in self._timeouts.overdue(now_s):
             if part not in self.busy_parts and (part in self._targets_end
                                                 or part not in self._target_parts()):
-                self._time_out(part, data, now_s, period_s)
+                if any([part in self.parts_of(c.indices) for c in self._guarded]):
+                    self._timeouts.forget([part])  # Its motion came to its own end.
+                else:
+                    self._time_out(part, data, now_s, period_s)
 
     def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
         self.commands.finish(command, goal - data.qpos[self._servos.qpos[command.indices]])

@@ -554,7 +554,7 @@ class SimulatedRobot:
 
     @property
     def busy_parts(self) -> frozenset[str]:
-        """The atomic parts that follow a trajectory, or will."""
+        """The atomic parts with a motion that has an end, or for which one waits."""
         return self.joints.busy_parts | self._late.busy_parts
 
     def set_reflex(self, part: str, quantity: str, limit: float | ArrayLike | str) -> None:

@@ -65,6 +65,21 @@ def test_distance_and_time_end_a_motion(limits, cause):
     np.testing.assert_allclose(op.pose[0], contact.position, atol=1e-4)
 
 
+@pytest.mark.parametrize('mode', ['position', 'effort'])
+def test_a_timeout_of_commands_does_not_end_a_motion_that_has_its_own_end(mode):
+    op = operator_of('UR5e', mode=mode)
+    op.robot.set_command_timeout('arm', 0.3)
+    handle = guarded(op, distance=0.05)
+    assert op.robot.busy_parts == {'arm'}
+    op.run(2.0)
+    assert handle.status is Status.DONE and op.report.contact.cause == 'distance'
+    assert op.robot.busy_parts == frozenset() and rests(op)
+    assert op.robot.joints.timeouts == {'arm': 0}
+    op.simulation.data.qfrc_applied[op.part.dof_addresses[0]] = 3.0
+    op.run(1.0)
+    assert abs(op.robot.state().velocity[0]) < 1e-2  # It holds the arm.
+
+
 def test_it_needs_no_fresh_messages_and_a_newer_command_takes_the_arm():
     op = operator_of('UR5e')
     handle = guarded(op)

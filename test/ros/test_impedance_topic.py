@@ -154,6 +154,19 @@ def test_the_service_of_a_motion_until_contact_answers_at_its_end(serve, client)
     assert not third.result().success and 'emergency stop' in third.result().message
 
 
+@pytest.mark.parametrize('parameters', [
+    {}, {'latency__command': 0.05}, {'robot': 'Baxter', 'lockstep_parts': ['right']}],
+    ids=['one arm', 'late', 'one arm of two'])
+def test_in_lock_step_a_motion_until_contact_is_the_command_of_its_arm(parameters, serve, client):
+    serve(stepping='lockstep', **parameters)
+    answer = move(client, '{arm: right, linear: [0, 0, 0.05], force: 50, distance: 0.03, '
+                          'duration: 9.0}')
+    client.spin_until(answer.done, 10.0)
+    assert answer.result().success, answer.result().message
+    ended = client.state()
+    assert client.state().header.stamp == ended.header.stamp  # The next command is waited for.
+
+
 def test_the_end_of_the_node_is_told_to_who_waits_for_a_motion(serve, client):
     node = serve(stepping='free')
     answer = move(client, '{linear: [0, 0, 0.0001], force: 50, distance: 1, duration: 90000}')
