@@ -18,6 +18,7 @@ TABLES = '\n'.join((REFERENCE / page).read_text() for page in ('topics.md', 'ser
 
 @dataclass
 class Part:
+    atomic: tuple[str, ...] = ()
     joints: tuple[str, ...] = ('j',)
     actuators: tuple[str, ...] = ('a',)
     gripper: object = None
@@ -51,8 +52,8 @@ def test_only_what_a_part_has_gives_topics():
 def test_parameters_of_parts_that_are_commanded_are_filled_in():
     parameters = GivenParameters({})
     declare_parts(parameters, [(Scope(), {
-        'arm': Part(), 'base': Part(), 'legs': Part(actuators=()),
-        'right/gripper': Part(gripper=1)})])
+        'arm': Part(atomic=('arm',)), 'base': Part(atomic=('base',)),
+        'legs': Part(actuators=()), 'right/gripper': Part(gripper=1)})])
     found = {name: spec.default for name, spec in parameters.specs.items()}
     modes = {name: value for name, value in found.items() if name.startswith('control_mode')}
     assert modes == {'control_mode.arm': 'position', 'control_mode.base': 'velocity'}

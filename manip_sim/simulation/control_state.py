@@ -24,7 +24,7 @@ from manip_sim.control.commands import CommandHandle
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
 
-#: What all objects with a state remember, and grippers.
+#: Remembered values of all objects with a state, and of grippers.
 Content = tuple[list[dict[str, Any]], list[dict[str, Any]]]
 #: Modules of the classes whose objects may have a state, or others that have one.
 _ROOMS = ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.simulation.')

@@ -211,7 +211,7 @@ def test_a_record_that_is_too_short_says_which_length_suffices(here, excited, tm
         within = np.array([[joint['values'][kind]['within'] for joint in noisy['joints']]
                            for kind in KINDS[:3]])
         assert (np.abs(told - values) < within).mean() > 0.9
-    # What noise adds falls with the square root of the time.
+    # The effect of noise falls with the square root of the time.
     assert lengths[0] > 12.0 and lengths[1] / lengths[0] == pytest.approx(4.0, rel=0.5)
 
 

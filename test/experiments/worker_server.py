@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a process imports once, from which those of runs are forked."""
+"""Import once what processes of runs need, which are forked from this one."""
 
 import functools
 import os

@@ -500,7 +500,7 @@ def undeclared(robot):
     return found
 
 
-#: What follows from the rest.
+#: Attributes that follow from the rest.
 FOLLOWS = {'ActuatorEfforts': ('rules',), 'Formatter': ('_closing',), 'Servos': ('lowered',),
            'Derived': ('of',)}
 
