@@ -3,6 +3,7 @@
 
 """Priority, processors and memory of the process of a node."""
 
+import contextlib
 import ctypes
 import os
 from pathlib import Path
@@ -29,9 +30,12 @@ def may_have_priority():
 
 
 def priorities(process):
-    """Return the priorities of the threads of a process."""
-    return [os.sched_getparam(int(task.name)).sched_priority
-            for task in Path(f'/proc/{process.pid}/task').iterdir()]
+    """Return the priorities of the threads of a process; threads that end meanwhile have none."""
+    found = []
+    for task in Path(f'/proc/{process.pid}/task').iterdir():
+        with contextlib.suppress(ProcessLookupError):
+            found.append(os.sched_getparam(int(task.name)).sched_priority)
+    return found
 
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason='needs two processors')
