@@ -5,6 +5,12 @@
 
 from __future__ import annotations
 
+from manip_sim.ros_environment import check_shared_memory
+
+check_shared_memory()  # Where it is full, the imports of ROS below end the process.
+# ruff: noqa: E402
+# flake8: noqa: E402
+
 from collections.abc import Callable, Mapping, Sequence
 import contextlib
 import math
