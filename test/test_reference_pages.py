@@ -75,7 +75,7 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
 
 
 def test_every_rule_of_trajectories_names_its_test():
-    page = ROOT / 'docs' / 'explanation' / 'control.md'
+    page = ROOT / 'docs' / 'reference' / 'trajectories.md'
     rules = re.findall(r'`(test_\w+)` \|$', page.read_text(), re.M)
     tests = {name for file in (ROOT / 'test').rglob('test_*.py')
              for name in re.findall(r'^def (test_\w+)', file.read_text(), re.M)}
