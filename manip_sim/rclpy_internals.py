@@ -28,7 +28,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line, quoted_names
-from manip_sim.ros_environment import SHARE_MEMORY
+from manip_sim.ros_environment import set_discovery_profile, SHARE_MEMORY
 
 __all__ = ['count_messages', 'describe_unheard', 'endpoint_counts', 'forget_parameters', 'InUse',
            'is_unheard', 'MatchCounter', 'missing_for_publishing', 'missing_for_waits',
@@ -63,6 +63,7 @@ def start_rclpy(**options: Any) -> None:
     if log.startswith('~') and not os.environ.get('HOME'):  # rcl prints nine lines of its own.
         raise ManipSimError('the environment variable HOME is not set: set it, or ROS_LOG_DIR to '
                             'a folder that can be written')
+    set_discovery_profile()
     try:
         rclpy.init(**options)
     except RuntimeError as error:  # In some releases the log does not raise RCLError.

@@ -14,6 +14,7 @@ import sys
 
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line, quoted
+from manip_sim.resources import share_directory
 
 #: DDS has no ports for more domains; Linux gives ports of these to outgoing connections.
 _LAST_DOMAIN = 232
@@ -23,6 +24,9 @@ _RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT', 'NOT_SET')
 _OWN_TRANSPORTS = ('LOCALHOST', 'NOT_SET')
 #: Values of ROS's variable that mean Fast DDS.
 _FAST_DDS = ('', 'rmw_fastrtps_cpp', 'rmw_fastrtps_dynamic_cpp')
+#: Variables and files of the folder in which Fast DDS 2 and 3 look for profiles.
+_PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+_PROFILE_FILES = ('DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml')
 #: Environment in which Fast DDS does without shared memory.
 _WITHOUT = 'FASTDDS_BUILTIN_TRANSPORTS=UDPv4 and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET'
 #: Remedy for nodes that are found, but whose messages do not arrive.
@@ -63,6 +67,18 @@ def check_ros_environment() -> None:
         raise ManipSimError(f'RMW_IMPLEMENTATION is {quoted(chosen)}, which is not installed; '
                             f'installed: {", ".join(installed)}')
     check_shared_memory()
+
+
+def set_discovery_profile() -> None:
+    """
+    Let Fast DDS announce this process often, unless a profile of the user's is there.
+
+    What it sets are environment variables; it has no effect once a context was initialized.
+    """
+    if not any(os.environ.get(name) for name in _PROFILE_VARIABLES) and not any(
+            Path(name).exists() for name in _PROFILE_FILES):
+        file = share_directory() / 'config' / 'fast_dds.xml'
+        os.environ.update(dict.fromkeys(_PROFILE_VARIABLES, str(file)))
 
 
 def check_shared_memory() -> None:

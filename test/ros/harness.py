@@ -12,6 +12,7 @@ import threading
 import time
 from typing import Any
 
+from manip_sim.ros_environment import set_discovery_profile
 from manip_sim.testing.domains import reserve_domain
 from rcl_interfaces.msg import Log
 import rclpy
@@ -25,6 +26,7 @@ from sensor_msgs.msg import JointState
 DOMAIN, _reserved = reserve_domain()
 os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+set_discovery_profile()  # Else nodes that start find clients up to 3 s later.
 
 
 #: How long to wait for what has to come, on a machine with twenty other processes too [s].
