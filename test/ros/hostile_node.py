@@ -18,7 +18,9 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from harness import DOMAIN
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import String, UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -85,6 +87,17 @@ class HostileNode:
                 except RCLError:  # Its timer publishes while the context ends.
                     if self.context.ok():
                         raise
+
+    def destroy(self, entity: Publisher | Subscription) -> None:
+        """Destroy a publisher or subscription, in the thread that may be waiting for it."""
+        kind = 'publisher' if isinstance(entity, Publisher) else 'subscription'
+        ended = threading.Event()
+
+        def destroy() -> None:
+            getattr(self.node, f'destroy_{kind}')(entity)
+            ended.set()
+        self.executor.create_task(destroy)
+        assert ended.wait(60.0)
 
     def _answer(self, request: Any, response: Any) -> Any:
         self.taken.append(request)

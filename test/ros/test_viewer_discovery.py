@@ -184,7 +184,7 @@ def test_a_model_that_cannot_be_used_is_told_and_the_one_before_stays(client, ot
 def test_a_node_that_is_gone_is_forgotten_but_its_picture_stays(client, other):
     finding = Finding(client, NAME)
     found = finding.whole()
-    other.node.destroy_publisher(other.model)
+    other.destroy(other.model)
     finding.until(lambda found: not found.is_there)
     assert found.layout is None and found.model is not None
     # It comes again with other joints.
@@ -233,7 +233,7 @@ def test_the_former_parts_stay_until_all_is_known_of_other_ones(client, other):
     (robot,) = found.robots()
     other.node.create_subscription(JointState, 'torso/joint_command', print, 10)
     (arm,) = [each for each in other.node.subscriptions if each.topic_name == '/arm/joint_command']
-    other.node.destroy_subscription(arm)
+    other.destroy(arm)
     finding.until(lambda found: [part for each in found._seen.robots for part in each.parts]
                   == ['torso'])
     for _ in range(3):
@@ -293,7 +293,7 @@ def test_a_part_without_usable_names_of_joints_is_waited_for(client, other):
         finding.discovery.look()
     assert finding.discovery.layout is None
     # If the node goes meanwhile, nothing of it is listened to any more.
-    other.node.destroy_publisher(other.model)
+    other.destroy(other.model)
     finding.until(lambda _: publisher.get_subscription_count() == 0)
     other.model = other.node.create_publisher(UInt8MultiArray, f'{NAME}/mjcf_archive', LATCHED)
     other.send_world()
