@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+import difflib
 import os
 from pathlib import Path
 import re
@@ -14,6 +15,7 @@ from typing import Any, TYPE_CHECKING
 
 import pytest
 
+from manip_sim.errors import UnknownNameError
 from manip_sim.ros_environment import check_shared_memory
 from manip_sim.testing.domains import reserve_domain
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from manip_sim.testing.simulation_under_test import SimulationUnderTest
 
 _OPTION = '--sim-node-failures'
+#: Of the function that the fixture returns; all others are parameters of the node.
+_ARGUMENTS = ('as_process', 'patience')
 _RUNNING = pytest.StashKey[list['SimulationUnderTest']]()
 
 
@@ -52,6 +56,9 @@ def sim_node(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 
     def start(as_process: bool = False, patience: float = 10.0, **parameters: Any
               ) -> SimulationUnderTest:
+        for name in parameters:
+            if difflib.get_close_matches(name, _ARGUMENTS, cutoff=0.75):
+                raise UnknownNameError('argument of sim_node', name, _ARGUMENTS)
         domain, lock = reserve_domain()
         last_first.callback(os.close, lock)
         monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))

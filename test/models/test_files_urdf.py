@@ -419,6 +419,16 @@ def test_a_joint_with_equal_limits_needs_an_axis_too(tmp_path, kind):
         load_robot(file)
 
 
+def test_a_file_whose_joints_all_have_equal_limits_says_why_it_is_not_a_robot(tmp_path):
+    file = write(tmp_path / 'locked.urdf', '<robot name="r"><link name="a"/><link name="b"/>'
+                 '<joint name="lock" type="revolute"><parent link="a"/><child link="b"/>'
+                 '<axis xyz="0 0 1"/><limit lower="1" upper="1" effort="1" velocity="1"/></joint>'
+                 '</robot>')
+    with pytest.raises(ModelError, match='no hinge or slide joint .fixed, as lower and upper of '
+                       "their <limit> are equal: 'lock'"):
+        load_robot(file)
+
+
 @pytest.mark.parametrize(('kind', 'position'), [
     ('revolute', 0.0), ('revolute', 0.7), ('prismatic', 0.0), ('prismatic', -0.3)])
 def test_a_joint_with_equal_limits_is_fixed_there(tmp_path, kind, position):

@@ -138,6 +138,13 @@ def test_lock_step_without_a_controller_fails_after_the_patience_of_the_fixture(
             sim_node(patience=patience)
 
 
+@pytest.mark.parametrize(('name', 'meant'), [
+    ('patience_s', 'patience'), ('patients', 'patience'), ('as_proces', 'as_process')])
+def test_a_mistyped_argument_of_the_fixture_is_no_parameter_of_the_node(name, meant, sim_node):
+    with pytest.raises(UnknownNameError, match=f"'{name}': did you mean '{meant}'"):
+        sim_node(**{name: 1})
+
+
 class Raises(Node):
     """Fails at the third state."""
 

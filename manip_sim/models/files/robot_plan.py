@@ -82,8 +82,9 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = model_file.start
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
-        raise ModelError(f'{file} is not a robot: it has no hinge or slide joint; an object '
-                         'without joints goes to objects, a mount to base')
+        fixed = [f' ({note})' for note in notes if note.startswith('fixed')]
+        raise ModelError(f'{file} is not a robot: it has no hinge or slide joint{"".join(fixed)}; '
+                         'an object without joints goes to objects, a mount to base')
     mocap = model_file.mocap
     if mocap is not None:
         notes += mocap.notes() if description.mocap else mocap.left_out()
