@@ -71,11 +71,13 @@ def check_ros_environment() -> None:
 
 def set_discovery_profile() -> None:
     """
-    Let Fast DDS announce this process often, unless a profile of the user's is there.
+    Let Fast DDS announce this process often on this machine, unless the user has a profile.
 
-    What it sets are environment variables; it has no effect once a context was initialized.
+    With another range than ``LOCALHOST``, announcements would go to the whole network. What this
+    sets are environment variables; it has no effect once a context was initialized.
     """
-    if not any(os.environ.get(name) for name in _PROFILE_VARIABLES) and not any(
+    if os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE') == 'LOCALHOST' and not any(
+            os.environ.get(name) for name in _PROFILE_VARIABLES) and not any(
             Path(name).exists() for name in _PROFILE_FILES):
         file = share_directory() / 'config' / 'fast_dds.xml'
         os.environ.update(dict.fromkeys(_PROFILE_VARIABLES, str(file)))

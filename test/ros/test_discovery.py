@@ -6,6 +6,7 @@
 from collections import Counter
 import contextlib
 import os
+from pathlib import Path
 import socket
 
 from manip_sim.ros_environment import set_discovery_profile
@@ -44,20 +45,31 @@ def test_a_node_announces_itself_often_so_that_a_client_that_missed_an_answer_fi
     assert len(times) == 1
 
 
-@pytest.mark.parametrize('variable', _VARIABLES)
-def test_a_profile_of_the_user_stays(variable, monkeypatch):
+def chosen(monkeypatch, **environment):
+    """Return the profiles that are set in an environment."""
     for name in _VARIABLES:
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv(variable, 'mine.xml')
+    for name, value in {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **environment}.items():
+        monkeypatch.setenv(name, value)
     set_discovery_profile()
-    assert [os.environ.get(name) for name in _VARIABLES if name != variable] == [None]
-    assert os.environ[variable] == 'mine.xml'
+    return [os.environ.get(name) for name in _VARIABLES]
+
+
+def test_both_releases_of_fast_dds_have_a_profile(monkeypatch):
+    file, other = chosen(monkeypatch)
+    assert file == other and Path(file).is_file()
+
+
+@pytest.mark.parametrize('variable', _VARIABLES)
+def test_a_profile_of_the_user_stays(variable, monkeypatch):
+    assert [file for file in chosen(monkeypatch, **{variable: 'mine.xml'}) if file] == ['mine.xml']
 
 
 def test_a_profile_in_the_folder_stays(tmp_path, monkeypatch):
-    for name in _VARIABLES:
-        monkeypatch.delenv(name, raising=False)
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'DEFAULT_FASTRTPS_PROFILES.xml').touch()
-    set_discovery_profile()
-    assert not any(os.environ.get(name) for name in _VARIABLES)
+    assert chosen(monkeypatch) == [None, None]
+
+
+def test_a_network_is_not_flooded(monkeypatch):
+    assert chosen(monkeypatch, ROS_AUTOMATIC_DISCOVERY_RANGE='SUBNET') == [None, None]
