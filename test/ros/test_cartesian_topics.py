@@ -139,11 +139,12 @@ def test_what_is_rejected_changes_nothing_and_is_told(topic, message, what, arm,
 
 @pytest.mark.full
 def test_clamps_and_targets_out_of_reach_are_counted_and_told(arm, served):
-    clamped = served.commands.robots[0].statistics['arm'].clamped
+    statistics = served.commands.robots[0].statistics['arm']
+    clamped, accepted = statistics.clamped, statistics.accepted
     arm.client.publish('right/target_twist', twist(x=3.0))
-    arm.client.spin_until(
-        lambda: served.commands.robots[0].statistics['arm'].clamped == clamped + 1)
+    arm.client.spin_until(lambda: statistics.clamped == clamped + 1)
     arm.client.publish('right/target_pose', arm.pose((3.0, 0.0, 0.0)))
+    arm.client.spin_until(lambda: statistics.accepted == accepted + 2)
     arm.client.spin_until(lambda: int(arm.status()['cartesian_unreachable']) >= 1)
     arm.client.spin_until(lambda: any('right: the target is not reached' in line
                                       for line in arm.log))
