@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.ledger import Ledger
+from manip_sim.control.commands import Ledger
 from manip_sim.control.modes import default_mode, MODES
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator

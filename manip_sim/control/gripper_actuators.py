@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the actuators of a gripper can do: ranges, speeds and forces in the units of their controls.
+The actuators of a gripper: ranges, speeds and forces in the units of their controls, and joints.
 
 The setpoint of a position servo is in the units of its control; the servo comes to rest where the
 length of its transmission matches it. Any other actuator, such as a motor, has only a control.
@@ -10,6 +10,7 @@ length of its transmission matches it. Any other actuator, such as a motor, has 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -19,12 +20,14 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.finger_records import FINGER
 from manip_sim.control.law.joint_records import readable
 from manip_sim.derived import Derived
-from manip_sim.errors import ModelError
+from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.couplings import declared_velocity, JointCouplings
 from manip_sim.models.setpoint_activation import position_servos
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 
+#: A finger stands still if it would take longer than this to cross its range [s].
+_STILL_S = 40.0
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
@@ -270,3 +273,124 @@ class GripperActuators:
         farthest = _NO_LIMIT_RANGES * np.ptp(self.ranges[index])
         return (float(below) if below < farthest else 0.0,
                 float(above) if above < farthest else 0.0)
+
+
+class GripperJoints:
+    """
+    The joints of a gripper that take position commands, and the joints coupled to them.
+
+    :param physics: of the world
+    :param part: the name of the gripper's part, for errors
+    :param actuators: of the gripper
+    :ivar names: of the joints that a position command may name
+    """
+
+    def __init__(self, physics: Physics, part: str, actuators: GripperActuators) -> None:
+        self._physics = physics
+        self._part = part
+        self._actuators = actuators
+        physics.on_change(self._find)
+        self.names: tuple[str, ...] = tuple(self._name(joint) for joint in self._ids)
+
+    def _find(self) -> None:
+        actuators = self._actuators
+        self._ids = list(dict.fromkeys(
+            joint for terms, servo in zip(actuators.terms, actuators.is_servo) if servo
+            for joint, _ in terms))
+
+    def _name(self, joint: int) -> str:
+        return str(self._physics.model.joint(joint).name)
+
+    def _id(self, name: str) -> int:
+        return int(self._physics.model.joint(name).id)
+
+    def ranges(self, names: Sequence[str]) -> FloatArray:
+        """Return the ranges of joints [rad or m], infinite where there is none, shape (n, 2)."""
+        joints = [self._physics.model.joint(name) for name in names]
+        return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in joints])
+
+    def reach(self, name: str) -> tuple[float, float]:
+        """Return the range that a joint can move in [rad or m], infinite if it is unknown."""
+        return self._actuators.joint_range(self._id(name))
+
+    def followers(self, name: str) -> frozenset[str]:
+        """Return the joints that follow a commanded joint because they are coupled to it."""
+        group = self._actuators.couplings.group(self._id(name))
+        return frozenset(self._name(other) for other in group) - {name}
+
+    def actuators_of(self, names: Sequence[str]) -> IntArray:
+        """Return the indices of the actuators that move these joints or joints coupled to them."""
+        moved = set(names).union(*(self.followers(name) for name in names))
+        return np.array([index for index, terms in enumerate(self._actuators.terms)
+                         if moved & {self._name(joint) for joint, _ in terms}], dtype=np.int64)
+
+    def check_take_positions(self, names: Sequence[str]) -> None:
+        """
+        Check that no joint is driven only by actuators that take no position.
+
+        :raises CommandError: naming such an actuator
+        """
+        for index, terms in enumerate(self._actuators.terms):
+            driven = {self._name(joint) for joint, _ in terms}
+            for name in names:
+                if name in driven and name not in self.names:
+                    raise CommandError(f"{self._part}: joint '{name}' takes no position, "
+                                       f'{self._actuators.why_no_setpoint(index)}: use actions')
+
+    def with_followers(self, positions: Mapping[str, float]) -> dict[int, float]:
+        """
+        Return the positions of joints and of those that are coupled to them, by the joint's id.
+
+        :param positions: by name [rad or m]
+        """
+        following = self._actuators.couplings.follow(
+            {self._id(name): position for name, position in positions.items()})
+        return {joint: value for joint, value in following.items() if joint in self._ids}
+
+    def are_still(self, data: mujoco.MjData) -> bool:
+        """Return whether all of them have stopped, or nearly so."""
+        low, high = self.ranges(self.names).T
+        span = np.where(np.isfinite(high - low), high - low, 1.0)
+        speed = np.array([data.joint(name).qvel[0] for name in self.names])
+        return bool((np.abs(speed) < span / _STILL_S).all())
+
+
+class ForceLimit:
+    """
+    The force limits of a gripper's actuators in the model.
+
+    :param physics: of the world; ``actuator_forcerange`` of its model is changed
+    :param actuators: of the gripper
+    """
+
+    remembered = ('_effort',)
+
+    def __init__(self, physics: Physics, actuators: GripperActuators) -> None:
+        self._physics = physics
+        self._actuators = actuators
+        ids, model = actuators.ids, physics.model
+        self._limited = model.actuator_forcelimited[ids].copy()
+        self._ranges = model.actuator_forcerange[ids].copy()
+        # The range of an actuator without a force limit may be empty.
+        self._widest = np.where(self._limited[:, None] != 0, self._ranges, [-np.inf, np.inf])
+        self._per_effort = np.array([
+            model.actuator_gear[actuator, 0] * (terms[0][1] if terms else 1.0)
+            for actuator, terms in zip(ids, actuators.terms)])
+        self._effort = 0.0
+
+    def set(self, effort: float) -> None:
+        """
+        Limit the force of each actuator so that it gives its first joint no more than an effort.
+
+        :param effort: [N or N m]; 0 for the actuators' own limits
+        """
+        if effort == self._effort:
+            return
+        self._effort, ids, model = effort, self._actuators.ids, self._physics.model
+        if effort:
+            most = (effort / np.abs(self._per_effort))[:, None]
+            model.actuator_forcerange[ids] = np.clip(self._widest, -most, most)
+            model.actuator_forcelimited[ids] = 1
+        else:
+            model.actuator_forcerange[ids] = self._ranges
+            model.actuator_forcelimited[ids] = self._limited

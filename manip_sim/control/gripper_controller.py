@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+import contextlib
 import math
 from typing import Any
 
@@ -13,17 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.checked_gripper_actions import Formatter
 from manip_sim.control.commands import (
-    Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, GripperSuction, Status)
-from manip_sim.control.gripper_actuators import GripperActuators
-from manip_sim.control.gripper_force import ForceLimit
-from manip_sim.control.gripper_joints import GripperJoints
+    Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, GripperSuction, Ledger,
+    Status)
+from manip_sim.control.gripper_actuators import ForceLimit, GripperActuators, GripperJoints
 from manip_sim.control.law.finger_records import (
     ACTS, AWAITED, Grip, Gripper, GRIPPER_RATE_HZ, MOVES, no_rule, RENEWED, Rule, RULED, TURNED)
-from manip_sim.control.ledger import Ledger
-from manip_sim.control.suction import SuctionCups
 from manip_sim.derived import Derived
+from manip_sim.errors import ModelError
+from manip_sim.models.grippers import GripperModel
 from manip_sim.models.grippers.action_rules import ActionRule
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
@@ -32,6 +32,186 @@ from manip_sim.physics.physics import Physics
 _OF_ACTIONS = {'format_action', 'start_at'}
 #: Two setpoints that differ by less than this fraction of the range are the same.
 _SAME = 1e-9
+
+
+class SuctionCups:
+    """
+    The suction cups of a gripper; their vacuum is the activation of their actuators.
+
+    The vacuum is lost as soon as a part of the lip touches nothing. Dex-Net 3.0 (Mahler et al.
+    2018) too models a cup by eight points of its lip, all of which have to touch: a pump of some
+    litres a minute cannot keep a vacuum against a gap.
+
+    :param physics: of the world
+    :param actuators: names of all actuators of the gripper
+    :param cups: names of those that pull what a cup touches, each of a body whose shapes are a lip
+    :ivar indices: of the cups among the actuators, shape (n,)
+    """
+
+    def __init__(self, physics: Physics, actuators: Sequence[str], cups: Sequence[str]) -> None:
+        self._physics, self.names = physics, tuple(cups)
+        self.indices: IntArray = np.array([actuators.index(cup) for cup in cups], dtype=np.int64)
+        physics.on_change(self._find)
+
+    def _find(self) -> None:
+        model = self._physics.model
+        ids = [int(model.actuator(name).id) for name in self.names]
+        self._actuators: IntArray = np.array(ids, dtype=np.int64)
+        self._activations: IntArray = model.actuator_actadr[ids].astype(np.int64)
+        collides = (model.geom_contype | model.geom_conaffinity) != 0
+        self._lips = [np.flatnonzero((model.geom_bodyid == body) & collides)
+                      for body in model.actuator_trnid[ids, 0]]
+
+    def draw(self, controls: FloatArray) -> bool:
+        """
+        Return whether a cup is to hold something.
+
+        :param controls: of all actuators of the gripper
+        """
+        return bool((controls[self.indices] > 0.0).any())
+
+    def held(self, data: mujoco.MjData) -> list[int]:
+        """Return the id of the body that the whole lip of each cup touches, -1 where it leaks."""
+        pairs = data.contact.geom
+        return [self._held(pairs, lip) for lip in self._lips]
+
+    def _held(self, pairs: IntArray, lip: IntArray) -> int:
+        on_lip = np.isin(pairs, lip)
+        touching = on_lip.any(axis=1) & (pairs >= 0).all(axis=1)
+        points, others = pairs[touching][on_lip[touching]], pairs[touching][~on_lip[touching]]
+        bodies = self._physics.model.geom_bodyid[others]
+        return next((int(body) for body in np.unique(bodies)
+                     if len(np.unique(points[bodies == body])) == len(lip)), -1)
+
+    def vacuum(self, data: mujoco.MjData) -> FloatArray:
+        """Return the vacuum in the cups, in the unit of their controls, shape (n,), a copy."""
+        return np.array(data.act[self._activations])
+
+    @property
+    def full(self) -> FloatArray:
+        """The full vacuum, in the unit of the controls, shape (n,), a copy."""
+        return np.array(self._physics.model.actuator_ctrlrange[self._actuators, 1])
+
+    def forces(self, data: mujoco.MjData) -> FloatArray:
+        """Return the forces with which the cups pull [N], shape (n,), a copy."""
+        return np.array(data.actuator_force[self._actuators])
+
+    def controls(self, fraction: float, most_force: float) -> FloatArray:
+        """
+        Return the controls for a fraction of the full vacuum, shape (n,).
+
+        :param fraction: in [0, 1]; 0 lets air in
+        :param most_force: of each cup [N]; 0 for no other limit
+        """
+        model, control = self._physics.model, fraction * self.full
+        if most_force:
+            control = np.minimum(control, most_force / model.actuator_gainprm[self._actuators, 0])
+        return np.where(control > 0.0, control, model.actuator_ctrlrange[self._actuators, 0])
+
+    def lead(self, controls: FloatArray, lowest: FloatArray, data: mujoco.MjData) -> None:
+        """
+        Let air into the cups that leak: their vacuum is gone, and does not build up.
+
+        :param controls: of all actuators of the gripper, changed in place
+        :param lowest: of these controls
+        """
+        leaks = np.array(self.held(data)) < 0
+        data.act[self._activations[leaks]] = 0.0
+        controls[self.indices[leaks]] = lowest[self.indices[leaks]]
+
+
+class Formatter:
+    """
+    The ``format_action`` of a gripper, which may be a user's code, with its results checked.
+
+    :param gripper: its method is called once with zeros, and its state restored
+    :param count: how many commands the method has to return
+    :ivar faults: how many later calls raised or returned something else
+    :ivar last_fault: what the last of these did
+    :raises ModelError: if the call with zeros raises or does not return ``count`` finite numbers
+    """
+
+    #: Only counted and told.
+    remembered = ('faults', 'last_fault')
+    undigested = remembered
+
+    def __init__(self, gripper: GripperModel, count: int) -> None:
+        self._gripper = gripper
+        self._count = count
+        self.dof = gripper.dof
+        self.faults = 0
+        self.last_fault = ''
+        self._closing: FloatArray | None = None
+        with self._state_kept():
+            fault = self._fault(np.zeros(self.dof))[1]
+        if fault is not None:
+            raise ModelError(f'format_action of {type(gripper).__name__} must return {count} '
+                             f'finite numbers, one for each actuator, but with an action of '
+                             f'{self.dof} zeros {fault}')
+
+    @contextlib.contextmanager
+    def _state_kept(self) -> Iterator[None]:
+        gripper = self._gripper
+        state = gripper.state_copy()
+        try:
+            yield
+        finally:
+            vars(gripper).clear()
+            vars(gripper).update(state)
+
+    @property
+    def closing(self) -> FloatArray:
+        """
+        Signs of how commands change with actions of ones, zero where they do not, shape (count,).
+
+        On first use, ``format_action`` is called with ones and minus ones, and its state restored.
+        """
+        if self._closing is None:
+            commands = []
+            with self._state_kept():
+                for sign in (1.0, -1.0):
+                    self.start_at(np.zeros(self._count))
+                    commands.append(self._fault(np.full(self.dof, sign))[0])
+            self._closing = np.sign(commands[0] - commands[1])
+        return self._closing
+
+    def format(self, action: FloatArray) -> FloatArray | None:
+        """
+        Return commands in [-1, 1], shape (count,), or None after a fault, which is counted.
+
+        :param action: in [-1, 1], shape (dof,)
+        """
+        command, fault = self._fault(action)
+        if fault is not None:
+            self._take_note(f'format_action: {fault}')
+            return None
+        return np.minimum(np.maximum(command, -1.0), 1.0)  # np.clip takes thrice as long.
+
+    def start_at(self, command: FloatArray) -> bool:
+        """Let ``format_action`` continue from a command; return whether that worked."""
+        try:
+            self._gripper.start_at(command)
+        except Exception as error:
+            self._take_note(f'start_at: it raised {type(error).__name__}: {error}')
+            return False
+        return True
+
+    def _take_note(self, fault: str) -> None:
+        self.faults += 1
+        self.last_fault = fault
+
+    def _fault(self, action: FloatArray) -> tuple[FloatArray, str | None]:
+        """Return the commands of an action, and their fault or None."""
+        nothing: Any = np.zeros(self._count)
+        try:
+            command = np.asarray(self._gripper.format_action(action.copy()), dtype=float)
+        except Exception as error:
+            return nothing, f'it raised {type(error).__name__}: {error}'
+        if command.shape != (self._count,):
+            return nothing, f'it returned the shape {command.shape}'
+        if not np.isfinite(command).all():
+            return nothing, f'it returned {command.tolist()}'
+        return command, None
 
 
 class GripperController:

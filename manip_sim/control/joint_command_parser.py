@@ -18,7 +18,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.clamping import clamp, clamped_example, command_numbers
 from manip_sim.control.commands import (
     Command, GripperSetpoint, JointImpedance, JointSetpoint, NoCommand)
-from manip_sim.control.gripper_joints import GripperJoints
+from manip_sim.control.gripper_actuators import GripperJoints
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.modes import FIELDS, IMPEDANCE, MODES, POSITION
 from manip_sim.errors import CommandError, describe_choices

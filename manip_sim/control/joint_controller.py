@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.clamping import clamp
-from manip_sim.control.base_twists import BaseTwists
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianWrench, GuardedTwist, PoseAction)
 from manip_sim.control.cartesian.controller import CartesianController
@@ -26,15 +25,16 @@ from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointImpedance, JointSetpoint, JointTrajectory, Status,
     TrajectoryReference, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
-from manip_sim.control.modes import Arrival, ControlMode, EFFORT, MODES, POSITION, VELOCITY
 from manip_sim.control.law.arm_records import no_targets, Targets
 from manip_sim.control.law.joint_records import DUE, MOVES, RobotJoints
-from manip_sim.derived import Derived
-from manip_sim.errors import ModelError
+from manip_sim.control.modes import Arrival, ControlMode, EFFORT, MODES, POSITION, VELOCITY
 from manip_sim.control.payloads import Payloads
 from manip_sim.control.seats import Seats, SeatState
 from manip_sim.control.trajectory_following import TrajectoryFollowing
 from manip_sim.control.user_laws import Law, LAWS, PREFIX
+from manip_sim.control.velocity_stream import BaseTwists
+from manip_sim.derived import Derived
+from manip_sim.errors import ModelError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.parts import Part

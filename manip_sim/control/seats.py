@@ -6,18 +6,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
+import logging
+import os
+import threading
+import time
 from typing import Any
+import weakref
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.cartesian.arms import Arms
+from manip_sim.control.cartesian.kinematic_chains import Arms
 from manip_sim.control.law.joint_records import PLAIN
 from manip_sim.control.payloads import Payloads
 from manip_sim.control.servos import Servos
 from manip_sim.control.user_laws import COSTLY, Law
-from manip_sim.control.watchdog import watch
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.physics.end_effectors import EndEffectorReader
@@ -26,6 +30,11 @@ from manip_sim.physics.robot_frames import Frame
 from manip_sim.physics.uncollected_forces import has_fluid
 from manip_sim.quoting import one_line
 
+#: Longest time of a call of a law [s], and rate of the checks [1/s].
+_PATIENCE_S, _RATE_HZ = 10, 1
+#: Code with which the process ends, EX_SOFTWARE of sysexits.h.
+_EXIT_CODE = 70
+_LOGGER = logging.getLogger('manip_sim.control')
 _NOBODY = np.zeros(0, np.int64)
 #: Status of a law of which an effort is not finite, see :mod:`manip_sim.control.law.seat`.
 _NOT_FINITE = 2
@@ -112,6 +121,61 @@ class LawParameters(MutableMapping[str, float]):
 
     def __repr__(self) -> str:
         return f"<parameters of the law '{self._law.name}': {dict(self)}>"
+
+
+class _Watchdog:
+    """
+    Notices laws that never return, which nothing else in the process can end.
+
+    It looks at them from a thread of its own, which begins with the first.
+    """
+
+    def __init__(self) -> None:
+        self._names: weakref.WeakKeyDictionary[SeatState, str] = weakref.WeakKeyDictionary()
+        self._lock, self._process = threading.Lock(), 0
+
+    def watch(self, law: SeatState, name: str) -> None:
+        """
+        End the process if a compiled law never returns; warn if it runs as Python.
+
+        :param law: watched as long as it exists
+        :param name: for the message
+        """
+        with self._lock:
+            self._names[law] = name
+            if self._process != os.getpid():  # A fork has no thread.
+                self._process = os.getpid()
+                threading.Thread(target=self._look, name='manip_sim_laws', daemon=True).start()
+
+    def _look(self) -> None:
+        stuck: dict[int, tuple[int, int]] = {}
+        while True:
+            time.sleep(1.0 / _RATE_HZ)
+            with self._lock:
+                laws = [*self._names.items()]
+            before, stuck = stuck, {}
+            for law, name in laws:
+                calls, inside, *_ = law.status.tolist()
+                last, times = before.get(id(law), (-1, 0))
+                # Looks are counted, as the process itself may have been stopped.
+                if inside:
+                    stuck[id(law)] = calls, times + 1 if calls == last else 0
+                    if stuck[id(law)][1] == _PATIENCE_S * _RATE_HZ:
+                        _end_or_warn(law, name)
+            del laws
+
+
+def _end_or_warn(law: SeatState, name: str) -> None:
+    if not law.is_compiled:
+        _LOGGER.warning('%s has not returned for %d s', name, _PATIENCE_S)
+        return
+    _LOGGER.critical('%s has not returned for %d s: the process ends, as compiled code cannot be '
+                     'interrupted', name, _PATIENCE_S)
+    logging.shutdown()
+    os._exit(_EXIT_CODE)
+
+
+_WATCHDOG = _Watchdog()
 
 
 class Seats:
@@ -237,7 +301,7 @@ class Seats:
                 code=state.law.code.address if state.is_compiled else 0,
                 arguments=Arguments.of(
                     len(indices), state.parameters, state.memory, state.wrench))
-            watch(state, f"the law '{state.name}' of {part}")
+            _WATCHDOG.watch(state, f"the law '{state.name}' of {part}")
         made = room.of
         return Seat(made['code'], self._physics.arrays, made['forces'], made['others'], setpoints,
                     efforts, room.made_of(self._joints, part, self._servos.records,

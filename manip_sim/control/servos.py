@@ -6,6 +6,12 @@ MuJoCo's own actuators as servos of joints: gains, limits, and what they write i
 
 The activation of an actuator holds its setpoint; ``ctrl`` is the rate at which the setpoint
 changes. So setpoints are linear within an interval.
+
+``implicitfast`` treats damping implicitly and stiffness explicitly: a joint of inertia ``M`` with
+passive damping ``D`` is stable if ``h^2 kp / 2 < 2 M + h (kv + D)``, the condition that both
+eigenvalues of a step ``h`` are in the unit circle. At a force limit MuJoCo treats the servo
+explicitly, and the joint may oscillate between both limits for ever, with a period of two steps,
+unless ``h^2 kp / 2 + h kv < 2 M + h D``.
 """
 
 from __future__ import annotations
@@ -18,22 +24,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.joint_accelerations import acceleration_limits
 from manip_sim.control.law.joint_records import readable, SERVO
-from manip_sim.control.servo_stability import (
-    bounded_gains, changes, highest_gains, stable_gains)
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.physics.actuator_properties import (
     check_kinds, check_single, effort_range, stiffness_and_damping, velocity_limit)
 from manip_sim.physics.physics import Physics, places_of_inertia
 
+#: Share of the stable range of gains that lowered gains use.
+_SHARE = 0.75
+#: Upper bound of damping x timestep / inertia of gains that are upper bounds themselves.
+_EXPLICIT_DAMPING = 1.5
+#: Highest damping ratio that a servo keeps when its gains are lowered to that bound.
+_SOFT_RATIO = 3.0
+#: Share of the torque beyond weight and damping that a jump of the goal may use.
+_TORQUE_SHARE = 0.6
+#: Shortest time in which a step reaches the velocity limit, of joints or of an end effector [s].
+SPEED_UP_S = 0.1
+#: Number of poses in which the inertia is computed, and the share of them that may be heavier.
+_POSES = 64
+_QUANTILE = 0.15
 #: Position range that actions span for a joint without a range [rad or m].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
 #: Largest effort of a joint without an effort limit [N m or N].
 _UNLIMITED_EFFORT = 1e3
 #: Share of the torque beyond the weight that the joint's damping may use.
 _DAMPING_SHARE = 0.9
+_Gains = tuple[FloatArray, FloatArray]
 
 
 class Servos:
@@ -104,7 +121,7 @@ class Servos:
         spare = np.maximum(torque - np.abs(data.qfrc_bias[self.dofs]), 0.2 * torque)
         self.cruising_velocity = np.minimum(
             velocity, _DAMPING_SHARE * spare / np.maximum(passive, 1e-9))
-        self.acceleration_limit = acceleration_limits(
+        self.acceleration_limit = _acceleration_limits(
             model, data, joint_ids, torque, (self._drag - self._damping) * self.cruising_velocity,
             self.velocity_limit, self.position_clamp())
         self._gives_effort = np.zeros(len(ids), dtype=bool)
@@ -145,14 +162,14 @@ class Servos:
         model, before = self._physics.model, (self._stiffness, self._damping)
         inertia, step_s = self._inertia(np.arange(len(self._ids))), float(model.opt.timestep)
         if self._highest:
-            self._stiffness, self._damping = highest_gains(*before, inertia, step_s)
+            self._stiffness, self._damping = _highest_gains(*before, inertia, step_s)
             return
         self._stiffness, self._damping = stable_gains(
             *before, inertia, self.passive_damping, limited, step_s)
         old, new = np.array(before).T, np.array([self._stiffness, self._damping]).T
         self.lowered = tuple(
-            changes(self._joints[index], tuple(old[index]), tuple(new[index]),
-                    bool(limited[index]), step_s)
+            _describe_changes(self._joints[index], tuple(old[index]), tuple(new[index]),
+                              bool(limited[index]), step_s)
             for index in np.flatnonzero((old != new).any(axis=1)).tolist())
 
     def _inertia(self, indices: IntArray) -> FloatArray:
@@ -218,7 +235,7 @@ class Servos:
             stiffness, damping = (of_model[indices] for of_model in self._gains_of_model)
         else:
             stiffness, damping = _checked(gains, len(indices))
-            stiffness, damping = bounded_gains(
+            stiffness, damping = _bounded_gains(
                 stiffness, damping, self._inertia(indices),
                 float(self._physics.model.opt.timestep))
         if (stiffness == self._stiffness[indices]).all() and (
@@ -405,3 +422,128 @@ def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray
         if not (np.isfinite(of).all() and (of > 0.0).all()):
             raise ModelError(f'the {what} of servos must be positive and finite, got {of}')
     return stiffness, damping
+
+
+def stable_gains(stiffness: FloatArray, damping: FloatArray, inertia: FloatArray,
+                 passive: FloatArray, limited: BoolArray, timestep_s: float) -> _Gains:
+    """
+    Return gains as they are where they are stable, and lower ones elsewhere.
+
+    A servo with a force limit loses damping first, down to its critical damping, so that it stays
+    as stiff as it can.
+
+    :param stiffness: kp at the joints [N m/rad or N/m], shape (n,)
+    :param damping: kv at the joints [N m s/rad or N s/m], shape (n,)
+    :param inertia: lowest inertia of each joint [kg m^2 or kg], shape (n,)
+    :param passive: damping of the joints themselves [N m s/rad or N s/m], shape (n,)
+    :param limited: whether each servo has a force limit, shape (n,)
+    :param timestep_s: length of a step [s]
+    :returns: kp and kv, each of shape (n,)
+    """
+    spring, most = timestep_s**2 * stiffness / 2.0, 2.0 * inertia + timestep_s * passive
+    implicit = most + timestep_s * damping
+    too_stiff = ~limited & (spring > implicit)
+    free = np.where(too_stiff, 2.0 * _SHARE * implicit / timestep_s**2, stiffness)
+    at_limit = limited & (spring + timestep_s * damping > most)
+    # The stiffest with h^2 kp / 2 + h kv = s most and this damping ratio, by x = h sqrt(kp).
+    ratio = np.minimum(damping / (2.0 * np.sqrt(np.maximum(stiffness * inertia, 1e-300))), 1.0)
+    slope, room = 2.0 * ratio * np.sqrt(inertia), _SHARE * most
+    stiffest = ((np.sqrt(slope**2 + 2.0 * room) - slope) / timestep_s)**2
+    lower = np.minimum(stiffness, stiffest)
+    return (np.where(at_limit, lower, free),
+            np.where(at_limit, np.minimum(damping, room / timestep_s - timestep_s * lower / 2.0),
+                     damping))
+
+
+def _highest_gains(stiffness: FloatArray, damping: FloatArray, inertia: FloatArray,
+                   timestep_s: float) -> _Gains:
+    """
+    Return the gains for upper bounds, as the catalogue has them; arguments as before.
+
+    :returns: kp and kv, each of shape (n,)
+    """
+    factor = np.minimum(1.0, _EXPLICIT_DAMPING / np.maximum(
+        timestep_s * damping / inertia, 1e-12))
+    damping = damping * factor
+    # A servo that was overdamped would become too soft if it kept its damping ratio.
+    enough = (damping / (2.0 * _SOFT_RATIO))**2 / inertia
+    return np.maximum(stiffness * factor**2, np.minimum(stiffness, enough)), damping
+
+
+def _bounded_gains(stiffness: FloatArray, damping: FloatArray, inertia: FloatArray,
+                   timestep_s: float) -> _Gains:
+    """
+    Return the gains of a control mode, lowered to what any servo may have; arguments as before.
+
+    :returns: kp and kv, each of shape (n,)
+    """
+    most = _EXPLICIT_DAMPING * inertia / timestep_s
+    # At the highest stiffness, the highest damping is critical.
+    return (np.minimum(stiffness, most * _EXPLICIT_DAMPING / (4.0 * timestep_s)),
+            np.minimum(damping, most))
+
+
+def _describe_changes(joint: str, before: tuple[float, float], after: tuple[float, float],
+                      limited: bool, timestep_s: float) -> str:
+    """Return the sentence that reports lowered gains of a joint: kp and kv before and after."""
+    parts = [f'{gain} {old:.4g} to {new:.4g}' for gain, old, new in zip(
+        ('stiffness', 'damping'), before, after) if new != old]
+    where = ' at its force limit' if limited else ''
+    return (f"servo of joint '{joint}': {' and '.join(parts)}, as the gains of its file are not "
+            f'stable{where} with a timestep of {timestep_s * 1e3:g} ms')
+
+
+def _acceleration_limits(model: mujoco.MjModel, data: mujoco.MjData, joint_ids: IntArray,
+                         torque: FloatArray, drag: FloatArray, velocity_limit: FloatArray,
+                         position_clamp: FloatArray) -> FloatArray:
+    """
+    Return the acceleration limits of joints: declared in the model, or derived.
+
+    :param data: at the start; joints that are not named keep their positions
+    :param joint_ids: of the joints, shape (n,)
+    :param torque: greatest effort of each joint [N m or N], shape (n,)
+    :param drag: effort that its own damping takes up at speed [N m or N], shape (n,)
+    :param velocity_limit: [rad/s or m/s], shape (n,)
+    :param position_clamp: lowest and highest position [rad or m], shape (n, 2)
+    :returns: [rad/s^2 or m/s^2], shape (n,)
+    """
+    if model.nuser_jnt > 1:
+        declared = model.jnt_user[joint_ids, 1]
+    else:
+        declared = np.zeros(len(joint_ids))
+    if (declared > 0.0).all():
+        return np.array(declared)
+    qpos, dofs, kind = (field[joint_ids] for field in (
+        model.jnt_qposadr, model.jnt_dofadr, model.jnt_type))
+    carries = model.jnt_actgravcomp[joint_ids]
+    random = np.random.default_rng(0)
+    scratch = mujoco.MjData(model)
+    low, high = np.clip(position_clamp, -np.pi, np.pi).T
+    possible = []
+    for pose in range(_POSES):
+        scratch.qpos[:] = data.qpos
+        if pose:
+            scratch.qpos[qpos] = random.uniform(low, high)
+        _compute_inertia_and_weight(model, scratch)
+        # All joints of a kind may accelerate at once.
+        coupled = (_inertia(model, scratch, dofs) * (kind[:, None] == kind)).sum(axis=1)
+        weight = np.abs(scratch.qfrc_gravcomp[dofs]) * carries
+        possible.append(np.maximum(torque - weight - drag, 0.2 * torque) / coupled)
+    usual = np.quantile(possible, _QUANTILE, axis=0)
+    derived = np.minimum(_TORQUE_SHARE * usual, velocity_limit / SPEED_UP_S)
+    return np.asarray(np.where(declared > 0.0, declared, derived))
+
+
+def _inertia(model: mujoco.MjModel, data: mujoco.MjData, dofs: IntArray) -> FloatArray:
+    """Return the magnitudes of the joints' block of the inertia matrix, shape (n, n)."""
+    inertia = np.zeros((model.nv, model.nv))
+    rows, columns = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
+    inertia[rows, columns] = inertia[columns, rows] = np.abs(data.M)
+    return inertia[np.ix_(dofs, dofs)]
+
+
+def _compute_inertia_and_weight(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Compute of ``mj_forward`` only the inertia matrix and ``qfrc_gravcomp``."""
+    for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_makeM,
+                    mujoco.mj_passive):
+        compute(model, data)

@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 
 from manip_sim.clamping import clamp
-from manip_sim.control.commands import Command, GripperGrasp, GripperSuction, Status
+from manip_sim.control.commands import Command, GripperGrasp, GripperSuction, Ledger, Status
 from manip_sim.control.joint_command_parser import check_names
-from manip_sim.control.ledger import Ledger
 from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.runtime.simulation_thread import SimulationThread
 from manip_sim.simulation.robot import SimulatedRobot

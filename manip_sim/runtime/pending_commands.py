@@ -12,8 +12,7 @@ import threading
 import numpy as np
 
 from manip_sim.control.commands import (
-    Command, CommandHandle, Status, STOPPED, TrajectoryStop)
-from manip_sim.control.ledger import takes_from
+    Command, CommandHandle, Status, STOPPED, takes_from, TrajectoryStop)
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation import Simulation
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.control.gripper_force import ForceLimit
+from manip_sim.control.gripper_actuators import ForceLimit
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models import compose
 from manip_sim.models.grippers import create_gripper

@@ -8,8 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from manip_sim.control.commands import Status
-from manip_sim.control.ledger import Ledger
+from manip_sim.control.commands import Ledger, Status
 from manip_sim.models import compose
 from manip_sim.runtime.pending_commands import CommandBuffer
 from manip_sim.simulation import Simulation

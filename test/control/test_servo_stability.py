@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.control.servo_stability import stable_gains
+from manip_sim.control.servos import stable_gains
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 

@@ -15,8 +15,8 @@ import pytest
 from robot_kinds import KINDS
 
 from manip_sim.control.commands import Status
+from manip_sim.control.seats import _EXIT_CODE
 from manip_sim.control.user_laws import ARGUMENTS, LAWS
-from manip_sim.control.watchdog import _EXIT_CODE
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.laws import Law, law
 from manip_sim.models import compose_robot, World
@@ -453,12 +453,12 @@ def test_a_compiled_law_that_never_returns_is_named_before_the_process_ends(tmp_
     script = tmp_path / 'endless.py'
     script.write_text(
         'import logging\n'
-        'import manip_sim.control.watchdog as watchdog\n'
+        'import manip_sim.control.seats as seats\n'
         'from manip_sim.laws import law\n'
         'from manip_sim.models import compose_robot, World\n'
         'from manip_sim.simulation import Simulation\n'
         'logging.basicConfig()\n'
-        'watchdog._PATIENCE_S = 2\n'
+        'seats._PATIENCE_S = 2\n'
         '@law(memory=1)\n'
         f'def endless({", ".join(ARGUMENTS)}):\n'
         '    while t > 0.02:\n'

@@ -13,23 +13,21 @@ from numpy.typing import ArrayLike
 
 from manip_sim.algebra import length, product, transposed_product
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.cartesian.arms import Arms
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench, ForceMode, GuardedTwist)
 from manip_sim.control.cartesian.cartesian_settings import (
     BASE, CartesianSettings, posture_of, TOOL)
-from manip_sim.control.cartesian.kinematic_chains import KinematicChain
+from manip_sim.control.cartesian.kinematic_chains import Arms, KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport, Contact
 from manip_sim.control.cartesian.targets import Target, target_of
 from manip_sim.control.commands import Status
-from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.law.arm_records import (
     Arm, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, no_targets, RESTS, STREAMS, Targets,
     targets_of, TWISTS)
-from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
-from manip_sim.control.servos import Servos
+from manip_sim.control.servos import Servos, SPEED_UP_S
 from manip_sim.control.setpoints import SetpointGenerator
+from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, UnknownNameError

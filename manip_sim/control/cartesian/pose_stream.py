@@ -11,8 +11,8 @@ import numpy as np
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
-from manip_sim.control.joint_accelerations import SPEED_UP_S
 from manip_sim.control.law.joint_records import blank_state, records
+from manip_sim.control.servos import SPEED_UP_S
 from manip_sim.quaternion import matrix_of_vector, rotation_vector
 
 _ALL = np.arange(6)
