@@ -30,7 +30,7 @@ from targets.processes import memory_mb  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 from manip_sim.worlds import Worlds  # noqa: E402
-from manip_sim.worlds.simulation_prototype import SimulationPrototype  # noqa: E402
+from manip_sim.worlds.worlds import SimulationPrototype  # noqa: E402
 
 ROUNDS = 5
 

@@ -45,7 +45,7 @@ COMMAND = (
     ('ros/messages.py', 'bounds, then reads the message'),
     ('ros/command_subscribers.py', 'names, stamps, counts'),
     ('control/joint_command_parser.py', 'validates, clamps: a Command'),
-    ('runtime/pending_commands.py', 'until the next control period'),
+    ('runtime/change_queue.py', 'until the next control period'),
     ('control/joint_controller.py', 'owns joints; setpoints'),
     ('control/servos.py', 'controls'),
     ('mj_step', 'the physics'))

@@ -27,7 +27,7 @@ from manip_sim.laws import law
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
-from manip_sim.worlds.simulation_prototype import SimulationPrototype
+from manip_sim.worlds.worlds import SimulationPrototype
 from targets.figures import Figure, Settings, Target
 from targets.processes import memory_mb, Process
 

@@ -16,7 +16,6 @@ from gymnasium.vector.utils import batch_space
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from manip_sim.env.batched_actions import BatchedActions
 from manip_sim.env.task_env import (
     action_space, check_keywords, check_options, observation_space, SEEDS)
 from manip_sim.errors import CommandError, describe_choices, ModelError, UnknownNameError
@@ -24,7 +23,8 @@ from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.placements import checked_seed
 from manip_sim.quoting import format_value, quoted
 from manip_sim.tasks import Episode, Setting, Task
-from manip_sim.tasks.late_answers import AnswerTimeLike, NO_ANSWER_TIME
+from manip_sim.tasks.episode_actions import Actions, JointActions
+from manip_sim.tasks.late_answers import AnswerTimeLike, LateAnswers, NO_ANSWER_TIME
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation, observe
 from manip_sim.tasks.pictures import CameraLike, Pictures
@@ -412,3 +412,52 @@ def _mode(given: str | AutoresetMode) -> AutoresetMode:
     except ValueError:
         raise UnknownNameError('autoreset_mode', given, [
             mode.value for mode in AutoresetMode]) from None
+
+
+class BatchedActions:
+    """
+    The way of due actions to the worlds of episodes.
+
+    :param worlds: of the episodes
+    :param actions: of the first one
+    :param period_s: length of a control period [s]
+    """
+
+    def __init__(self, worlds: Worlds, actions: Actions, period_s: float) -> None:
+        self._worlds, self._actions, self._period_s = worlds, actions, period_s
+
+    def begin_period(self, answers: Sequence[LateAnswers], indices: Sequence[int]) -> None:
+        """
+        Let due actions take effect within the next control period.
+
+        :param answers: of all episodes
+        :param indices: of the episodes that begin one
+        :raises CommandError: if one cannot be carried out
+        """
+        numbers = np.zeros((len(answers), self._actions.size))
+        where = np.zeros(len(answers), dtype=bool)
+        for index in indices:
+            due = answers[index].take_due()
+            if len(due) == 1 and due[0][0] == 0:
+                numbers[index], where[index] = due[0][1], True
+            else:
+                answers[index].apply(due)
+        if where.any():
+            self._apply(numbers, where)
+
+    def _apply(self, numbers: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
+        """Let an action take effect in each of some worlds, as :meth:`Actions.apply` does."""
+        inside = np.clip(numbers, -1.0, 1.0)
+        for item in self._actions.arms:
+            robot = self._worlds.robots[item.robot.name]
+            if isinstance(self._actions, JointActions):
+                robot.command.joint_command(
+                    item.names, part=item.arm, where=where, period_s=self._period_s,
+                    **{self._actions.mode: numbers[:, item.goals]})
+            else:
+                robot.command_cartesian.action(
+                    item.arm, inside[:, item.goals], where=where, period_s=self._period_s)
+            if item.gripper.start < item.gripper.stop:
+                robot.command.action(
+                    f'{item.arm}/gripper', np.repeat(inside[:, item.gripper], item.dof, axis=1),
+                    where=where, period_s=self._period_s)

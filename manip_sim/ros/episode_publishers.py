@@ -137,7 +137,7 @@ class JournalPublisher(Feature):
     """
     The publisher of ``~/journal``: JSON with the keys ``number``, from 0, and ``entries``.
 
-    A :class:`~manip_sim.runtime.pending_commands.Journal` makes the entries. It begins, with the
+    A :class:`~manip_sim.runtime.change_queue.Journal` makes the entries. It begins, with the
     present state, for each new subscriber, and ends when the last one has gone.
 
     :param context: with all parameters declared

@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.clamping import clamp
+from manip_sim.clamping import clamp, command_numbers
 from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
 from manip_sim.control.modes import POSITION, VELOCITY
 from manip_sim.control.setpoints import wait_in_worlds
 from manip_sim.errors import CommandError
 from manip_sim.physics.physics import EPOCH, STEPS
+from manip_sim.quoting import format_value
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.compiled_period import renew, renew_actions, renew_grips
 from manip_sim.validation import positive_number
-from manip_sim.worlds.rows import as_batch, world_mask
 
 #: So many streams of a robot are known at most.
 _MOST_STREAMS = 8
@@ -474,3 +474,39 @@ class CartesianCommands(RowByRow):
             renew_actions(self._table, going_on.robots, worlds, indices, numbers)
         self._act(arm, numbers, mask, period_s, lambda robot, action: (
             robot.parse_cartesian.action(arm, action)), SimulatedRobot.streams, renew)
+
+
+def world_mask(where: ArrayLike | None, count: int) -> BoolArray:
+    """
+    Return a mask of worlds.
+
+    :param where: a truth value for each world, or None for all worlds
+    :returns: shape (count,)
+    :raises CommandError: if it has another shape or type
+    """
+    if where is None:
+        return np.ones(count, dtype=bool)
+    try:
+        mask = np.asarray(where)
+    except ValueError as error:
+        raise CommandError(f'where must be {count} truth values, one for each world, got '
+                           f'{format_value(where)}') from error
+    if mask.shape != (count,) or mask.dtype != np.bool_:
+        raise CommandError(f'where must be {count} truth values, one for each world, got '
+                           f'{mask.dtype} of shape {mask.shape}')
+    return mask
+
+
+def as_batch(values: ArrayLike, count: int, what: str) -> FloatArray:
+    """
+    Return numbers with a leading axis of worlds.
+
+    :param what: noun for them, for the message
+    :returns: shape (count, ...), a copy
+    :raises CommandError: if they are not numbers, or not one row for each world
+    """
+    numbers = command_numbers(values, what)
+    if numbers.ndim == 0 or len(numbers) != count:
+        raise CommandError(f'{what} must have a leading axis of {count}, one row for each world, '
+                           f'got the shape {numbers.shape}')
+    return numbers

@@ -21,8 +21,7 @@ from manip_sim.physics.end_effectors import EndEffector
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
-from manip_sim.worlds.commands import CartesianCommands, Commands
-from manip_sim.worlds.rows import as_batch, world_mask
+from manip_sim.worlds.commands import as_batch, CartesianCommands, Commands, world_mask
 
 
 @dataclass(frozen=True)

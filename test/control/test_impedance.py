@@ -15,7 +15,7 @@ from manip_sim.errors import CommandError
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
-from manip_sim.runtime.pending_commands import CommandBuffer
+from manip_sim.runtime.change_queue import CommandBuffer
 from manip_sim.simulation import Simulation
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]

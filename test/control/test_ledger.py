@@ -10,9 +10,9 @@ import pytest
 
 from manip_sim.control.commands import Ledger, Status
 from manip_sim.models import compose
-from manip_sim.runtime.pending_commands import CommandBuffer
+from manip_sim.runtime.change_queue import CommandBuffer
 from manip_sim.simulation import Simulation
-from manip_sim.worlds.simulation_prototype import SimulationPrototype
+from manip_sim.worlds.worlds import SimulationPrototype
 
 HAND = 'right/gripper'
 

@@ -11,7 +11,7 @@ from manip_sim.control.commands import (
     TrajectoryStop)
 from manip_sim.control.trajectory import Trajectory
 from manip_sim.models.robots import Panda
-from manip_sim.runtime.pending_commands import CommandBuffer
+from manip_sim.runtime.change_queue import CommandBuffer
 
 ROBOT = Panda()
 RIGHT, BOTH = frozenset(['right']), frozenset(['right', 'left'])

@@ -7,7 +7,7 @@ import pytest
 
 from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError
-from manip_sim.runtime.pending_commands import PendingCommands
+from manip_sim.runtime.change_queue import PendingCommands
 
 SHOWN_NS, NEXT_NS = 3_600_020_000_000, 3_600_030_000_000
 

@@ -31,7 +31,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.control_state import owner_of
 from manip_sim.simulation.json_state import plain_state, restore_plain
 from manip_sim.simulation.operations import Operations
-from manip_sim.worlds.simulation_prototype import SimulationPrototype
+from manip_sim.worlds.worlds import SimulationPrototype
 
 NOISE = {'type': 'uniform', 'magnitude': 0.1}
 #: What may happen in a run.

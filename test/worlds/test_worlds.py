@@ -27,8 +27,8 @@ from manip_sim.models.world import World
 from manip_sim.physics.object_spawning import plan_without
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import commands, Worlds
-from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.commands import wait_in_worlds
+from manip_sim.worlds.worlds import PhysicsThreads
 
 NOISE = {'type': 'uniform', 'magnitude': 0.05}
 COUNT = 3
