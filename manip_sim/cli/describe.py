@@ -28,8 +28,7 @@ from manip_sim.interface.topics import Scope, SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world
 from manip_sim.models import World
 from manip_sim.models.bases import RobotBaseModel
-from manip_sim.models.couplings import declared_velocity
-from manip_sim.models.mechanism import actuated_joints, moved_joints
+from manip_sim.models.couplings import actuated_joints, declared_velocity, moved_joints
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.setpoint_activation import position_servos

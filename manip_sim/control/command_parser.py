@@ -11,13 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.clamping import (
-    action_example, clamp, clamped_example, command_numbers, finite_command_numbers)
 from manip_sim.control.commands import (
     BaseTwist, Command, GripperAction, JointSetpoint, JointTrajectory, TrajectoryStop)
 from manip_sim.control.gripper_controller import GripperController
-from manip_sim.control.joint_command_parser import (
-    as_names, check_names, JointCommandParser)
+from manip_sim.control.joint_command_parser import as_names, check_names, JointCommandParser
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.modes import MODES, names_of_modes
 from manip_sim.control.trajectory import check_times, Trajectory
@@ -25,6 +22,8 @@ from manip_sim.errors import CommandError
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.quoting import pluralize
+from manip_sim.validation import (
+    action_example, clamp, clamped_example, command_numbers, finite_command_numbers)
 
 #: A trajectory with more points is rejected: checking it would take too long.
 MAX_POINTS = 10_000

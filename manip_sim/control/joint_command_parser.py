@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.clamping import clamp, clamped_example, command_numbers
 from manip_sim.control.commands import (
     Command, GripperSetpoint, JointImpedance, JointSetpoint, NoCommand)
 from manip_sim.control.gripper_actuators import GripperJoints
@@ -24,6 +23,7 @@ from manip_sim.control.modes import FIELDS, IMPEDANCE, MODES, POSITION
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
 from manip_sim.quoting import format_value, pluralize, quoted
+from manip_sim.validation import clamp, clamped_example, command_numbers
 
 #: Number of lists of names whose meaning is cached; a client has a few.
 _REMEMBERED = 64

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.clamping import clamp
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianWrench, GuardedTwist, PoseAction)
 from manip_sim.control.cartesian.controller import CartesianController
@@ -40,6 +39,7 @@ from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.parts import Part
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics
+from manip_sim.validation import clamp
 
 C = TypeVar('C', bound=Command)
 #: Modes whose commands can take effect while compiled code goes on.

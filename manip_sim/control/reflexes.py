@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.clamping import command_numbers, finite_command_numbers, numbers_of
 from manip_sim.control.commands import Command, JointSetpoint, NoCommand
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.joint_controller import JointController
@@ -33,7 +32,8 @@ from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.parts import atomic_parts, Part
 from manip_sim.physics.physics import Physics
 from manip_sim.quoting import format_value
-from manip_sim.validation import positive_number
+from manip_sim.validation import (
+    command_numbers, finite_command_numbers, numbers_of, positive_number)
 
 #: States of a robot, from good to bad: it takes commands; a reflex has stopped some part; it comes
 #: to rest before it takes commands; all of it was stopped.

@@ -32,12 +32,12 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_command_numbers
 from manip_sim.env.task_env import action_space, check_options, observation_space, SEEDS, TaskEnv
 from manip_sim.errors import CommandError, ManipSimError
 from manip_sim.rclpy_internals import start_rclpy
 from manip_sim.tasks.latency import NO_LATENCY, number_of_parts
 from manip_sim.tasks.observation import IMAGE, Observation
+from manip_sim.validation import finite_command_numbers
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: Longest wait for an answer of the node, wall time [s].

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.validation import positive_number
+from manip_sim.validation import finite_command_numbers, positive_number
 
 #: Share by which moments of inertia may miss what a body can have, as they are rounded.
 _ROUNDED = 1e-6

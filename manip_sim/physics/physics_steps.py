@@ -7,22 +7,24 @@ The physics steps of control periods, in which MuJoCo computes nothing twice.
 At the end of a period ``mj_forward`` computes all of the new instant. The next step goes on from
 there: it is only integrated if nothing has changed since, and if just controls have changed, what
 depends on positions and velocities alone is kept. What control does in between is not known here.
+A step that diverges is detected, and the last good state restored.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+import math
 from typing import Any, Protocol
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.derived import Derived
 from manip_sim.physics.body_forces import BodyForces, RobotForces
 from manip_sim.physics.clock import Clock
-from manip_sim.physics.divergence import DivergenceWatch
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
 from manip_sim.physics.friction_laws import FrictionLaws
@@ -35,6 +37,58 @@ _RESUMABLE = (_EULER, int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
 _FIRST_HALF = (int(mujoco.mjtState.mjSTATE_QPOS) | int(mujoco.mjtState.mjSTATE_QVEL)
                | int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
                | int(mujoco.mjtState.mjSTATE_EQ_ACTIVE))
+#: A generalised velocity that no robot reaches [rad/s or m/s].
+_ABSURD_VELOCITY = 1e4
+_INTEGRATED = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_BAD_NUMBERS = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS),
+                     int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+
+
+class DivergenceWatch:
+    """
+    A detector of divergence that keeps the last good state.
+
+    :param model: the ``mujoco.MjModel``
+    :param data: its ``mujoco.MjData``
+    :ivar good: the last good state, every number that MuJoCo integrates
+    :ivar warnings: how often MuJoCo has warned of bad numbers, by kind, a view
+    :ivar warned: the same when the good state was remembered
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model = model
+        self._data = data
+        self.good: FloatArray = np.empty(mujoco.mj_stateSize(model, _INTEGRATED))
+        # Views, which need not be fetched in each period.
+        self._numbers = data.qpos, data.qvel, data.qacc
+        self.warnings: NDArray[np.int32] = data.warning.number[_BAD_NUMBERS]
+        self.warned: NDArray[np.int32] = self.warnings.copy()
+
+    def remember(self) -> FloatArray:
+        """Remember the present state as the good one, and return it."""
+        mujoco.mj_getState(self._model, self._data, self.good, _INTEGRATED)
+        self.warned[:] = self.warnings
+        return self.good
+
+    def reason(self) -> str | None:
+        """Return why the present state has diverged, or None if it is good."""
+        position, velocity, acceleration = self._numbers
+        warns = self.warnings.tobytes() != self.warned.tobytes()
+        if (velocity.dot(velocity) < _ABSURD_VELOCITY**2 and not warns
+                and math.isfinite(position.dot(position) + acceleration.dot(acceleration))):
+            return None
+        if not all(np.isfinite(values).all() for values in self._numbers):
+            return 'a position, velocity or acceleration is not finite'
+        if np.abs(velocity).max(initial=0.0) > _ABSURD_VELOCITY:
+            return f'a velocity is above {_ABSURD_VELOCITY:g}'
+        if warns:
+            return 'MuJoCo warns of a bad position, velocity, acceleration or control'
+        return None
+
+    def hold(self) -> None:
+        """Restore the good state, at rest; ``mj_forward`` has to follow."""
+        mujoco.mj_setState(self._model, self._data, self.good, _INTEGRATED)
+        self._data.qvel[:] = 0.0
 
 
 class StepLaws(Protocol):

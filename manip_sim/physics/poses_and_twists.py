@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError
-from manip_sim.validation import norm_of_unit_quaternion
+from manip_sim.validation import finite_command_numbers, norm_of_unit_quaternion
 
 #: Largest coordinate of a position that is accepted [m].
 MAX_DISTANCE_M = 1e4

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import finite_command_numbers
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import MAX_DISTANCE_M
 from manip_sim.quoting import quoted
+from manip_sim.validation import finite_command_numbers
 
 #: Duration of a pull after it was last asked for, in simulation time [s].
 PULL_S = 0.2

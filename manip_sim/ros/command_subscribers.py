@@ -32,9 +32,8 @@ from manip_sim.quoting import pluralize, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.feature import Feature, NodeContext, qos_options
-from manip_sim.ros.message_reader import MessageReader
 from manip_sim.ros.messages import (
-    message_class, nanoseconds_of, numbers_of, read_command, trajectory_fields)
+    message_class, MessageReader, nanoseconds_of, numbers_of, read_command, trajectory_fields)
 from manip_sim.ros.rejection_log import kind_of
 from manip_sim.simulation import SimulatedRobot
 

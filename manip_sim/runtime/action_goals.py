@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.clamping import clamp
 from manip_sim.control.commands import Command, GripperGrasp, GripperSuction, Ledger, Status
 from manip_sim.control.joint_command_parser import check_names
 from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.runtime.simulation_thread import SimulationThread
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
+from manip_sim.validation import clamp
 
 #: Reason for the loss of joints or a gripper, if no other is known.
 _NEWER = 'a newer command has taken over'

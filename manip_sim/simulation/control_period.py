@@ -18,9 +18,9 @@ from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.spring_forces import SpringForces
-from manip_sim.simulation.compiled_period import CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS
+from manip_sim.simulation.compiled_period import (
+    CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS, RobotRun)
 from manip_sim.simulation.robot import SimulatedRobot
-from manip_sim.simulation.robot_runs import RobotRun
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004

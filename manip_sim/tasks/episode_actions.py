@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.clamping import finite_command_numbers
 from manip_sim.control.cartesian.cartesian_commands import PoseAction
 from manip_sim.control.cartesian.kinematic_chains import find_chains, KinematicChain
 from manip_sim.control.commands import Command, GripperAction
@@ -23,6 +22,7 @@ from manip_sim.control.modes import MODES
 from manip_sim.errors import UnknownNameError
 from manip_sim.quaternion import rotation_vector
 from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.validation import finite_command_numbers
 
 #: Kinds of actions: robosuite's OSC_POSE, or a goal for each joint.
 ACTIONS = ('osc_pose', 'joint_position', 'joint_velocity', 'joint_effort')

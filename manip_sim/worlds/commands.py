@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.clamping import clamp, command_numbers
 from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
 from manip_sim.control.modes import POSITION, VELOCITY
 from manip_sim.control.setpoints import wait_in_worlds
@@ -22,7 +21,7 @@ from manip_sim.physics.physics import EPOCH, STEPS
 from manip_sim.quoting import format_value
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.compiled_period import renew, renew_actions, renew_grips
-from manip_sim.validation import positive_number
+from manip_sim.validation import clamp, command_numbers, positive_number
 
 #: So many streams of a robot are known at most.
 _MOST_STREAMS = 8

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.clamping import command_numbers
 from manip_sim.control.seats import LawParameters
 from manip_sim.control.user_laws import Law, law_of
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
@@ -21,6 +20,7 @@ from manip_sim.physics.end_effectors import EndEffector
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench
+from manip_sim.validation import command_numbers
 from manip_sim.worlds.commands import as_batch, CartesianCommands, Commands, world_mask
 
 

@@ -14,11 +14,11 @@ from files_rig import ARM, arm_of, ARM_WITH_HAND, TWO_ARMS, write
 from manip_sim.errors import ModelError
 from manip_sim.models import compose, compose_robot, load_robot
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.mount_frames import free_name
 from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.spec_edits import free_name
 from manip_sim.simulation import Simulation
 
 

@@ -6,7 +6,7 @@
 import mujoco
 import pytest
 
-from manip_sim.models.mechanism import actuated_joints, moved_joints
+from manip_sim.models.couplings import actuated_joints, moved_joints
 
 
 def moved(sections, count=4, of_joint=''):

@@ -11,9 +11,8 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import arenas, bases, grippers, robots
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.files.file_base import FileMobileBase, FileMount
-from manip_sim.models.files.file_gripper import FileGripper
+from manip_sim.models.files.file_gripper import BuiltInGripper, FileGripper
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot
-from manip_sim.models.files.hand_model import BuiltInGripper
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import Panda
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.physics.divergence import DivergenceWatch
+from manip_sim.physics.physics_steps import DivergenceWatch
 
 BAD_CONTROL = int(mujoco.mjtWarning.mjWARN_BADCTRL)
 

@@ -11,9 +11,9 @@ import time
 
 import pytest
 
-from manip_sim.ros import entity_services
+from manip_sim.ros import standard_services
 from manip_sim.ros.simulation_interfaces_messages import Rejection, ResultCode
-from manip_sim.ros.entity_services import matching
+from manip_sim.ros.standard_services import matching
 
 TEXTS = ['', 'a', 'b', 'ab', 'ba', 'aab', 'abb', 'abab', 'bbb', 'cube', 'robot0_link1', 'a-b',
          'a]b', 'a.b', 'A1', '^a', 'a$', 'a\\b', '0.5', 'a b']
@@ -82,7 +82,7 @@ def test_no_expression_takes_long(pattern, with_re2):
 
 
 def test_without_the_package_an_expression_is_refused_with_the_remedy(monkeypatch):
-    monkeypatch.setattr(entity_services, 're2', None)
+    monkeypatch.setattr(standard_services, 're2', None)
     assert matching('', TEXTS) == TEXTS
     with pytest.raises(Rejection, match=r"'cube': .*pip install 'manip_sim\[filters\]'") as caught:
         matching('cube', TEXTS)

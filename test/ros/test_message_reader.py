@@ -22,8 +22,8 @@ from std_msgs.msg import (  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from manip_sim.errors import CommandError  # noqa: E402
-from manip_sim.ros import message_reader  # noqa: E402
-from manip_sim.ros.message_reader import MessageReader  # noqa: E402
+from manip_sim.ros import messages  # noqa: E402
+from manip_sim.ros.messages import MessageReader  # noqa: E402
 
 TEXTS = st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=9)
 #: Of any bits, so that NaN comes with any of its signs and contents.
@@ -78,7 +78,7 @@ def read_by(read, data):
 
 
 def check(reader, message_type, data):
-    expected = read_by(lambda data: message_reader.read_command(message_type, data), data)
+    expected = read_by(lambda data: messages.read_command(message_type, data), data)
     assert read_by(reader.read, data) == expected
 
 
@@ -111,7 +111,7 @@ def test_messages_with_other_stamps_and_numbers_are_read_in_place(message, noise
     other = bytes(old if compared else new for old, new, compared in zip(
         data, noise, layout._compared))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(message_reader, 'read_command', None)
+        patch.setattr(messages, 'read_command', None)
         found = values_of(reader.read(other))
     assert found == values_of(deserialize_message(other, type(message)))
 
@@ -135,12 +135,12 @@ def test_arrays_of_a_message_stay_when_the_next_one_is_read():
 
 
 def test_stamps_and_numbers_cost_no_deserialization_and_other_names_do(monkeypatch):
-    read, count = message_reader.read_command, []
+    read, count = messages.read_command, []
 
     def counted(message_type, data):
         count.append(data)
         return read(message_type, data)
-    monkeypatch.setattr(message_reader, 'read_command', counted)
+    monkeypatch.setattr(messages, 'read_command', counted)
     reader = MessageReader(JointState)
     header = Header(stamp=Time(sec=7, nanosec=8))
     for data, deserialized in (

@@ -22,13 +22,12 @@ from manip_sim.models import compose
 from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.physics import object_spawning
 from manip_sim.ros import spawning_services
-from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.feature import NodeContext
 from manip_sim.ros.simulation_interfaces_messages import (
     BoundsType, Category, FeatureCode, LoadCode, ResultCode, ScopeCode, SetEntityCode,
     SetStateCode, SpawnAllCode, SpawnCode, StandardTypes, StateCode, TagsMode, WorldCode)
 from manip_sim.ros.spawning_services import SpawningServices
-from manip_sim.ros.standard_services import SimulationInterfaces, WorldServices
+from manip_sim.ros.standard_services import EntityServices, SimulationInterfaces, WorldServices
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.clamping import command_numbers, finite_command_numbers, numbers_of
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.quoting import format_value
-from manip_sim.validation import positive_number
+from manip_sim.validation import (
+    command_numbers, finite_command_numbers, numbers_of, positive_number)
 
 #: Frames whose axes the springs of an impedance may have: that of the base of the arm,
 #: ``<arm>_center``, that of the end effector, ``grip_site``, and the world.

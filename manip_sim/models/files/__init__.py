@@ -11,10 +11,9 @@ from pathlib import Path
 from manip_sim.models.files.file_arena import FileArena
 from manip_sim.models.files.file_base import base_of_file, FileBase
 from manip_sim.models.files.file_gripper import FileGripper
-from manip_sim.models.files.file_robot import FileManipulator, FileRobot
+from manip_sim.models.files.file_robot import FileManipulator, FileRobot, plan_robot
 from manip_sim.models.files.part_descriptions import (
     ArenaDescription, BaseDescription, find_model, GripperDescription, RobotDescription)
-from manip_sim.models.files.robot_plan import plan_robot
 
 
 def load_robot(path: str | PathLike[str], idn: int | str = 0) -> FileRobot:

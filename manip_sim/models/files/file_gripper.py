@@ -1,14 +1,14 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A hand or gripper from a file of its own, and its place on a mount."""
+"""Hands from files: of their own, on a mount, or that a robot's file brings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import itertools
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -16,16 +16,24 @@ from numpy.typing import ArrayLike
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.fingers import digest_of, Fingers, once
-from manip_sim.models.files.found_hands import FoundHand
-from manip_sim.models.files.mount_frames import quat_wxyz_of
-from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
+from manip_sim.models.files.fingers import (
+    Closings, control_range, digest_of, Fingers, integrates, once, UNLIMITED)
+from manip_sim.models.files.found_hands import FoundHand, hands_of_hand
 from manip_sim.models.files.model_file import read_model
-from manip_sim.models.files.part_descriptions import GripperDescription
+from manip_sim.models.files.part_descriptions import (
+    FrameDescription, GripperDescription, HandDescription, OwnHandDescription)
 from manip_sim.models.files.xacro_expansion import stem_of
+from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
 from manip_sim.models.loading import compile_copy
-from manip_sim.models.spec_edits import delete_elements
+from manip_sim.models.spec_edits import (
+    add_body_at, delete_elements, find_place, free_name, quat_wxyz_of)
+from manip_sim.quaternion import relative_quat_wxyz, wxyz_to_xyzw
+from manip_sim.quoting import quoted_names
+
+if TYPE_CHECKING:
+    from manip_sim.models.robots.robot_model import RobotModel
 
 #: Fingers that reach less far give no direction [m].
 _SHORT_M = 0.02
@@ -34,7 +42,333 @@ _BEHIND_MOUNT_M = 0.05
 _KEYFRAMES = ('home', 'open', 'rest')
 
 
-def place_root(spec: mujoco.MjSpec, position: ArrayLike, quat_wxyz: FloatArray) -> None:
+class HandFromFile(GripperModel, registered=False):
+    """
+    A hand that a file and a description declare.
+
+    An action says how far each actuator closes: -1 is open, +1 is closed.
+
+    :ivar inferred: the inferences and omissions, in sentences
+    :ivar grasp_point: the grasp frame
+    :ivar closing: control that opens and control that closes, by actuator of the file
+    """
+
+    grasp_point: FrameDescription
+    closing: dict[str, list[float]]
+
+    inferred: list[str]
+    #: True if the grasp frame was added.
+    _has_grasp_frame = False
+    #: Source of the description, for messages.
+    _where: str
+    _description: HandDescription
+    _start: Mapping[str, float]
+    #: Control that opens and that closes, by actuator that the description does not name.
+    _found_closings: Mapping[str, tuple[float, float]]
+    #: Commands in [-1, 1] that open and close.
+    _open: FloatArray
+    _closed: FloatArray
+
+    def _add_grasp_frame(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, prefix: str,
+                         middle: Callable[[], FloatArray] | None = None) -> None:
+        """
+        Add the grasp frame, declared or between the fingers, with standard sites and sensors.
+
+        :param tree: may lack meshes
+        :param prefix: what the names of all these begin with
+        :param middle: returns the middle of the fingertips; None: by the shapes of the tree
+        """
+        fingers = Fingers(tree, hand, self._start)
+        point, mount = self._description.grasp_point, tree.name(hand.body)
+        at = (point.at if point else None) or (None if point else fingers.grasp_frame()) or mount
+        place = find_place(spec, at, f"'grasp_point' of {self._where}")
+        position = point.position if point else np.zeros(3)
+        orientation: ArrayLike = point.orientation if point else np.zeros(3)
+        if point is None and at == mount:
+            position = (middle or fingers.grasp_point)()
+            orientation = _upright(tree, hand.body)
+        if point is None:
+            found = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
+            self.inferred.append(
+                'grasp frame: ' + (found if at == mount else f"{place[0]} '{at}'"))
+        self.grasp_point = FrameDescription(
+            at=at, position=list(map(float, position)),
+            orientation=np.asarray(orientation, dtype=float).tolist())
+        self._eef_body = free_name({body.name for body in spec.bodies}, f'{prefix}eef')
+        eef = add_body_at(tree.model, place, self._eef_body, position, orientation)
+        add_standard_elements(spec, spec.body(mount), eef, prefix)
+        self._has_grasp_frame = True
+        self._important_sites = {role: prefix + name for role, name in
+                                 GripperModel._important_sites.items()}
+        self._important_sensors = {role: prefix + name for role, name in
+                                   GripperModel._important_sensors.items()}
+
+    def _try_closing(self, names: list[str], closing: Callable[[list[str]], Closings]) -> None:
+        """
+        Find which way the actuators close that the description does not name.
+
+        :param names: of the actuators
+        :param closing: tries actuators by name
+        """
+        declared = self._description.closing
+        for name in declared:
+            if name not in names:
+                raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
+        closings, changed = closing([name for name in names if name not in declared])
+        closings.update(changed)
+        self._found_closings = {name: ends[:2] for name, ends in closings.items()}
+        notes = [f'{name} from {opened + 0.0:g} to {closed + 0.0:g}'
+                 f'{"" if is_clear else " (a guess)"}'
+                 for name, (opened, closed, is_clear) in closings.items()]
+        if notes:
+            self.inferred.append(f'closing: {", ".join(notes)}')
+        if changed:
+            self.inferred.append(
+                f'closing of {quoted_names(list(changed))}: other than '
+                "the ends of its range, from which it does not open again; 'closing' in a YAML "
+                'file changes it')
+
+    def _set_closing(self, ids: list[int], out_of_touch: list[str]) -> None:
+        """
+        Set which way the actuators close, by the description or as was found.
+
+        :param ids: of :attr:`actuators`, in the model that the part is compiled in
+        :param out_of_touch: names of the fingers' bodies if none can touch an object
+        """
+        ends = []
+        self.closing = {}
+        for name, actuator in zip(self._actuators, ids):
+            opened, closed = self._description.closing.get(name) or self._found_closings.get(
+                name, UNLIMITED)
+            low, high = control_range(self._own_model, actuator) or (opened, closed)
+            if name in self._found_closings:  # The range may have been edited since.
+                opened, closed = min(max(opened, low), high), min(max(closed, low), high)
+            if not all(low <= end <= high for end in (opened, closed)):
+                raise ModelError(f"'closing' of actuator '{name}' in {self._where} must be within "
+                                 f'its control range of {low:g} to {high:g}, got [{opened:g}, '
+                                 f'{closed:g}]')
+            self.closing[name] = [float(opened), float(closed)]
+            span = (high - low) or 1.0
+            ends.append(2.0 * (np.array([opened, closed]) - low) / span - 1.0)
+        self._open, self._closed = np.array(ends).reshape(-1, 2).T
+        if out_of_touch:
+            self.inferred.append(
+                f'no shape of the fingers ({", ".join(out_of_touch)}) can touch an object: give '
+                f'them collision shapes, with contype and conaffinity 1, in {self.file}')
+
+    @property
+    def dof(self) -> int:
+        """One number for each actuator, or for all together."""
+        count = len(self._actuators)
+        return min(1, count) if self._description.action == 'together' else count
+
+    def format_action(self, action: ArrayLike) -> FloatArray:
+        """
+        Return the commands that open or close the actuators.
+
+        :param action: -1 open, +1 closed, clamped to these, shape (dof,)
+        :returns: commands in the order of :attr:`actuators`, in [-1, 1], shape (nu,), a copy
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        share = (np.clip(self._checked(action), -1.0, 1.0) + 1.0) / 2.0
+        commands: FloatArray = self._open + share * (self._closed - self._open)
+        return commands
+
+    def start_at(self, command: ArrayLike) -> None:
+        """
+        Change nothing: an action does not depend on the ones before.
+
+        :param command: commands in [-1, 1], one for each actuator
+        """
+
+    @property
+    def init_qpos(self) -> FloatArray:
+        """Start positions of the joints [rad or m], shape (number of joints,), a copy."""
+        # A ball joint has no start: it stays at the unit quaternion, whose w is 1.
+        return np.array([self._start.get(joint, 1.0) for joint in self._joints])
+
+
+def _upright(tree: BodyTree, body: int) -> FloatArray:
+    """Return the rotation of the mount in a root body, w, x, y, z; identity in another body."""
+    if tree.parent(body) != 0:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    return relative_quat_wxyz(tree.model.body_quat[body], (1.0, 0.0, 0.0, 0.0))
+
+
+def _rounded(position: ArrayLike) -> str:
+    return ' '.join(f'{number:.3f}' for number in np.round(np.asarray(position), 3) + 0.0)
+
+
+def _fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: list[int]
+                         ) -> list[str]:
+    """
+    Set the control ranges of a hand's actuators, as :func:`control_range` returns them.
+
+    :returns: a sentence for each actuator without limits, whose range becomes [-1, 1]
+    """
+    notes = []
+    for actuator in actuators:
+        element = spec.actuator(model.actuator(actuator).name)
+        limits = control_range(model, actuator)
+        if limits is None:
+            limits = UNLIMITED
+            notes.append(f"actuator '{element.name}' has no limits: actions are its control")
+        element.inheritrange = 0.0
+        if integrates(model, actuator):
+            element.actrange = limits
+            continue
+        element.ctrlrange, element.ctrllimited = limits, int(mujoco.mjtLimited.mjLIMITED_TRUE)
+    return notes
+
+
+class BuiltInGripper(HandFromFile, registered=False):
+    """
+    A hand within a robot: its elements are the robot's and have its prefix.
+
+    It comes with the robot and cannot be mounted elsewhere.
+
+    :param start: where the robot's joints start, by name [rad or m]
+    """
+
+    def __init__(self, arm: str, description: OwnHandDescription, where: str,
+                 start: dict[str, float]) -> None:
+        # Its file is the robot's, so there is nothing to load.
+        self.idn = arm
+        self._given_prefix = ''
+        self._description = description
+        self._where = where
+        self._start = start
+        self.inferred = []
+        self._important_geoms = {**type(self)._important_geoms, **description.geoms_by_role}
+
+    def add_to(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, key: bytes,
+               with_shapes: Callable[[], BodyTree]) -> None:
+        """
+        Add the grasp frame and sensors to the robot's spec.
+
+        :param tree: the robot without meshes
+        :param key: digest of the robot with its meshes
+        :param with_shapes: returns the same tree with the meshes of the hands
+        """
+        self.inferred += _fill_control_ranges(spec, tree.model, list(hand.actuators))
+        key += repr((hand, sorted(self._start.items()))).encode()
+
+        def fingers() -> Fingers:
+            whole = with_shapes()
+            return Fingers(whole, hand.in_tree(tree, whole), self._start)
+
+        self._add_grasp_frame(spec, tree, hand, f'{self.idn}_hand_', lambda: once(
+            key, lambda: fingers().grasp_point()))
+        bodies = hands_of_hand(tree, hand)
+        if bodies:
+            self.inferred.append(
+                f'the fingers on {quoted_names(bodies)} are one gripper; arms: {{{self.idn}: {{'
+                f'hand: {bodies[0]}}}}} in a YAML file takes one of them, and the joints of the '
+                "others become the part 'other'")
+        self._body = tree.name(hand.body)
+        self._joints = [str(tree.model.joint(joint).name) for joint in hand.joints
+                        if int(tree.model.jnt_type[joint]) != 0]
+        self._actuators = [str(tree.model.actuator(a).name) for a in hand.actuators]
+        self._try_closing(self._actuators, lambda names: once(
+            key + repr(names).encode(), lambda: fingers().closing(names)))
+
+    def bind(self, robot: RobotModel, model: mujoco.MjModel) -> None:
+        """
+        Record the elements of the hand.
+
+        :param model: the robot, which may lack meshes
+        """
+        self._robot = robot
+        self.file = robot.file
+        self._own_model, self._spec = model, robot._spec
+        tree = BodyTree(model)
+        bodies = tree.below(int(model.body(self._body).id))
+        self._bodies = [tree.name(body) for body in sorted(bodies)]
+        self._sensors = list(self._important_sensors.values())
+        self._cameras = []
+        self._record_shapes(model, bodies)
+        self._check_declared()
+        hand = FoundHand(int(model.body(self._body).id),
+                         tuple(int(model.joint(name).id) for name in self._joints),
+                         tuple(int(model.actuator(name).id) for name in self._actuators))
+        # Joints of the other arm's hand may have gone with it.
+        self._set_closing(list(hand.actuators), Fingers(tree, hand, self._start).out_of_touch)
+        self.current_action = np.zeros(self.dof)
+
+    @property
+    def body(self) -> str:
+        """Name in the file of the body that carries all of it."""
+        return self._body
+
+    @property
+    def names_in_file(self) -> set[str]:
+        """Names of its joints and actuators in the robot's file."""
+        return {*self._joints, *self._actuators}
+
+    def remove_from(self, spec: mujoco.MjSpec) -> None:
+        """Delete the hand; a body that the arm moves remains, with nothing of the hand on it."""
+        body = spec.body(self._body)
+        joints, moves = set(self._joints), len(body.joints) > 0
+        for child in list(body.bodies):
+            carries = joints.intersection(joint.name for joint in child.find_all('joint'))
+            if carries or child.name == self._eef_body or not moves:
+                spec.delete(child)
+        names = {*self._important_sites.values(), f'{self.idn}_hand_ft_frame'}
+        delete_elements(spec, [site for site in body.sites if site.name in names or not moves])
+        if not moves:
+            delete_elements(spec, [*body.geoms, *body.cameras, *body.lights])
+            body.explicitinertial = False
+            body.mass, body.inertia, body.fullinertia = 0.0, [0.0] * 3, [np.nan] + [0.0] * 5
+
+    def refresh(self) -> None:
+        """Change nothing: the hand is updated when the robot is, whose spec it shares."""
+
+    @property
+    def spec(self) -> Any:
+        """The robot's ``mujoco.MjSpec``."""
+        return self._robot.spec
+
+    @property
+    def name(self) -> str:
+        """Names of the robot and the arm, for messages."""
+        return f"{self._robot.name}'s {self.idn} hand"
+
+    @property
+    def naming_prefix(self) -> str:
+        """The prefix of the robot."""
+        return self._robot.naming_prefix
+
+    def set_naming_prefix(self, prefix: str) -> None:
+        """Change nothing: the prefix is that of the robot."""
+
+    def _root(self) -> Any:
+        return self._robot._spec.body(self._body)
+
+    @property
+    def rotation_offset(self) -> FloatArray:
+        """The rotation from the hand's body to its grasp frame, x, y, z, w, shape (4,)."""
+        data = mujoco.MjData(self._own_model)
+        mujoco.mj_kinematics(self._own_model, data)
+        return wxyz_to_xyzw(relative_quat_wxyz(
+            data.body(self._body).xquat, data.body(self._eef_body).xquat))
+
+    def set_mount_pose(self, pos: ArrayLike | None = None,
+                       quat_wxyz: ArrayLike | None = None) -> None:
+        """Reject the pose: the robot's file says where its hand is."""
+        raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
+
+    def clone(self, idn: int | str) -> BuiltInGripper:
+        """Reject copying: there is one such hand."""
+        raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
+
+    def attach_to(self, spec: mujoco.MjSpec, frame: Any) -> None:
+        """Change nothing: the hand comes with the robot."""
+
+    def _attach_recorded(self, spec: mujoco.MjSpec, frame: Any) -> None:
+        pass
+
+
+def _place_root(spec: mujoco.MjSpec, position: ArrayLike, quat_wxyz: FloatArray) -> None:
     """Set the pose of the root body of a hand in the body that it is mounted on."""
     root = spec.worldbody.bodies[0]
     root.pos, root.quat = np.asarray(position, dtype=float), quat_wxyz
@@ -48,12 +382,12 @@ def _let_arm_carry(spec: mujoco.MjSpec) -> list[str]:
     if not free:
         return []
     delete_elements(spec, free)
-    place_root(spec, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    _place_root(spec, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     return ['left out, as the arm carries the hand: the free joint of its root']
 
 
-def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: Mapping[str, float]
-                   ) -> list[str]:
+def _stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand,
+                    start: Mapping[str, float]) -> list[str]:
     """
     Turn and move a hand whose root pose in the file is not that on an arm.
 
@@ -76,7 +410,7 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
         position[2] += behind
         notes.append(f'mount: {behind:.3f} m along z, so that the palm is in front of it')
     if notes:
-        place_root(spec, position, quat)
+        _place_root(spec, position, quat)
     return notes
 
 
@@ -162,13 +496,13 @@ class FileGripper(HandFromFile, registered=False):
         spec = model_file.spec
         self.inferred += _let_arm_carry(spec)
         if declared.mount is not None:
-            place_root(spec, declared.mount.position, quat_wxyz_of(declared.mount.orientation))
+            _place_root(spec, declared.mount.position, quat_wxyz_of(declared.mount.orientation))
         elif spec.body('eef') is None:
-            self.inferred += stand_on_mount(spec, *_whole(compile_copy(spec, str(self.file))),
-                                            self._start)
+            self.inferred += _stand_on_mount(spec, *_whole(compile_copy(spec, str(self.file))),
+                                             self._start)
         model = compile_copy(spec, str(self.file))
         tree, hand = _whole(model)
-        self.inferred += fill_control_ranges(spec, model, list(hand.actuators))
+        self.inferred += _fill_control_ranges(spec, model, list(hand.actuators))
         if declared.grasp_point is not None or spec.body('eef') is None:
             taken = {site.name for site in spec.sites}
             prefix = 'grasp_' if taken & set(self._important_sites.values()) else ''

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Union
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -20,17 +21,17 @@ from manip_sim.models.files.actuation import add_servos, guess_efforts, report_e
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
 from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
-from manip_sim.models.files.overlaps import exclude_overlaps
 from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.files.scenery import leave_out_dangling, single_tree, touch_other_files
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.files.urdf_joints import support_couplings
+from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.loading import (
     compile_alone, compile_copy, leave_out_visual, load_spec, name_unnamed_elements)
 from manip_sim.models.missing_meshes import infer_inertias_once
 from manip_sim.models.regular_files import Files
 from manip_sim.models.untrusted_models import load_self_contained
-from manip_sim.quoting import pluralize
+from manip_sim.quoting import one_line, pluralize, quoted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
@@ -45,6 +46,11 @@ _BELOW_FLOOR_M = 0.05
 #: A moving shape of a robot whose root is fixed touches the floor if it is lower than this, and is
 #: raised to the other [m].
 _TOUCHES_FLOOR_M, _ABOVE_FLOOR_M = 1e-6, 1e-3
+#: Links that are nearer to each other than this touch [m].
+_TOUCHING_M = 1e-4
+#: Links of a URDF that overlap by more than this at the start are drawn so [m].
+_OVERLAPPING_M = 1e-3
+_MAX_SRDF_BYTES = 10_000_000
 
 
 def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
@@ -225,7 +231,7 @@ def read_model(file: Path, description: Description, where: object,
                  for key, there in named.items()}
     tree = BodyTree(model)
     start = _start_pose(model, places, declared, where)
-    notes += [*changes, *exclude_overlaps(spec, model, start, file, urdf, files)]
+    notes += [*changes, *_exclude_overlaps(spec, model, start, file, urdf, files)]
     return ModelFile(file, spec, tree, start, notes, named, mocap)
 
 
@@ -403,3 +409,73 @@ def _start_pose(model: mujoco.MjModel, in_file: Mapping[str, float],
                              f'{high:g}, got {position:g}')
         start[name] = float(position)
     return start
+
+
+def _exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[str, float],
+                      file: Path, urdf: bool, files: Files | None = None) -> list[str]:
+    """
+    Exclude collisions of links that overlap at the start.
+
+    MuJoCo excludes collisions with a parent by itself, except with one that cannot move: links are
+    excluded with the fixed links that they move on. A URDF has no place for exclusions: there all
+    links that overlap are excluded, and the pairs of the SRDF beside the file.
+
+    :param start: where joints start, by name [rad or m]
+    :returns: the changes, in sentences
+    """
+    pairs, notes = disabled_pairs(file, files or Files()) if urdf else (set(), [])
+    excluded = 0
+    for one, other in sorted(pairs):
+        if spec.body(one) is not None and spec.body(other) is not None:
+            spec.add_exclude(bodyname1=one, bodyname2=other)
+            excluded += 1
+    if excluded:
+        notes.append(f'left out: collisions of {pluralize(excluded, "pair")} of links, '
+                     'as its SRDF says')
+    for one, other in _overlapping(model, start, urdf):
+        if _key(one, other) in pairs or spec.body(one) is None or spec.body(other) is None:
+            continue
+        pairs.add(_key(one, other))
+        spec.add_exclude(bodyname1=one, bodyname2=other)
+        notes.append(f"'{one}' and '{other}' overlap at the start, so they do not collide")
+    return notes
+
+
+def _key(one: str, other: str) -> tuple[str, str]:
+    return (one, other) if one < other else (other, one)
+
+
+def _overlapping(model: mujoco.MjModel, start: Mapping[str, float], everywhere: bool
+                 ) -> Iterator[tuple[str, str]]:
+    data = mujoco.MjData(model)
+    for joint, position in start.items():
+        data.joint(joint).qpos[0] = position
+    margins = model.geom_margin.copy()
+    model.geom_margin[:] += _TOUCHING_M
+    mujoco.mj_forward(model, data)
+    model.geom_margin[:] = margins
+    for contact in data.contact:
+        fixed, other = sorted(model.geom_bodyid[contact.geom].tolist(),
+                              key=lambda body: int(model.body_weldid[body]))
+        mover = int(model.body_weldid[other])
+        neighbours = mover and fixed and not model.body_weldid[fixed] and not model.body_weldid[
+            model.body_parentid[mover]]
+        if (neighbours and contact.dist < _TOUCHING_M) or (
+                everywhere and fixed and other and contact.dist < -_OVERLAPPING_M):
+            yield model.body(fixed).name, model.body(other).name
+
+
+def disabled_pairs(file: Path, files: Files) -> tuple[set[tuple[str, str]], list[str]]:
+    """Return the pairs that the SRDF beside a URDF disables, and what to say of it."""
+    srdf = file.with_name(f'{stem_of(file)}.srdf')
+    if not files.is_file(srdf):
+        return set(), []
+    try:
+        text = files.read(srdf, 'SRDF', _MAX_SRDF_BYTES).decode('utf-8')
+        if '<!ENTITY' in text:
+            raise OSError('it declares entities')
+        root = ElementTree.fromstring(text)
+    except (OSError, ModelError, UnicodeDecodeError, ElementTree.ParseError) as error:
+        return set(), [f'{quoted(srdf.name)} is ignored: {one_line(str(error))}']
+    return {_key(pair.get('link1', ''), pair.get('link2', ''))
+            for pair in root.iter('disable_collisions')}, []

@@ -20,10 +20,9 @@ import numpy as np
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.bases import base_names
 from manip_sim.models.composing import DEFAULT, NONE
-from manip_sim.models.files.file_robot import FileManipulator, FileRobot
-from manip_sim.models.files.overlaps import disabled_pairs
+from manip_sim.models.files.file_robot import FileManipulator, FileRobot, plan_robot
+from manip_sim.models.files.model_file import disabled_pairs
 from manip_sim.models.files.part_descriptions import find_model, RobotDescription
-from manip_sim.models.files.robot_plan import plan_robot
 from manip_sim.models.files.urdf import hold_urdf, is_urdf
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_model import NOT_SPAWNED

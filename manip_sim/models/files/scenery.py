@@ -16,8 +16,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.mount_frames import free_name
-from manip_sim.models.spec_edits import attach, delete_elements
+from manip_sim.models.spec_edits import attach, delete_elements, free_name
 from manip_sim.quoting import pluralize, quoted, quoted_names
 
 _OBJ, _EQ = mujoco.mjtObj, mujoco.mjtEq

@@ -8,13 +8,12 @@ from __future__ import annotations
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from manip_sim.models.grippers.action_rules import ActionRule
 from manip_sim.models.grippers.catalogue_grippers import (
     FourierLeftHand, FourierRightHand, JacoThreeFingerDexterousGripper, JacoThreeFingerGripper,
     NullGripper, PalGripper, PandaGripper, RethinkGripper, Robotiq140Gripper, Robotiq85Gripper,
     RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper, SO101Gripper, VacuumGripper,
     WipingGripper)
-from manip_sim.models.grippers.gripper_model import GripperModel, GRIPPERS
+from manip_sim.models.grippers.gripper_model import ActionRule, GripperModel, GRIPPERS
 from manip_sim.models.registry import import_submodules
 
 import_submodules(__name__, __path__)

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.catalogue_model import CatalogueModel, FromYaml
-from manip_sim.models.grippers.action_rules import ActionRule
-from manip_sim.models.grippers.gripper_model import GripperModel
+from manip_sim.models.grippers.gripper_model import ActionRule, GripperModel
 
 
 class _Speed:

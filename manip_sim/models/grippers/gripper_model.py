@@ -9,15 +9,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 import copy
 from os import PathLike
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.models.grippers.action_rules import ActionRule
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.spec_edits import delete_elements
@@ -35,6 +34,28 @@ _WRENCH_SENSORS = {'force_ee': mujoco.mjtSensor.mjSENS_FORCE,
 _STATE = (np.ndarray, list, dict, set)
 
 GripperT = TypeVar('GripperT', bound='GripperModel')
+
+
+class ActionRule(NamedTuple):
+    """
+    The meaning of the actions of a gripper of the catalogue.
+
+    Its commands are the numbers of an action, or change by a step with each call of
+    ``format_action``; each actuator follows one of them, or stays.
+
+    :ivar numbers: which number of an action each command follows, shape (m,)
+    :ivar steps: change of each command in a call with an action of 1, shape (m,); empty where
+        actions are commands
+    :ivar proportional: whether the magnitude of actions counts, or the sign alone, shape (1,)
+    :ivar sources: which command each actuator follows, -1 for one that stays, shape (nu,)
+    :ivar still: command of each actuator that stays, shape (nu,)
+    """
+
+    numbers: IntArray
+    steps: FloatArray
+    proportional: BoolArray
+    sources: IntArray
+    still: FloatArray
 
 
 class GripperModel(MujocoXMLModel, ABC):
