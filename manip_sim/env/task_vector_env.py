@@ -107,7 +107,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         self._episodes = [setting.create_episode(made, simulation, pictures)
                           for simulation in self.worlds.simulations]
         first_episode = self._episodes[0]
-        self._actions = BatchedActions(
+        self._actions = _BatchedActions(
             self.worlds, first_episode.actions, first_episode.period_s)
         self._answers = [setting.create_answers(episode) for episode in self._episodes]
         self._asked_s = 0.0
@@ -414,7 +414,7 @@ def _mode(given: str | AutoresetMode) -> AutoresetMode:
             mode.value for mode in AutoresetMode]) from None
 
 
-class BatchedActions:
+class _BatchedActions:
     """
     The way of due actions to the worlds of episodes.
 

@@ -18,8 +18,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.examples.arm import Arm
-from manip_sim.examples.demonstration import Demonstration, run, TaskFailed
+from manip_sim.examples.demonstration import Arm, Demonstration, run, TaskFailed
 from manip_sim.resources import share_directory
 
 #: The topic of the cube's pose.

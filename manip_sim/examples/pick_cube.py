@@ -16,8 +16,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.examples.arm import Arm
-from manip_sim.examples.demonstration import run, Demonstration, TaskFailed
+from manip_sim.examples.demonstration import Arm, Demonstration, run, TaskFailed
 
 GRAVITY = 9.81
 #: Height to which the cube is lifted, also by arms that do not point down there [m].

@@ -1,11 +1,15 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The files that a spec refers to: meshes, textures, height fields and skins."""
+"""
+The files that a spec refers to: meshes, textures, height fields and skins.
+
+Shapes whose files are missing or cannot be read are left out, and reported.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 import os
 from pathlib import Path, PurePosixPath
@@ -13,12 +17,13 @@ import struct
 from typing import Any
 
 import mujoco
+import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
-from manip_sim.models.missing_meshes import check_fetched, MissingMeshError
 from manip_sim.models.regular_files import check_file, Files, read_file
 from manip_sim.models.xml_check import AssetFolders, XmlModel
-from manip_sim.quoting import one_line
+from manip_sim.quoting import one_line, pluralize, quoted
 
 #: Greatest size of a file [bytes].
 MAX_FILE_BYTES = 20_000_000
@@ -32,6 +37,197 @@ _MAX_CORNERS = 100
 MAX_ASSET_BYTES = 50_000_000
 #: Largest image [pixels]; a pixel of a height field takes 16 bytes, one of a texture 6.
 _MAX_PIXELS = {'texture': 120_000_000, 'height field': 16_000_000}
+#: First line of a file in a clone of a repository whose large files were not fetched.
+_POINTER = b'version https://git-lfs'
+
+
+class LostShape(str):
+    """A sentence about what a model lost with a missing file, which is logged as a warning."""
+
+    __slots__ = ()
+
+
+class MissingMeshError(Exception):
+    """
+    A mesh is missing or cannot be read.
+
+    :param remedy: what to do, or empty
+    :param cause: the same for all meshes that this remedies together
+    """
+
+    def __init__(self, why: str, remedy: str = '', cause: str = '') -> None:
+        super().__init__(why)
+        self.why, self.remedy, self.cause = why, remedy, cause
+
+
+@dataclass(frozen=True)
+class Lost:
+    """
+    A shape or texture that was left out.
+
+    :ivar kind: ``visual shape``, ``collision shape``, ``texture`` or ``skin``
+    :ivar mesh: name of its file
+    :ivar element: the element that has it, such as ``link 'base'``
+    """
+
+    kind: str
+    mesh: str
+    element: str
+    error: MissingMeshError
+
+
+def check_fetched(mesh: Path) -> None:
+    """
+    Check that a file is there whole.
+
+    :raises MissingMeshError: if it is not, or only says where Git's large file storage has it
+    """
+    if not mesh.exists():
+        raise MissingMeshError(f'no such file: {mesh}', 'put it there, or correct its name',
+                               'file')
+    try:
+        with mesh.open('rb') as stream:
+            is_pointer = stream.read(len(_POINTER)) == _POINTER
+    except OSError:
+        return  # Whoever reads it tells why.
+    if is_pointer:
+        raise MissingMeshError(f'{mesh} was not fetched from Git LFS',
+                               f"run 'git lfs pull' in {mesh.parent}", 'lfs')
+
+
+def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
+    """Return a sentence for each kind and cause."""
+    groups: dict[tuple[str, str], list[Lost]] = {}
+    for lost in every:
+        groups.setdefault((lost.kind, lost.error.cause), []).append(lost)
+    sentences = []
+    # Lost collision shapes change what happens, so they come first.
+    for (kind, _), group in sorted(groups.items(), key=lambda item: item[0][0]):
+        first = group[0]
+        untouched = '; nothing touches these links there' if kind == 'collision shape' else ''
+        remedy = f'; {first.error.remedy}' if first.error.remedy else ''
+        sentences.append(f'left out: {pluralize(len(group), kind)} of files that cannot be '
+                         f'read, such as {quoted(first.mesh)} ({first.error.why}) of '
+                         f'{first.element} in {file}{untouched}{remedy}')
+    return sentences
+
+
+#: Of a link whose shape is missing: density [kg/m^3], thickness over length, the range of its
+#: length, and its length where nothing is known of it [m].
+_DENSITY, _SLENDERNESS, _LENGTHS_M, _LENGTH_M = 1000.0, 0.25, (0.01, 1.0), 0.1
+_NAMED_MASSES = 3
+
+#: Causes of missing files, by kind of the file and name of the element that names it.
+Missing = Mapping[tuple[str, str], MissingMeshError]
+
+
+def skip_missing(spec: mujoco.MjSpec, missing: Missing, file: Path) -> list[str]:
+    """
+    Delete shapes, textures, height fields and skins whose files are missing.
+
+    A body whose mass follows from nothing else has that of a box of water, as long as the body is
+    to its farthest child, and a quarter as thick.
+
+    :returns: a :class:`LostShape` for each kind and cause, and for the masses
+    """
+    if not missing:
+        return []
+    infer_inertias_once(spec)
+    geoms = [(geom, error) for geom in spec.geoms if (error := _error_of(geom, missing))]
+    masses = [_give_mass(body, [geom for geom, _ in geoms if geom.parent == body])
+              for body in spec.bodies[1:] if _lacks_mass(body, geoms)]
+    lost = [Lost(f'{"collision" if geom.contype or geom.conaffinity else "visual"} shape',
+                 geom.meshname or geom.hfieldname, f'body {quoted(geom.parent.name)}', error)
+            for geom, error in geoms]
+    _delete_geoms(spec, [geom for geom, _ in geoms])
+    for kind, elements in (('mesh', spec.meshes), ('height field', spec.hfields),
+                           ('texture', spec.textures), ('skin', spec.skins)):
+        for element in list(elements):
+            error = missing.get((kind, element.name))
+            if error is None:
+                continue
+            if kind in ('texture', 'skin'):
+                lost.append(Lost(kind, element.name, 'the model', error))
+            if kind == 'texture':
+                _take_off(spec, element.name)
+            spec.delete(element)
+    return [*map(LostShape, warnings_of(lost, file)), *_mass_notes(masses, file)]
+
+
+def infer_inertias_once(spec: mujoco.MjSpec) -> None:
+    """
+    Let masses come from shapes where a file says so for all bodies, whatever else it says of them.
+
+    With ``inertiafromgeom`` true, MuJoCo compiles no model whose visual shapes are left out.
+    """
+    if int(spec.compiler.inertiafromgeom) == int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE):
+        for body in spec.bodies:
+            body.explicitinertial, body.ipos = False, [np.nan] * 3
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
+def _error_of(geom: Any, missing: Missing) -> MissingMeshError | None:
+    return missing.get(('mesh', geom.meshname)) or missing.get(('height field', geom.hfieldname))
+
+
+def _lacks_mass(body: Any, lost: list[tuple[Any, MissingMeshError]]) -> bool:
+    """Return whether the mass of a body follows from lost shapes only."""
+    shapes = [geom for geom, _ in lost if geom.parent == body and _weighs(geom)]
+    left = [geom for geom in body.geoms if _weighs(geom)]
+    return bool(shapes) and len(shapes) == len(left) and not body.explicitinertial
+
+
+def _weighs(geom: Any) -> bool:
+    return bool(geom.mass != 0.0 and geom.density != 0.0)
+
+
+def _give_mass(body: Any, lost: list[Any]) -> tuple[str, float]:
+    """Give a body a mass, and return its name and the mass [kg]."""
+    ends: list[FloatArray] = [np.array(child.pos) for child in body.bodies]
+    end = max(ends, key=lambda pos: float(np.linalg.norm(pos)), default=np.zeros(3))
+    length = float(np.linalg.norm(end)) or float(np.linalg.norm(body.pos)) or _LENGTH_M
+    length = float(np.clip(length, *_LENGTHS_M))
+    masses = [geom.mass for geom in lost if geom.mass > 0.0]
+    mass = float(sum(masses)) or _DENSITY * length * (_SLENDERNESS * length)**2
+    body.mass, body.ipos = mass, end / 2.0
+    body.inertia = [mass * length**2 / 12.0] * 3
+    body.explicitinertial = True
+    return str(body.name), mass
+
+
+def _mass_notes(masses: list[tuple[str, float]], file: Path) -> list[str]:
+    """Return which bodies have a guessed mass, in a sentence."""
+    if not masses:
+        return []
+    named = ', '.join(f'{quoted(name)} {mass:.3g} kg' for name, mass in masses[:_NAMED_MASSES])
+    more = f' and {len(masses) - _NAMED_MASSES} more' if len(masses) > _NAMED_MASSES else ''
+    return [LostShape(
+        f'guessed: the mass of {pluralize(len(masses), "body")} of {file} from the distance to '
+        f'the next one, as it followed from missing meshes: {named}{more}; put the meshes there, '
+        'or give these bodies an <inertial>')]
+
+
+def _delete_geoms(spec: mujoco.MjSpec, geoms: list[Any]) -> None:
+    """Delete geoms, and the contact pairs and sensors that name them."""
+    names = {geom.name for geom in geoms if geom.name}
+    for pair in list(spec.pairs):
+        if names & {pair.geomname1, pair.geomname2}:
+            spec.delete(pair)
+    kind = int(mujoco.mjtObj.mjOBJ_GEOM)
+    for sensor in list(spec.sensors):
+        if ((int(sensor.objtype) == kind and sensor.objname in names)
+                or (int(sensor.reftype) == kind and sensor.refname in names)):
+            spec.delete(sensor)
+    for geom in geoms:
+        spec.delete(geom)
+
+
+def _take_off(spec: mujoco.MjSpec, texture: str) -> None:
+    """Let materials have their own colour in place of a texture."""
+    for material in spec.materials:
+        for role, name in enumerate(list(material.textures)):
+            if name == texture:
+                material.textures[role] = ''
 
 
 def check_content(kind: str, suffix: str, content: bytes, name: str) -> None:

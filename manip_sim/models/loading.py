@@ -16,10 +16,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
-from manip_sim.models.asset_files import resolve_files
-from manip_sim.models.missing_meshes import MissingMeshError, skip_missing
-from manip_sim.models.mjcf_versions import (
-    ERRORS, Origins, read_mjcf, read_mjcf_text, with_remedy)
+from manip_sim.models.asset_files import MissingMeshError, resolve_files, skip_missing
+from manip_sim.models.mjcf_versions import ERRORS, Origins, read_mjcf, read_mjcf_text, with_remedy
 from manip_sim.models.xml_check import check_xml
 from manip_sim.quoting import one_line, quoted
 

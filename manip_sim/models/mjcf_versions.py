@@ -20,8 +20,7 @@ from xml.parsers import expat
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.asset_files import places
-from manip_sim.models.missing_meshes import LostShape
+from manip_sim.models.asset_files import LostShape, places
 from manip_sim.models.xml_check import check_xml, XmlModel
 from manip_sim.quoting import one_line, quoted
 

@@ -20,10 +20,10 @@ import mujoco
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.archive import pack, to_binary
 from manip_sim.models.arenas import Arena, EmptyArena
+from manip_sim.models.asset_files import LostShape
 from manip_sim.models.cameras import Camera, create_camera, create_lidar, LidarLike
 from manip_sim.models.faults import FaultPlan, FaultsLike
 from manip_sim.models.loading import compile_spec
-from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_creation import (
     check_object_names, create_objects, Description, ObjectModel)

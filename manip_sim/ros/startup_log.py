@@ -12,7 +12,7 @@ from manip_sim.control.modes import MODES, POSITION
 from manip_sim.interface.topics import Scope
 from manip_sim.interface.world_topics import STALLS
 from manip_sim.models import World
-from manip_sim.models.missing_meshes import LostShape
+from manip_sim.models.asset_files import LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.models.world import inferred_by_model, skipped_geoms

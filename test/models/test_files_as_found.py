@@ -14,7 +14,7 @@ from files_rig import write
 
 from manip_sim.errors import ModelError
 from manip_sim.models import compose, load_base, load_gripper, load_robot
-from manip_sim.models.missing_meshes import LostShape
+from manip_sim.models.asset_files import LostShape
 from manip_sim.simulation import Simulation
 
 INERTIA = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'

@@ -20,9 +20,9 @@ import yaml
 
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.models import compose
+from manip_sim.models.asset_files import LostShape
 from manip_sim.models.files import load_robot, requested_robot
 from manip_sim.models.files.requested_robot import load_requested
-from manip_sim.models.missing_meshes import LostShape
 from manip_sim.models.regular_files import AllowedRoots, CachedFiles, InMemoryFile
 from manip_sim.models.urdf_writer import urdf_of
 

@@ -12,7 +12,7 @@ from files_rig import write
 
 from manip_sim.models import compose, load_robot, World
 from manip_sim.models.arenas import create_arena
-from manip_sim.models.missing_meshes import LostShape
+from manip_sim.models.asset_files import LostShape
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.world import skipped_geoms
 from manip_sim.simulation import Simulation

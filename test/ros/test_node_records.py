@@ -52,7 +52,7 @@ def assert_shown(path, state):
     """Check that the viewer shows the last state of a record."""
     pytest.importorskip('viser', reason='needs the extra viewer')
     from manip_sim.viewer.page.model_scene import Kinematics
-    from manip_sim.viewer.shown_records import ShownWorld
+    from manip_sim.viewer.playback import ShownWorld
     (world,) = Record(path).contents()
     shown, kinematics = ShownWorld(world), Kinematics(load_archive(world.model))
     shown.check(kinematics.model)

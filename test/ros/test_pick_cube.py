@@ -19,8 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from manip_sim.examples import pick_cube
-from manip_sim.examples.arm import Arm, InverseKinematics
-from manip_sim.examples.demonstration import Demonstration, TaskFailed
+from manip_sim.examples.demonstration import Arm, Demonstration, InverseKinematics, TaskFailed
 from manip_sim.models import compose
 
 #: Of other hands than the Panda: two jaws that swing, three fingers, one jaw. Experts of tasks

@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.link_masses import greatest_weight
+from manip_sim.models.files.urdf import greatest_weight
 from manip_sim.models.setpoint_activation import position_servos
 from manip_sim.quoting import pluralize, quoted_names
 

@@ -16,19 +16,18 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.asset_files import infer_inertias_once
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.files.actuation import add_servos, guess_efforts, report_efforts
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
-from manip_sim.models.files.link_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.files.scenery import leave_out_dangling, single_tree, touch_other_files
-from manip_sim.models.files.urdf import is_urdf, load_urdf
+from manip_sim.models.files.urdf import is_urdf, lighten, load_urdf, masses_from_shapes
 from manip_sim.models.files.urdf_joints import support_couplings
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.loading import (
     compile_alone, compile_copy, leave_out_visual, load_spec, name_unnamed_elements)
-from manip_sim.models.missing_meshes import infer_inertias_once
 from manip_sim.models.regular_files import Files
 from manip_sim.models.untrusted_models import load_self_contained
 from manip_sim.quoting import one_line, pluralize, quoted

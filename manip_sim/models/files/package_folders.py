@@ -17,9 +17,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from manip_sim.errors import ModelError
-from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES
-from manip_sim.models.missing_meshes import (
-    check_fetched, Lost, LostShape, MissingMeshError, warnings_of)
+from manip_sim.models.asset_files import (
+    check_content, check_fetched, Lost, LostShape, MAX_FILE_BYTES, MissingMeshError, warnings_of)
 from manip_sim.models.regular_files import Files
 from manip_sim.quoting import one_line, quoted
 from manip_sim.resources import cache_folder, keep_in_cache, PACKAGE, share_directory
