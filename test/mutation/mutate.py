@@ -68,7 +68,7 @@ SCOPES = {
     'physics': Scope(
         {'simulation': (['manip_sim/physics', 'manip_sim/control', 'manip_sim/simulation'], 0.6),
          'models': (['manip_sim/models'], 0.3),
-         'messages': (['manip_sim/ros/messages.py', 'manip_sim/ros/messages.py'], 0.1)},
+         'messages': (['manip_sim/ros/messages.py'], 0.1)},
         ['test/models', 'test/physics', 'test/control', 'test/simulation', 'test/cli',
          'test/moveit', 'test/viewer/test_scene.py',
          'test/runtime/test_change_queue.py', 'test/runtime/test_camera_thread.py',

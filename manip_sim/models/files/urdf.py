@@ -315,11 +315,11 @@ def lighten(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
     """
     guessed = list(_guessed(spec, model))
     share = _carried_share(model, [model.body(body.name).id for body in guessed])
-    for body in guessed if share < 1.0 else ():
-        for geom in _colliding(body):
-            geom.density *= share
     if share >= 1.0:
         return []
+    for body in guessed:
+        for geom in _colliding(body):
+            geom.density *= share
     return ['links without <inertial> are lighter than their shapes at the usual density, so that '
             f'no pose needs more than {_CARRIED_SHARE:.0%} of an effort limit']
 
