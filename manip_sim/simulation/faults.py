@@ -22,7 +22,7 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import Physics
 from manip_sim.sensing.randomness import generator
 from manip_sim.sensing.robot_sensing import JOINTS
-from manip_sim.simulation.robot_reader import RobotReader
+from manip_sim.simulation.robot_state import RobotReader
 
 #: Dry friction of a joint that is stuck [N m or N].
 _STUCK_FRICTION = 1e4

@@ -39,8 +39,7 @@ from manip_sim.physics.physics import Physics, STEPS
 from manip_sim.simulation.compiled_period import RobotRun, RobotRuns
 from manip_sim.simulation.dynamics_description import joint_dynamics, JointDynamics
 from manip_sim.simulation.faults import RobotFaults
-from manip_sim.simulation.robot_reader import RobotReader
-from manip_sim.simulation.robot_state import State
+from manip_sim.simulation.robot_state import RobotReader, State
 from manip_sim.validation import positive_number
 
 _LOGGER = logging.getLogger('manip_sim.control')
