@@ -352,6 +352,10 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
                       'inertia of the arm; six zeros: the control of '
                       f'cartesian.{arm}.stiffness.', 'N/m, N m/rad', live=True, minimum=0.0,
                       maximum=1e5, length=6),
+        ParameterSpec(f'cartesian_damping.{arm}', list(settings.cartesian_damping),
+                      'Damping of that impedance along and about its axes, beside that of '
+                      f'cartesian_damping_ratio.{arm}.', 'N s/m, N m s/rad',
+                      live=True, minimum=0.0, maximum=1e5, length=6),
         ParameterSpec(f'cartesian_damping_ratio.{arm}', settings.cartesian_damping_ratio,
                       'Damping ratio of each mode of that impedance; 1 is critical damping.',
                       live=True, minimum=0.01, maximum=3.0),

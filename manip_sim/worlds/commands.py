@@ -228,6 +228,32 @@ class Commands(RowByRow):
         for robot, commands in made:
             robot.apply(*commands, period_s=period_s)
 
+    def joint_impedance(self, names: Sequence[str], position: ArrayLike | None = None,
+                        velocity: ArrayLike | None = None, effort: ArrayLike | None = None,
+                        stiffness: ArrayLike | None = None, damping: ArrayLike | None = None, *,
+                        part: str | None = None, where: ArrayLike | None = None,
+                        period_s: float | None = None) -> None:
+        """
+        Command joints in impedance mode in each world; NaN leaves a number as it was.
+
+        :param names: of the joints
+        :param position: goals [rad or m], shape (count, n)
+        :param velocity: with respect to which servos damp [rad/s or m/s], shape (count, n)
+        :param effort: to be added [N m or N], shape (count, n)
+        :param stiffness: [N m/rad or N/m], shape (count,) for all joints, or (count, n)
+        :param damping: [N m s/rad or N s/m], shape (count,) for all joints, or (count, n)
+        :param part: whose joints may be named; None for all
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: as ``robot.parse.joint_impedance``
+        """
+        columns = {field: self._rows(values, f'{part or "joint_impedance"}: {field}')
+                   for field, values in (
+                       ('position', position), ('velocity', velocity), ('effort', effort),
+                       ('stiffness', stiffness), ('damping', damping)) if values is not None}
+        self._apply(lambda robot, world: robot.parse.joint_impedance(
+            names, part=part, **{field: values[world] for field, values in columns.items()}),
+            where, period_s)
+
     def _go_on(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
                mask: BoolArray, period_s: float | None) -> BoolArray:
         """Let commands that run in worlds that go on have other numbers; return where they do."""

@@ -125,6 +125,27 @@ def test_each_mode_decays_with_its_damping_ratio(ratio):
     np.testing.assert_allclose(shares, expected, atol=0.03)
 
 
+@pytest.mark.full
+def test_damping_along_and_about_axes_is_that_of_a_linear_system():
+    damping = [90.0, 30.0, 120.0, 1.0, 2.0, 3.0]
+    op = impedance('Panda', timestep_s=0.001)
+    op.robot.joints.cartesian.set('right', 'cartesian_damping', damping)
+    op.robot.joints.cartesian.set('right', 'cartesian_damping_ratio', 0.01)
+    start = op.pose
+    op.run(4.0, push(op, [4.0, 6.0, 8.0]))
+    away, inverse = error_of(op, start), mobility(op)
+    op.simulation.data.xfrc_applied[:] = 0.0
+    rates, modes = np.linalg.eig(np.block([
+        [np.zeros((6, 6)), np.eye(6)],
+        [-inverse @ np.diag(STIFFNESS), -inverse @ np.diag(damping)]]))
+    shares = np.linalg.solve(modes, [*away, *[0.0] * 6])
+    for number in range(1, 60):
+        op.run(0.01)
+        expected = (modes @ (shares * np.exp(0.01 * number * rates))).real[:3]
+        np.testing.assert_allclose(error_of(op, start)[:3], expected, atol=4e-4)
+    assert np.abs(away[:3]).min() > 0.006
+
+
 def test_the_posture_yields_as_its_own_stiffness_says_and_the_end_effector_stays():
     op = impedance('Panda')
     start, moved = op.pose, {}
@@ -395,20 +416,22 @@ def test_stiffness_changes_live_and_zero_gives_back_the_other_control():
 def test_gains_that_are_too_high_for_the_timestep_are_stable():
     op = impedance('Panda', [1e5] * 3 + [1e4] * 3, timestep_s=0.005)
     op.robot.joints.cartesian.set('right', 'cartesian_damping_ratio', 2.0)
+    op.robot.joints.cartesian.set('right', 'cartesian_damping', [1e5] * 6)
     place, rotation = op.pose
     op.go_to((place + [0.0, 0.05, 0.05], turned([1.0, 0.0, 0.0], 0.2) @ rotation))
     op.run(3.0)
     assert np.abs(op.robot.state().velocity[:7]).max() < 1e-3
 
 
+@pytest.mark.parametrize('setting', ['cartesian_stiffness', 'cartesian_damping'])
 @pytest.mark.parametrize(('value', 'message'), [
     ([1.0] * 5, 'must have 6 numbers'), ([math.nan] * 6, 'finite'), (3.0, 'must have'),
-    ([-1.0, *[1.0] * 5], 'not be negative'), ('stiff', 'cartesian_stiffness')])
-def test_a_stiffness_that_cannot_be_used_is_rejected(value, message):
+    ([-1.0, *[1.0] * 5], 'not be negative'), ('stiff', 'cartesian_')])
+def test_a_stiffness_that_cannot_be_used_is_rejected(setting, value, message):
     op = impedance('Panda')
     digest = op.simulation.digest()
     with pytest.raises(CommandError, match=message):
-        op.robot.joints.cartesian.set('right', 'cartesian_stiffness', value)
+        op.robot.joints.cartesian.set('right', setting, value)
     assert op.simulation.digest() == digest
 
 

@@ -128,7 +128,8 @@ def test_every_parameter_is_described(serve, client):
             *(f'cartesian.right.{name}' for name in (
                 'stiffness', 'damping_ratio', 'linear_velocity', 'angular_velocity',
                 'twist_timeout')),
-            'cartesian_stiffness.right', 'cartesian_damping_ratio.right',
+            'cartesian_stiffness.right', 'cartesian_damping.right',
+            'cartesian_damping_ratio.right',
             'null_space_stiffness.right', 'null_space_posture.right', 'cartesian_frame.right'}
     measuring = ('noise.', 'resolution.', 'latency.')
     assert any(name.startswith('noise.') for name in ours)

@@ -376,7 +376,7 @@ def test_settings_of_streams_leave_nothing_behind_that_a_reset_would_undo():
 SETTINGS = [
     *(('cartesian', 'robot0', 'right', name, value) for name, value in (
         ('stiffness', 99.0), ('damping_ratio', 0.7), ('linear_velocity', 0.4),
-        ('angular_velocity', 0.5), ('twist_timeout', 1.0))),
+        ('angular_velocity', 0.5), ('twist_timeout', 1.0), ('cartesian_damping', [0.5] * 6))),
     *(('reflex', 'robot0', 'arm', name, 0.7) for name in (
         'velocity', 'effort', 'force', 'torque', 'discontinuity', 'collision')),
     ('timeout', 'robot0', 'arm', 0.7, True), ('timeout', 'robot0', 'arm', 0.7, False),

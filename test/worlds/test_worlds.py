@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from robot_kinds import KINDS as ROBOT_KINDS
 
+from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
+from manip_sim.control.command_parser import CommandParser
 from manip_sim.control.commands import Status
 from manip_sim.control.modes import MODES as CONTROL_MODES
 from manip_sim.errors import (
@@ -246,6 +248,25 @@ WHERE = st.sampled_from([None, True, 'all', [True, False, True], [1, 0, 1], [[Tr
                          np.zeros(3, dtype=bool), [], [0.0] * 3])
 NAMES = st.sampled_from([['robot0_joint1'], ['robot0_joint1'] * 2, [], ['joint'], 'robot0_joint1',
                          [f'robot0_joint{n}' for n in range(1, 8)]])
+
+
+def test_worlds_take_whatever_parsers_make():
+    def methods(kind):
+        return {name for name in dir(kind) if not name.startswith('_')} - {'rebind'}
+    assert methods(CommandParser) == methods(commands.Commands)
+    assert methods(CartesianParser) == methods(commands.CartesianCommands)
+
+
+def test_impedances_of_worlds_are_those_of_simulations(pair):
+    start(pair, 'impedance')
+    pair._both('joint_impedance', (['robot0_joint1', 'robot0_joint2'],), [True, False, True],
+               position=np.array([[0.2, math.nan], [math.nan, 0.3], [0.1, 0.4]]),
+               effort=np.array([[1.0, 0.0]] * 3), stiffness=np.array([100.0, 200.0, 300.0]),
+               damping=np.array([[20.0, math.nan]] * 3))
+    with pytest.raises(CommandError, match='world 1: joint_impedance: stiffness of joint'):
+        pair.worlds.robot.command.joint_impedance(['robot0_joint1'], stiffness=[1.0, 0.0, 1.0])
+    pair.advance(50)
+    pair.check_equal()
 
 
 @pytest.mark.full

@@ -23,8 +23,8 @@ from manip_sim.validation import (
 #: ``<arm>_center``, that of the end effector, ``grip_site``, and the world.
 FRAMES = BASE, TOOL, WORLD = 'base', 'tool', 'world'
 #: Settings of an impedance, which have a parameter each for each arm.
-IMPEDANCE = ('cartesian_stiffness', 'cartesian_damping_ratio', 'null_space_stiffness',
-             'null_space_posture', 'cartesian_frame')
+IMPEDANCE = ('cartesian_stiffness', 'cartesian_damping', 'cartesian_damping_ratio',
+             'null_space_stiffness', 'null_space_posture', 'cartesian_frame')
 #: Word for the posture in which an episode begins.
 INITIAL = 'initial'
 
@@ -41,6 +41,8 @@ class CartesianSettings:
     :ivar twist_timeout: how long a twist lasts if no fresh one comes, simulation time [s]
     :ivar cartesian_stiffness: along and about the axes [N/m x 3, N m/rad x 3]; six zeros for
         ``stiffness`` and ``damping_ratio`` instead of an impedance
+    :ivar cartesian_damping: of an impedance, along and about the axes, beside that of the ratio
+        [N s/m x 3, N m s/rad x 3]
     :ivar cartesian_damping_ratio: of an impedance, of each of its modes; 1 is critical damping
     :ivar null_space_stiffness: of an impedance, towards the posture [N m/rad]
     :ivar null_space_posture: that a redundant arm tends to, :data:`INITIAL` or the text of the
@@ -54,6 +56,7 @@ class CartesianSettings:
     angular_velocity: float = 3.2
     twist_timeout: float = 0.1
     cartesian_stiffness: tuple[float, ...] = (0.0,) * 6
+    cartesian_damping: tuple[float, ...] = (0.0,) * 6
     cartesian_damping_ratio: float = 1.0
     null_space_stiffness: float = 10.0
     null_space_posture: str = INITIAL
@@ -78,8 +81,9 @@ class CartesianSettings:
         """
         Return the settings with another value for one of them.
 
-        :param value: a number, six numbers for ``cartesian_stiffness``, positions of joints, their
-            text or :data:`INITIAL` for ``null_space_posture``, or the name of a frame
+        :param value: a number, six numbers for ``cartesian_stiffness`` and ``cartesian_damping``,
+            positions of joints, their text or :data:`INITIAL` for ``null_space_posture``, or the
+            name of a frame
         :raises CommandError: if a number is not finite, or not positive where it has to be
         :raises UnknownNameError: if the setting or frame is unknown
         """
@@ -94,7 +98,7 @@ class CartesianSettings:
         elif name == 'null_space_posture':
             checked = (value.strip() if isinstance(value, str) else
                        str(command_numbers(value, name).tolist()))
-        elif name == 'cartesian_stiffness':
+        elif name in ('cartesian_stiffness', 'cartesian_damping'):
             checked = tuple(finite_command_numbers(value, 6, name).tolist())
             if min(checked) < 0.0:
                 raise CommandError(f'{name} must not be negative, got {list(checked)}')

@@ -427,10 +427,11 @@ class CartesianController:
         if not targets.tasks[number]['impedes']:
             return
         target = self._targets[command.arm]
-        targets.springs[number] = self.settings[command.arm].cartesian_stiffness
+        settings = self.settings[command.arm]
+        targets.springs[number] = settings.cartesian_stiffness
         push = target.push
         targets.pushes[number] = 0.0 if push is None else push.wrench
-        targets.brakes[number] = [[0.0], [math.inf]]
+        targets.brakes[number] = settings.cartesian_damping, [math.inf] * 6
         if isinstance(push, ForceMode):
             targets.springs[number, push.selection] = 0.0
             chosen = push.selection
