@@ -21,7 +21,7 @@ from manip_sim.control.cartesian.kinematic_chains import Arms
 from manip_sim.control.law.joint_records import PLAIN
 from manip_sim.control.payloads import Payloads
 from manip_sim.control.servos import Servos
-from manip_sim.control.user_laws import COSTLY, Law
+from manip_sim.control.user_laws import COSTLY, FILLS, Law
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.physics.end_effectors import EndEffectorReader
@@ -373,9 +373,15 @@ class Seats:
 
 
 def _run(function: Callable[..., object], arguments: Any) -> None:
-    """Call a law with its arguments; a division by zero is infinite, as it is compiled."""
+    """
+    Call a law with its arguments; a division by zero is infinite, as it is compiled.
+
+    :raises TypeError: if it returns something
+    """
     with np.errstate(all='ignore'):
-        function(float(arguments.t[0]), *arguments[1:])
+        returned = function(float(arguments.t[0]), *arguments[1:])
+    if returned is not None:
+        raise TypeError(f'it returns a value, {type(returned).__name__}: {FILLS}')
 
 
 def _raised(error: Exception) -> str:

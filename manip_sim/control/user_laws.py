@@ -26,6 +26,8 @@ ARGUMENTS = ('t', 'q', 'v', 'bias', 'mass', 'jacobian', 'wrench', 'setpoint', 'p
              'memory', 'effort')
 #: Those that are computed only for laws that read them, in the order of the compiled law.
 COSTLY = ('mass', 'jacobian', 'wrench')
+#: Advice for a law that returns its efforts.
+FILLS = 'it must return nothing, and fill effort, as by effort[:] = ...'
 #: Start of the names of the control modes in which laws act.
 PREFIX = 'law:'
 #: Greatest number of floats that a law may remember.
@@ -41,7 +43,8 @@ class Law:
 
     Called, it runs as plain Python.
 
-    :param function: takes :data:`ARGUMENTS` and fills the last one
+    :param function: takes :data:`ARGUMENTS` and fills the last one; one that ``numba.njit`` has
+        decorated is compiled again, with checks of bounds
     :param parameters: defaults by name, in the order in which the law gets them
     :param memory: how many floats it remembers from step to step, zero at first
     :param compiled: whether it is compiled, or runs as plain Python, which is slow
@@ -59,6 +62,7 @@ class Law:
     def __init__(self, function: Callable[..., object],
                  parameters: Mapping[str, float] | None = None, memory: int = 0,
                  compiled: bool = True) -> None:
+        function = getattr(function, 'py_func', function)  # Numba has decorated it.
         self.name = _checked_name(function)
         self.function = function
         self.defaults = _checked_parameters(self.name, parameters or {})
@@ -90,11 +94,17 @@ class Law:
         """
         from manip_sim.control.law.seat import Code  # It imports numba.
         try:
-            return Code(self.function)
+            code = Code(self.function)
         except Exception as error:  # numba raises many kinds.
             raise ModelError(
                 f"law '{self.name}' cannot be compiled: {_reason(error)}; with compiled=False it "
                 'runs as plain Python') from error
+        compiled: Any = code.function
+        (signature,) = compiled.nopython_signatures
+        if str(signature.return_type) != 'none':
+            raise ModelError(
+                f"law '{self.name}' returns a value, {signature.return_type}: {FILLS}")
+        return code
 
     def checked(self, name: str, value: float) -> float:
         """
@@ -160,11 +170,13 @@ def law(parameters: Mapping[str, float] | Callable[..., object] | None = None, m
 
 def law_of(given: Law | Callable[..., object]) -> Law:
     """
-    Return a law, or make one of a function, which runs as plain Python.
+    Return a law, or make one of a function, which is compiled if ``numba.njit`` has decorated it.
 
     :raises ModelError: if it is neither, or has another number of arguments
     """
-    return given if isinstance(given, Law) else Law(given, compiled=False)
+    if isinstance(given, Law):
+        return given
+    return Law(given, compiled=hasattr(given, 'py_func'))
 
 
 class Laws(Mapping[str, Law]):
@@ -206,12 +218,12 @@ class Laws(Mapping[str, Law]):
 
 
 def _loaded(offer: Offer) -> Law:
-    loaded = offer.load()
-    if not isinstance(loaded, Law):
-        try:
-            loaded = Law(loaded, compiled=False)
-        except ModelError as error:
-            raise ModelError(f'law {offer} cannot be used: {error}') from error
+    given = offer.load()
+    try:
+        loaded = law_of(given)
+    except ModelError as error:
+        raise ModelError(f'law {offer} cannot be used: {error}') from error
+    if not isinstance(given, Law) and not loaded.is_compiled:
         _LOGGER.warning('law %s is a plain function and runs as Python in each physics step, '
                         'which is slow: decorate it with manip_sim.laws.law', offer)
     loaded.name = offer.name
@@ -227,7 +239,7 @@ def _law_named(name: str) -> Law:
 
 
 def _checked_name(function: Callable[..., object]) -> str:
-    name = getattr(function, '__name__', None)
+    name = getattr(function, '__name__', type(function).__name__)  # Or that of its class.
     if not callable(function) or not (isinstance(name, str) and name.isidentifier()):
         raise ModelError(f'a law must be a function with a name, got {format_value(function)}')
     signature = inspect.signature(function)

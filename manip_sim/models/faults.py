@@ -166,14 +166,16 @@ def planned(given: Any, where: str) -> PlannedFault:
                          f'{begin[1]:g} s')
     if not kind.value and 'value' in given:
         raise ModelError(f'{where}: {given["what"]} has no value')
-    value = given.get('value', kind.default)
+    value, chance = given.get('value', kind.default), given.get('chance', 1.0)
+    if isinstance(chance, (list, tuple)):
+        raise ModelError(f"{where}: 'chance' must be one number, got {format_value(chance)}")
     if value is None:
         raise ModelError(f"{where}: {given['what']} needs a 'value': {kind.value}")
     low = -kind.most if kind.signed else 0.0
     return PlannedFault(
         given['what'], given['part'], robot, begin, end,
         _range(value, low, kind.most, f"{where}: 'value'"),
-        _range(given.get('chance', 1.0), 0.0, 1.0, f"{where}: 'chance'")[0])
+        _range(chance, 0.0, 1.0, f"{where}: 'chance'")[0])
 
 
 def _known(kind: str, key: Any, known: Iterable[str], where: str) -> None:

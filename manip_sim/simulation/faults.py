@@ -204,6 +204,8 @@ class Faults:
         :raises UnknownNameError: if the part or robot is unknown
         """
         fault = planned(given, 'the fault')
+        if 'chance' in given:
+            raise ModelError("the fault: one that is injected has no 'chance': it is there")
         number = sum(len(robot.faults.scheduled) for robot in self._robots.values())
         if number >= _MOST:
             raise ModelError(f'an episode has {_MOST} faults at most, and there are {number}')

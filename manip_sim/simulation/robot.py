@@ -295,8 +295,8 @@ class SimulatedRobot:
         ends it.
 
         :param part: such as ``arm``
-        :param law: made by ``manip_sim.laws.law``; any other function with its arguments runs as
-            plain Python
+        :param law: made by ``manip_sim.laws.law``, or decorated by ``numba.njit``; any other
+            function or callable object with its arguments runs as plain Python
         :param compiled: False lets it run as plain Python, which is slow; None: as it was made
         :param parameters: of the law, by name; defaults where none is given
         :raises CommandError: if the part is a gripper

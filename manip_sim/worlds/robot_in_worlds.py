@@ -96,8 +96,8 @@ class RobotInWorlds:
         Let a law of your own move a part, as :meth:`SimulatedRobot.set_law` does.
 
         :param part: such as ``arm``
-        :param law: made by ``manip_sim.laws.law``; any other function with its arguments runs as
-            plain Python
+        :param law: made by ``manip_sim.laws.law``, or decorated by ``numba.njit``; any other
+            function or callable object with its arguments runs as plain Python
         :param compiled: False lets it run as plain Python; None: as it was made
         :param where: in which worlds, shape (count,); None for all
         :param parameters: of the law, by name, a number or one for each world, shape (count,)

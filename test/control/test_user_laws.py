@@ -10,13 +10,14 @@ import subprocess
 import sys
 
 import mujoco
+import numba
 import numpy as np
 import pytest
 from robot_kinds import KINDS
 
 from manip_sim.control.commands import Status
 from manip_sim.control.seats import _EXIT_CODE
-from manip_sim.control.user_laws import ARGUMENTS, LAWS
+from manip_sim.control.user_laws import ARGUMENTS, law_of, LAWS
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.laws import Law, law
 from manip_sim.models import compose_robot, World
@@ -274,6 +275,48 @@ def test_a_law_that_cannot_be_is_rejected_where_it_is_written(arguments, text):
         law(**arguments)(spring.function)
 
 
+def test_a_function_that_numba_has_decorated_is_a_compiled_law(panda_sim, caplog):
+    other = Simulation(panda_sim.world)
+    decorated = numba.njit(holding_alone)
+    assert law_of(decorated).is_compiled and law(memory=2)(decorated).memory == 2
+    panda_sim.robot.set_law('arm', decorated)
+    assert not caplog.messages
+    other.robot.set_law('arm', holding_alone)
+    assert 'runs as plain Python' in caplog.text
+    for simulation in (panda_sim, other):
+        stream(simulation, 5)
+    assert panda_sim.digest() == other.digest()
+
+
+def test_an_object_with_a_state_of_its_own_is_a_law_in_plain_python(panda_sim):
+    class Counting:
+        calls = 0
+
+        def __call__(self, t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory,
+                     effort):
+            self.calls += 1
+            effort[:] = bias
+
+    counting = Counting()
+    panda_sim.robot.set_law('arm', counting)
+    panda_sim.advance(10)
+    assert panda_sim.robot.laws == {'arm': 'Counting'} and counting.calls == 10
+
+
+def test_a_law_that_returns_efforts_is_rejected_or_stopped_as_they_would_be_lost(panda_sim):
+    @law
+    def returning(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+        return bias - 5.0 * v
+    robot = panda_sim.robot
+    with pytest.raises(ModelError, match=r"law 'returning' returns a value, array\(float64.*"
+                                         r'fill effort'):
+        robot.set_law('arm', returning)
+    assert not robot.laws
+    robot.set_law('arm', returning, compiled=False)
+    panda_sim.advance(5)
+    assert 'it returns a value, ndarray: it must' in robot.reflexes.tripped['arm']
+
+
 def test_a_law_that_cannot_be_compiled_says_why_in_one_line(panda_sim):
     @law
     def opening(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
@@ -340,7 +383,6 @@ FAILURES = {not_finite: 'effort that is not finite', out_of_bounds: 'IndexError'
 
 def failing(failure):
     """Return a law that holds its arm until a time, and then fails."""
-    import numba
     fail = numba.njit(failure, boundscheck=True)
 
     @law(parameters={'end': 0.05, 'index': 1e4}, memory=1)

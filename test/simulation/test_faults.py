@@ -225,6 +225,7 @@ def test_objects_may_come_while_joints_are_limp():
     ([fault('noisy_state', value=[0.2, 0.1])], 'low must not be above high'),
     ([fault('limp', 'soon')], "'from' must be a number from 0"),
     ([fault('limp', chance=2.0)], "'chance' must be a number from 0 to 1"),
+    ([fault('limp', chance=[0.0, 1.0])], "'chance' must be one number"),
     (['limp'], "expected keys such as 'what'"),
     ({'what': 'limp'}, 'must be a list of faults')])
 def test_a_plan_that_makes_no_sense_is_rejected(given, text):
@@ -239,7 +240,8 @@ def test_a_fault_that_fits_no_robot_is_rejected_and_changes_nothing():
              UnknownNameError),
             (fault('limp', robot='robot1'), "unknown robot of a fault 'robot1'", UnknownNameError),
             (fault('stuck'), 'only fingers of a gripper can be stuck', ModelError),
-            (fault('limp', math.inf), "'from' must be", ModelError)):
+            (fault('limp', math.inf), "'from' must be", ModelError),
+            (fault('limp', chance=0.5), "injected has no 'chance'", ModelError)):
         with pytest.raises(error, match=text):
             simulation.faults.inject(given)
     assert simulation.faults.summary() == []
