@@ -18,12 +18,28 @@ import time
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from manip_sim.laws import law
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
-from manip_sim.simulation import Simulation
+from manip_sim.simulation import SimulatedRobot, Simulation
 
 ROUNDS, PERIODS, WARM_UP = 7, 60, 40
+#: Length of motions that do not end while they are measured [s].
+LONG_S = 1e5
+#: What periods with a belt are compared with.
+BELT = '`mj_step` with a belt'
+Array = NDArray[np.float64]
+
+
+@law(parameters={'stiffness': 300.0, 'damping': 30.0})  # type: ignore[untyped-decorator]
+def spring(t: float, q: Array, v: Array, bias: Array, mass: Array, jacobian: Array, wrench: Array,
+           setpoint: Array, parameters: Array, memory: Array, effort: Array) -> None:
+    """Pull joints to their setpoints as springs with dampers."""
+    for i in range(len(q)):
+        effort[i] = (bias[i] + parameters[0] * (setpoint[i, 0] - q[i])
+                     + parameters[1] * (setpoint[i, 1] - v[i]))
 
 
 def periods(name: str, steps: int) -> dict[str, Callable[[], object]]:
@@ -65,9 +81,68 @@ def periods(name: str, steps: int) -> dict[str, Callable[[], object]]:
         '`state()`': lambda: rest.robot.state()}
 
 
+def features(name: str, steps: int) -> dict[str, Callable[[], object]]:
+    """Return periods in which an arm is held or moves slowly, by what is switched on."""
+    def held(prepare: Callable[[Simulation, SimulatedRobot], object], mode: str = 'position'
+             ) -> Callable[[], object]:
+        simulation = Simulation(compose(name, arena='table', cube=True))
+        simulation.robot.set_control_mode('arm', mode)
+        prepare(simulation, simulation.robot)
+        return lambda: simulation.advance(steps)
+
+    def suck(simulation: Simulation) -> None:
+        robot = simulation.robot
+        robot.apply(robot.parse.action('right/gripper', [1.0]))
+
+    def on_conveyor(prepare: Callable[[Simulation], object]) -> Callable[[], object]:
+        simulation = Simulation(compose(name, arena='conveyor', gripper='VacuumGripper'))
+        prepare(simulation)
+        return lambda: simulation.advance(steps)
+
+    conveyor = Simulation(compose(name, arena='conveyor', gripper='VacuumGripper'))
+    own = mujoco.MjData(conveyor.model)
+    mujoco.mj_copyData(own, conveyor.model, conveyor.data)
+
+    def impede(robot: SimulatedRobot) -> None:
+        cartesian, pose = robot.joints.cartesian, robot.state().end_effectors['right'].pose
+        cartesian.set('right', 'cartesian_stiffness', [500.0] * 3 + [30.0] * 3)
+        robot.apply(robot.parse_cartesian.pose('right', pose.position, pose.quat_xyzw))
+
+    def press(robot: SimulatedRobot) -> None:
+        impede(robot)
+        robot.apply(robot.parse_cartesian.force_mode(
+            'right', [0, 0, 1, 0, 0, 0], [0.0] * 6, [0.1] * 6))
+
+    def move(robot: SimulatedRobot, share: float) -> None:
+        joint = robot.joints.names[robot.joints.indices_of('arm')[0]]
+        robot.set_speed_scaling(share)
+        robot.apply(robot.parse.trajectory('arm', [joint], [LONG_S], [[1.0]]))
+
+    return {
+        'a law of a user': held(lambda _, robot: robot.set_law('arm', spring)),
+        'impedance of the joints': held(lambda _, robot: None, 'impedance'),
+        'impedance of the end effector': held(lambda _, robot: impede(robot), 'effort'),
+        'force mode': held(lambda _, robot: press(robot), 'effort'),
+        'a motion until contact': held(lambda _, robot: robot.apply(
+            robot.parse_cartesian.until_contact(
+                'right', [0.0, 0.0, 1e-5], [0.0] * 3, force=50.0, distance=1.0,
+                duration_s=LONG_S))),
+        'a payload': held(lambda _, robot: robot.set_payload('right', 0.5)),
+        'an integral gain': held(lambda _, robot: robot.set_integral_gain('arm', 5.0)),
+        'a trajectory': held(lambda _, robot: move(robot, 1.0)),
+        'a trajectory at half its speed': held(lambda _, robot: move(robot, 0.5)),
+        'a reflex on collisions': held(lambda _, robot: robot.set_reflex(
+            'arm', 'collision', 'default')),
+        'a fault of the states': held(lambda simulation, _: simulation.faults.inject(
+            {'what': 'noisy_state', 'part': 'arm', 'value': 1e-4})),
+        BELT: lambda: mujoco.mj_step(conveyor.model, own, steps),
+        'a belt': on_conveyor(lambda _: None),
+        'a belt, and a suction cup that leaks': on_conveyor(suck)}
+
+
 def measure(name: str, steps: int) -> dict[str, float]:
     """Return the costs [us]."""
-    todo = periods(name, steps)
+    todo = {**periods(name, steps), **features(name, steps)}
     found: dict[str, list[int]] = {what: [] for what in todo}
     for run in todo.values():
         for _ in range(WARM_UP):
@@ -93,8 +168,8 @@ def main() -> None:
     for steps in options.steps:
         costs = measure(options.robot, steps)
         for what, cost_us in costs.items():
-            print(f'| {steps} | {what} | {cost_us:.1f} | {cost_us / costs["`mj_step`"]:.2f} |',
-                  flush=True)
+            bare_us = costs[BELT if 'belt' in what else '`mj_step`']
+            print(f'| {steps} | {what} | {cost_us:.1f} | {cost_us / bare_us:.2f} |', flush=True)
 
 
 if __name__ == '__main__':

@@ -49,6 +49,17 @@ def test_contact_ends_a_motion_and_is_reported_where_it_was(mode):
     assert np.linalg.norm(force) < peak
 
 
+@pytest.mark.parametrize('speed', [0.02, 0.1])
+def test_a_stiff_arm_that_has_stopped_presses_no_more_than_the_force_that_ended_its_motion(speed):
+    op = operator_of('Panda', arena='table', contacts=True)
+    op.run_until_done([guarded(op, [0.0, 0.0, -speed])], 15.0)
+    assert op.report.contact.cause == 'contact'
+    op.run(0.5)
+    force = op.robot.state().end_effectors['right'].external_wrench.force
+    assert np.linalg.norm(force) < 5.0
+    np.testing.assert_allclose(op.pose[0], op.report.contact.position, atol=2e-3)
+
+
 @pytest.mark.parametrize(('limits', 'cause'), [
     ({'distance': 0.1}, 'distance'), ({'duration_s': 1.234}, 'time')])
 def test_distance_and_time_end_a_motion(limits, cause):

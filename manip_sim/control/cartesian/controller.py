@@ -20,7 +20,7 @@ from manip_sim.control.cartesian.cartesian_settings import (
 from manip_sim.control.cartesian.kinematic_chains import Arms, KinematicChain
 from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport, Contact
-from manip_sim.control.cartesian.targets import Target, target_of
+from manip_sim.control.cartesian.targets import Guard, Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.law.arm_records import (
     Arm, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, no_targets, RESTS, STREAMS, Targets,
@@ -219,7 +219,8 @@ class CartesianController:
             command, self._chains[command.arm], self._physics.model, data,
             self._physics.arrays.kinematics, before, now_s + lasts_s)
         if isinstance(command, GuardedTwist):
-            target.guard = self._chains[command.arm].tip.pose(data)[0], now_s
+            pose = self._chains[command.arm].tip.pose(data)
+            target.guard = Guard(pose[0], now_s, pose)
         if goes_on and streamed is not None:
             target.go_on(streamed, data)
         if isinstance(command, CartesianPose):
@@ -316,20 +317,26 @@ class CartesianController:
                     np.abs(place - target.settled_in).max() > _MOVED):
                 target.settled_in = None
 
-    def _guard(self, command: GuardedTwist, target: Target, guard: tuple[FloatArray, float],
-               data: mujoco.MjData, now_s: float) -> None:
-        """Let the end effector stay where it is if something ends its motion, and report it."""
-        position, rotation = self._chains[command.arm].tip.pose(data)
+    def _guard(self, command: GuardedTwist, target: Target, guard: Guard, data: mujoco.MjData,
+               now_s: float) -> None:
+        """
+        Let the end effector stay where it is if something ends its motion, and report it.
+
+        After a contact it goes back to where the force was below its limit, as a stiff arm that
+        has moved on for a control period presses much harder.
+        """
+        pose = position, _ = self._chains[command.arm].tip.pose(data)
         wrench = self._readers[command.arm].external_wrench(data)
-        distance, duration_s = length(position - guard[0]), now_s - guard[1]
+        distance, duration_s = length(position - guard.start), now_s - guard.begin_s
         causes = {'contact': length(wrench[:3]) >= command.force,
                   'distance': distance >= command.distance,
                   'time': duration_s >= command.duration_s - 1e-9}
         cause = next((cause for cause, ends in causes.items() if ends), None)
         if cause is None:
+            target.guard = guard._replace(free=pose)
             return
         target.guard = target.twists = target.reference = None
-        target.stay_at((position, rotation), data)
+        target.stay_at(guard.free if cause == 'contact' else pose, data)
         self.reports[command.arm].contact = Contact(
             cause, now_s, position, wrench.copy(), distance, duration_s)
         command.handle.end(Status.DONE)

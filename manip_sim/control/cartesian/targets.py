@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,6 +21,21 @@ from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.physics.physics import Kinematics
 from manip_sim.physics.robot_frames import Frame, WORLD
+
+
+class Guard(NamedTuple):
+    """
+    A motion until contact.
+
+    :ivar start: position where it began, in the world [m], shape (3,)
+    :ivar begin_s: simulation time when it began [s]
+    :ivar free: position [m] and rotation matrix in the world where the force was last below its
+        limit
+    """
+
+    start: FloatArray
+    begin_s: float
+    free: tuple[FloatArray, FloatArray]
 
 
 @dataclass
@@ -42,8 +58,7 @@ class Target:
         impedance pull on the way to the goal, or None
     :ivar push: wrench of an impedance beside its springs, or None
     :ivar push_until_s: simulation time when that ends [s]
-    :ivar guard: where a motion until contact began, in the world [m], shape (3,), and when [s], or
-        None
+    :ivar guard: of a motion until contact, or None
     """
 
     anchor: Frame
@@ -60,7 +75,7 @@ class Target:
     reference: tuple[FloatArray, FloatArray] | None = None
     push: CartesianWrench | None = None
     push_until_s: float = math.inf
-    guard: tuple[FloatArray, float] | None = None
+    guard: Guard | None = None
 
     @classmethod
     def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: mujoco.MjData
