@@ -74,7 +74,9 @@ class SeatState:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        if len(self.parameters) != len(self.law.defaults) or len(self.memory) != self.law.memory:
+        lengths = {'parameters': len(self.law.defaults), 'memory': self.law.memory,
+                   'wrench': 6, 'status': 3}
+        if any([np.shape(state[name]) != (length,) for name, length in lengths.items()]):
             raise ModelError(f"the state was saved with another law '{self.name}'")
 
 

@@ -5,8 +5,8 @@
 The whole state of a simulation as JSON, from which another process continues to the bit.
 
 It may come from anybody. Reading it makes numbers, texts, arrays and containers, and objects of
-the classes of this package that hold data; it runs no code of theirs, imports nothing, and takes
-no more memory than the text.
+the classes of this package that hold data; it runs no code of theirs, imports nothing but laws of
+users that are installed here, by their names, and takes no more memory than the text.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ import zlib
 import numpy as np
 
 from manip_sim.control.commands import CommandHandle
-from manip_sim.errors import ModelError
+from manip_sim.control.user_laws import Law, LAWS
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.physics.robot_frames import Frame
 from manip_sim.quoting import one_line, quoted
 from manip_sim.simulation.control_state import is_foreign, owner_of
@@ -73,6 +74,8 @@ class Encoder:
             return ['b', _text(value)]
         if isinstance(value, slice):
             return ['c', *map(self.encode, (value.start, value.stop, value.step))]
+        if isinstance(value, Law):
+            return ['w', value.name]
         if type(value) is tuple:
             return ['t', *map(self.encode, value)]
         if isinstance(value, tuple) and hasattr(value, '_fields'):
@@ -128,7 +131,7 @@ class Decoder:
         self._depth = 0
         self._readers: dict[str, Callable[..., Any]] = {
             '@': self._reference, '#': self._again, 'n': _number, 'e': _member, 'b': _bytes,
-            'c': lambda *found: slice(*map(self._read, found)),
+            'c': lambda *found: slice(*map(self._read, found)), 'w': _law,
             't': lambda *found: tuple(map(self._read, found)), 'T': self._named_tuple,
             'f': lambda *found: frozenset(map(self._read, found)),
             'l': self._list, 'd': self._dict, 's': self._set, 'q': self._queue,
@@ -228,13 +231,16 @@ class Decoder:
         value = self._meet(object.__new__(cls))
         fields = ({field.name for field in dataclasses.fields(cls)}
                   if dataclasses.is_dataclass(cls) else None)
+        found = {}
         for key, content in members.items():
             known = fields is not None and key in fields
             if key.startswith('__') or not known and hasattr(cls, key):
                 raise ModelError(f'{quoted(name)} has no attribute {quoted(key)} that can be set')
-            vars(value)[key] = self._read(content)
+            found[key] = self._read(content)
         if fields is not None and not fields <= members.keys():
             raise ModelError(f'{quoted(name)} lacks attributes')
+        restore = getattr(value, '__setstate__', vars(value).update)
+        restore(found)
         return value
 
 
@@ -285,6 +291,13 @@ def _class(name: str) -> type:
     if not _is_data(cls):
         raise ModelError(f'{quoted(name)} holds no data')
     return cls
+
+
+def _law(name: str) -> Law:
+    try:
+        return LAWS[str(name)]
+    except UnknownNameError as error:
+        raise ModelError(f'the state was saved with a law that is not here: {error}') from error
 
 
 def _member(name: str, member: str) -> Any:

@@ -4,6 +4,7 @@
 """Records of nodes are repeated to the bit, and whatever was changed in one is found."""
 
 import json
+import re
 import shutil
 
 from hostile_records import encoded, rewrite
@@ -13,8 +14,10 @@ import pytest
 from robot_kinds import KINDS
 
 from manip_sim.cli.main import main
+from manip_sim.control.user_laws import LAWS
 from manip_sim.interface.composition import compose_world
 from manip_sim.interface.parameter_spec import GivenParameters
+from manip_sim.laws import law
 from manip_sim.models import compose_robot
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with
@@ -189,6 +192,56 @@ def test_settings_of_before_the_record_act_in_its_repetition(setting, session, v
     node.close()
     assert verify() == (0, [
         '50 control periods repeated, with 1 change from outside', '1 of 1 equal'])
+
+
+@law(parameters={'stiffness': 200.0}, memory=1)
+def counting(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+    memory[0] += 1.0
+    for i in range(len(q)):
+        effort[i] = bias[i] + parameters[0] * (setpoint[i, 0] - q[i]) - 20.0 * v[i]
+
+
+@pytest.fixture
+def counted(session, monkeypatch):
+    """Return a session in which a law has moved the arm when the record begins."""
+    monkeypatch.setattr(LAWS, '_laws', {'counting': counting})
+    node = session(robot='Panda')
+    node.thread.change('mode', 'robot0', 'arm', 'law:counting')
+    node.act(5)
+    node.begin()
+    node.thread.change('law', 'robot0', 'arm', 'stiffness', 300.0)
+    node.act(105)
+    node.close()
+    return node
+
+
+def test_laws_with_parameters_and_memory_are_repeated(counted, verify):
+    code, lines = verify()
+    assert (code, lines[-1]) == (0, '1 of 1 equal')
+    assert lines[0].startswith('105 control periods repeated, with ')
+
+
+@pytest.mark.parametrize(('change', 'text'), [
+    (lambda state: state['law'].__setitem__(1, 'other'), "law that is not here: .*'other'"),
+    *[(lambda state, name=name: state.__setitem__(name, ['a', '<f8', [0], '', 'C']),
+       "saved with another law 'counting'") for name in ('parameters', 'memory', 'wrench')]],
+    ids=['law', 'parameters', 'memory', 'wrench'])
+def test_states_of_other_laws_are_rejected(change, text, counted, verify, tmp_path):
+    def find(value):
+        """Yield the states of laws in JSON."""
+        if isinstance(value, list) and value[:1] == ['o'] and value[1].endswith(':SeatState'):
+            yield value[2]
+        for item in value.values() if isinstance(value, dict) else (
+                value if isinstance(value, list) else ()):
+            yield from find(item)
+
+    def at_the_begin(message):
+        if message['number'] == 0:
+            for state in find(message):
+                change(state)
+        return message
+    code, lines = verify(changed(tmp_path, at_the_begin))
+    assert code == 1 and re.search(text, lines[0])
 
 
 def changed(tmp_path, change):
