@@ -82,7 +82,7 @@ class JointController(ControlledJoints):
             for part in parts[arm].atomic if len(parts[arm].atomic) == 1})
         self.cartesian = CartesianController(
             physics, chains or {}, self.names, self._servos, self._setpoints,
-            end_effectors or {})
+            end_effectors or {}, self.seats)
         self._everything = np.arange(len(self.names))
         self._derived = Derived()
         self._timeouts = CommandTimeouts(atomic)

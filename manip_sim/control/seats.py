@@ -208,6 +208,11 @@ class Seats:
         """True if any law runs as plain Python."""
         return any([seat.acts and not seat.is_compiled for seat in self.of.values()])
 
+    def act_on(self, indices: IntArray) -> bool:
+        """Return whether a law moves any of some joints."""
+        return any([seat.acts and bool(np.isin(indices, self._indices[part]).any())
+                    for part, seat in self.of.items()])
+
     def check(self, law: Law, compiled: bool) -> None:
         """
         Check that a law can act, and compile it.

@@ -167,6 +167,34 @@ def test_the_setpoints_of_a_law_go_on_in_each_step(panda_sim):
                                atol=1e-4)
 
 
+@pytest.mark.parametrize('command', ['pose', 'twist', 'action', 'until_contact'])
+def test_cartesian_commands_move_the_setpoints_of_a_law_as_those_of_servos(command, panda_sim):
+    other = Simulation(panda_sim.world)
+    panda_sim.robot.set_law('arm', spring, stiffness=900.0, damping=60.0)
+    start = panda_sim.robot.state().end_effectors['right'].pose
+    for simulation in (panda_sim, other):
+        parse = simulation.robot.parse_cartesian
+        made = {'pose': lambda parse=parse: parse.pose(
+                    'right', start.position + [0.05, 0.02, 0.0], start.quat_xyzw),
+                'twist': lambda parse=parse: parse.twist('right', [0.3, 0.0, 0.1], [0.0] * 3),
+                'action': lambda parse=parse: parse.action('right', [1.0, 0.5, 0.0, 0, 0, 0.5]),
+                'until_contact': lambda parse=parse: parse.until_contact(
+                    'right', [0.1, 0.0, 0.0], [0.0] * 3, force=9.0, distance=9.0,
+                    duration_s=0.4)}[command]()
+        simulation.robot.apply(made, period_s=0.01)
+    for _ in range(100):
+        panda_sim.advance(5)
+        other.advance(5)
+        law_gets, servo_gets = (simulation.robot.controller_state('arm').reference
+                                for simulation in (panda_sim, other))
+        # The end effector itself is elsewhere, where a motion until contact ends.
+        np.testing.assert_allclose(law_gets.position, servo_gets.position, atol=(
+            2e-3 if command == 'until_contact' else 1e-5))
+    moved = panda_sim.robot.state().end_effectors['right'].pose.position - start.position
+    assert moved[0] > 0.02 and abs(moved[0] - (
+        other.robot.state().end_effectors['right'].pose.position - start.position)[0]) < 2e-3
+
+
 def test_a_law_feels_what_touches_its_tool():
     simulation = Simulation(World([compose_robot('Panda')]))
     simulation.robot.set_law('arm', spring)

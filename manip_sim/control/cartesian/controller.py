@@ -25,6 +25,7 @@ from manip_sim.control.commands import Status
 from manip_sim.control.law.arm_records import (
     Arm, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, no_targets, RESTS, STREAMS, Targets,
     targets_of, TWISTS)
+from manip_sim.control.seats import Seats
 from manip_sim.control.servos import Servos, SPEED_UP_S
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
@@ -63,6 +64,7 @@ class CartesianController:
     :param servos: of all driven joints
     :param setpoints: of all driven joints
     :param end_effectors: readers of the grippers, by arm
+    :param seats: laws of users, which get the setpoints
     :ivar settings: by arm
     :ivar reports: by arm
     :ivar period_s: length of the control period [s]
@@ -76,13 +78,13 @@ class CartesianController:
 
     def __init__(self, physics: Physics, chains: Mapping[str, KinematicChain],
                  names: Sequence[str], servos: Servos, setpoints: SetpointGenerator,
-                 end_effectors: Mapping[str, EndEffectorReader]) -> None:
+                 end_effectors: Mapping[str, EndEffectorReader], seats: Seats) -> None:
         self._physics = physics
         self._readers = end_effectors
         self._chains = chains
         self._names = names
         self._servos = servos
-        self._setpoints = setpoints
+        self._setpoints, self._seats = setpoints, seats
         self.posture: FloatArray = physics.data.qpos[servos.qpos].copy()
         self._low, self._high = servos.position_clamp().T
         #: Joints of each arm, of all driven ones, in the arm's order.
@@ -285,6 +287,8 @@ class CartesianController:
         """Return the end effector's velocity in the axes of a frame [m/s, rad/s], shape (6,)."""
         dofs = self._servos.dofs[command.indices]
         gives = self._servos.gives_effort(command.indices)
+        if self._seats.act_on(command.indices):
+            gives[:] = False
         velocity = np.where(gives, data.qvel[dofs], self._setpoints.velocity[command.indices])
         moved = product(self._chains[command.arm].tip.jacobian(self._physics.model, data, dofs),
                         velocity)
@@ -296,8 +300,12 @@ class CartesianController:
 
     def moves(self, command: CartesianCommand) -> bool:
         """Return whether a command that runs has something to do in the next interval."""
-        return (self._targets[command.arm].settled_in is None
-                or self._servos.any_gives_effort_of(command.indices))
+        return self._targets[command.arm].settled_in is None or self._exerts(command)
+
+    def _exerts(self, command: CartesianCommand) -> bool:
+        """Return whether the joints of a command exert efforts, and follow no setpoints."""
+        return self._servos.any_gives_effort_of(command.indices) and not (
+            self._seats.act_on(command.indices))
 
     def begin_period(self, command: CartesianCommand, data: mujoco.MjData, now_s: float) -> None:
         """
@@ -369,7 +377,7 @@ class CartesianController:
             self._end_twist(command, target, now_s)
             if now_s >= target.push_until_s - 1e-9:
                 self._end_push(command.arm, target, self._physics.data)
-            exerts = self._servos.any_gives_effort_of(command.indices)
+            exerts = self._exerts(command)
             interval_s = self._solution_s(float(durations_s[0]))
             follows = self._follows(target, exerts, now_s)
             self._fill(targets, number, command, exerts, follows, interval_s)
