@@ -36,7 +36,8 @@ class JointReference:
     :ivar position: [rad or m], shape (n,)
     :ivar velocity: [rad/s or m/s], shape (n,)
     :ivar acceleration: [rad/s^2 or m/s^2], shape (n,)
-    :ivar effort: commanded, zero for joints that follow setpoints [N m or N], shape (n,)
+    :ivar effort: commanded, or exerted by a law of a user; zero for joints that servos move
+        [N m or N], shape (n,)
     :ivar gives_effort: whether a joint has a commanded effort and no setpoint, shape (n,)
     """
 
@@ -264,7 +265,8 @@ class ControlledJoints:
         gives = self._servos.gives_effort(indices)
         reference = JointReference(
             setpoints.position[indices], setpoints.velocity[indices],
-            setpoints.acceleration[indices], np.where(gives, self._effort[indices], 0.0), gives)
+            setpoints.acceleration[indices], np.where(gives, self._effort[indices], 0.0),
+            gives & np.array([MODES[mode].law is None for mode in self.modes_of(indices)], bool))
         dofs = self._servos.dofs[indices]
         return ControllerState(
             tuple(self.names[i] for i in indices), reference,

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from robot_kinds import KINDS
 
+from manip_sim.channels.kinds import controller_numbers
 from manip_sim.control.commands import Status
 from manip_sim.control.seats import _EXIT_CODE
 from manip_sim.control.user_laws import ARGUMENTS, law_of, LAWS
@@ -193,6 +194,23 @@ def test_cartesian_commands_move_the_setpoints_of_a_law_as_those_of_servos(comma
     moved = panda_sim.robot.state().end_effectors['right'].pose.position - start.position
     assert moved[0] > 0.02 and abs(moved[0] - (
         other.robot.state().end_effectors['right'].pose.position - start.position)[0]) < 2e-3
+
+
+def test_the_reference_that_is_published_of_a_law_is_its_setpoint(panda_sim):
+    robot = panda_sim.robot
+    robot.set_law('arm', spring, stiffness=20.0)
+    robot.apply(*robot.parse.joint_command(ARM[:1], position=[0.5]))
+    panda_sim.advance(150)
+    rows = controller_numbers(robot.controller_state('arm')).reshape(9, 7)
+    setpoints = robot.joints.setpoints
+    for row, expected in zip(rows, (setpoints.position, setpoints.velocity)):
+        np.testing.assert_array_equal(row, expected[:7])
+    assert rows[7, 0] == rows[0, 0] - panda_sim.data.qpos[0] > 0.01
+    assert not robot.controller_state('arm').reference.gives_effort.any()
+    robot.set_control_mode('arm', 'effort')
+    robot.apply(*robot.parse.joint_command(ARM[:1], effort=[1.0]))
+    panda_sim.advance(1)
+    assert robot.controller_state('arm').reference.gives_effort.tolist() == [True] + [False] * 6
 
 
 def test_a_law_feels_what_touches_its_tool():
