@@ -18,11 +18,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.commands import Command, JointSetpoint, NoCommand
 from manip_sim.control.controlled_joints import ControlledJoints
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.modes import POSITION
+from manip_sim.control.modes import MODES, POSITION, VELOCITY
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, UnknownNameError
@@ -52,11 +52,12 @@ _GAIN_PER_S = 100.0
 
 class Discontinuities:
     """
-    The positions that were commanded last, and what the next ones demand beyond them.
+    The goals that were commanded last, and what the next ones demand beyond them.
 
-    The velocity of a joint is the difference of two commanded positions over the time between
-    them, and its acceleration the difference of two such velocities over that time. A command that
-    no other one preceded within the longest interval of a stream continues from the setpoint.
+    The velocity of a joint is what is commanded, or the difference of two commanded positions over
+    the time between them, and its acceleration the difference of two velocities over that time. A
+    command that no other one preceded within the longest interval of a stream continues from the
+    setpoint.
 
     :param joints: of the robot
     """
@@ -65,7 +66,8 @@ class Discontinuities:
 
     def __init__(self, joints: ControlledJoints) -> None:
         self._joints = joints
-        #: Time [s], position and velocity of the last command, by joint.
+        #: Time [s], position (NaN in a command for a velocity) and velocity of the last command,
+        #: by joint.
         self._last: dict[int, tuple[float, float, float]] = {}
 
     def clear(self) -> None:
@@ -77,13 +79,14 @@ class Discontinuities:
         for index in indices.tolist():
             self._last.pop(index, None)
 
-    def demands(self, indices: IntArray, positions: FloatArray, now_s: float, period_s: float
-                ) -> FloatArray:
+    def demands(self, indices: IntArray, goals: FloatArray, are_positions: BoolArray,
+                now_s: float, period_s: float) -> FloatArray:
         """
-        Return the shares of velocity and acceleration limits that positions demand, and keep them.
+        Return the shares of velocity and acceleration limits that goals demand, and keep them.
 
         :param indices: of the joints, shape (n,)
-        :param positions: that are commanded [rad or m], shape (n,)
+        :param goals: that are commanded [rad, m, or per s], shape (n,)
+        :param are_positions: which of them are positions, the others are velocities, shape (n,)
         :param now_s: simulation time since the last reset [s]
         :param period_s: length of a control period [s]
         :returns: shape (n, 2)
@@ -91,15 +94,16 @@ class Discontinuities:
         setpoints, shares = self._joints.setpoints, np.zeros((len(indices), 2))
         limits = np.stack([self._joints.velocity_limits(indices),
                            self._joints.acceleration_limits(indices)], axis=1)
-        for row, (index, position) in enumerate(zip(indices.tolist(), positions.tolist())):
+        for row, (index, goal, is_position) in enumerate(zip(
+                indices.tolist(), goals.tolist(), are_positions.tolist())):
             last_s, before, velocity = self._last.get(index, (now_s, 0.0, 0.0))
             interval_s = now_s - last_s
-            if not 0.0 < interval_s <= STREAM_INTERVAL_S:
+            if not 0.0 < interval_s <= STREAM_INTERVAL_S or is_position == math.isnan(before):
                 interval_s, before, velocity = period_s, setpoints.position.item(
                     index), setpoints.velocity.item(index)
-            demanded = (position - before) / interval_s
+            demanded = (goal - before) / interval_s if is_position else goal
             shares[row] = abs(demanded), abs(demanded - velocity) / interval_s
-            self._last[index] = now_s, position, demanded
+            self._last[index] = now_s, goal if is_position else math.nan, demanded
         return shares / limits
 
 
@@ -224,8 +228,8 @@ class ReflexLimits:
     :ivar effort: of any joint, as a multiple of its effort limit
     :ivar force: magnitude of the external force on the tool [N]
     :ivar torque: magnitude of the external torque on the tool [N m]
-    :ivar discontinuity: velocity or acceleration that commands for positions demand of any joint,
-        as a multiple of its limit
+    :ivar discontinuity: velocity or acceleration that commands for positions or velocities demand
+        of any joint, as a multiple of its limit
     :ivar collision: torques that the world exerts at joints [N m or N], as
         :func:`read_thresholds` reads them
     """
@@ -340,7 +344,7 @@ class Reflexes:
     def check_command(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float
                       ) -> None:
         """
-        Stop the parts of which a command for positions demands too much.
+        Stop the parts of which a command for positions or velocities demands too much.
 
         :param now_s: simulation time since the last reset [s]
         :param period_s: length of a control period [s]
@@ -350,16 +354,19 @@ class Reflexes:
                  if part in limits and limits[part].discontinuity]
         if not parts:
             return
+        if not isinstance(command, JointSetpoint):
+            self._discontinuities.forget(command.indices)
+            return
+        fields = np.array([MODES[mode].field for mode in command.modes])
+        are_checked = np.isin(fields, (POSITION.field, VELOCITY.field))
+        self._discontinuities.forget(command.indices[~are_checked])
+        are_checked &= np.isfinite(command.values)  # An impedance may have gains alone.
         for part in sorted(parts):
-            indices, goes = joints.indices_of(part), np.zeros(len(command.indices), bool)
-            if isinstance(command, JointSetpoint):
-                goes = np.isin(command.indices, indices) & np.array([
-                    mode == POSITION.name for mode in command.modes])
+            goes = are_checked & np.isin(command.indices, joints.indices_of(part))
             led = command.indices[goes]
-            self._discontinuities.forget(np.setdiff1d(command.indices, led))
-            if isinstance(command, JointSetpoint) and led.size:
+            if led.size:
                 demands = self._discontinuities.demands(
-                    led, command.values[goes], now_s, period_s)
+                    led, command.values[goes], fields[goes] == POSITION.field, now_s, period_s)
                 worst, kind = np.unravel_index(demands.argmax(), demands.shape)
                 share, allowed = demands[worst, kind], limits[part].discontinuity
                 if share > allowed:

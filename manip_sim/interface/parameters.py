@@ -37,8 +37,8 @@ _REFLEXES = (
     ('effort', 'a joint exceeds this multiple of its effort limit', '', 1.0),
     ('force', 'the external force on the tool exceeds this value', 'N', 1e5),
     ('torque', 'the external torque on the tool exceeds this value', 'N m', 1e5),
-    ('discontinuity', 'a command for positions demands more than this multiple of the velocity or '
-     'acceleration limit of a joint', '', 100.0))
+    ('discontinuity', 'a command for positions or velocities of joints demands more than this '
+     'multiple of the velocity or acceleration limit of a joint', '', 100.0))
 STEPPING = ('realtime', 'free', 'lockstep')
 SHORTEST_STEP_S = 1e-4
 

@@ -10,7 +10,9 @@ import pytest
 from sampling import Driven, sampled
 
 from manip_sim.control.commands import Status
+from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.laws import law
 from manip_sim.models import compose
 from manip_sim.models.robots import create_robot
 from manip_sim.simulation import Simulation
@@ -143,6 +145,29 @@ def test_what_positions_demand_is_compared_with_the_limits(positions, stops, pan
     panda_sim.robot.set_reflex('right', 'discontinuity', 2.0)
     stream(panda_sim, positions)
     assert bool(panda_sim.robot.reflexes.tripped) is stops
+
+
+@pytest.mark.parametrize('mode', ['velocity', 'impedance', 'law:soft'])
+def test_commands_of_other_modes_are_compared_with_the_limits_too(mode, panda_sim, monkeypatch):
+    @law
+    def soft(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+        effort[:] = bias + 200.0 * (setpoint[:, 0] - q) - 20.0 * v
+
+    monkeypatch.setattr(LAWS, '_laws', {'soft': soft})
+    robot, field = panda_sim.robot, 'velocity' if mode == 'velocity' else 'position'
+    robot.set_control_mode('arm', mode)
+    robot.set_reflex('arm', 'discontinuity', 1.0)
+    goals = 0.5 * np.sin(5.0 * 0.01 * np.arange(120)) if field == 'velocity' else SMOOTH
+    for goal in goals:
+        go(panda_sim, **{field: [goal]})
+        if mode == 'impedance':  # Gains alone are no jump.
+            robot.apply(*robot.parse.joint_impedance([J1], stiffness=300.0))
+        panda_sim.advance(5)
+    assert not robot.reflexes.tripped
+    handle = go(panda_sim, **{field: [goals[-1] + 0.3]})
+    panda_sim.advance(5)
+    assert handle.status is Status.ABORTED
+    assert "limit of joint 'robot0_joint1', allowed is 1" in robot.reflexes.tripped['arm']
 
 
 def test_lost_messages_are_no_discontinuity_and_other_commands_begin_anew(panda_sim):
