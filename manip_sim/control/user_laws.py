@@ -252,7 +252,30 @@ def _checked_name(function: Callable[..., object]) -> str:
         if argument != expected and argument in ARGUMENTS:
             raise ModelError(f"law '{name}' must take {', '.join(ARGUMENTS)}, in this order: "
                              f"'{argument}' is in the place of '{expected}'")
+    if _loses_efforts(function):
+        raise ModelError(f"law '{name}' gives its last argument another value, which is lost: "
+                         f'{FILLS}')
     return name
+
+
+def _loses_efforts(function: Callable[..., object]) -> bool:
+    """Return whether a law assigns to its last argument, other than in place as by ``+=``."""
+    code: Any = getattr(function, '__code__', None)
+    if not inspect.iscode(code) or code.co_argcount != len(ARGUMENTS):
+        return False
+    effort, in_place = code.co_varnames[len(ARGUMENTS) - 1], False
+    for instruction in dis.get_instructions(code):
+        if instruction.opname.startswith('STORE_FAST') and not in_place:
+            stored = instruction.argval
+            if isinstance(stored, tuple):  # Some instructions name two variables.
+                stored = stored[:1] if instruction.opname.endswith('LOAD_FAST') else stored
+            else:
+                stored = (stored,)
+            if effort in stored:
+                return True
+        in_place = instruction.opname.startswith('INPLACE') or (
+            instruction.opname == 'BINARY_OP' and instruction.argrepr.endswith('='))
+    return False
 
 
 def _reads(function: Callable[..., object]) -> BoolArray:

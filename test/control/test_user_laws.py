@@ -363,6 +363,29 @@ def test_a_law_that_returns_efforts_is_rejected_or_stopped_as_they_would_be_lost
     assert 'it returns a value, ndarray: it must' in robot.reflexes.tripped['arm']
 
 
+def test_a_law_that_assigns_to_effort_is_rejected_and_one_that_adds_to_it_is_not(panda_sim):
+    def lost(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, torque):
+        torque = bias - 5.0 * v
+        memory[0] = torque[0]
+
+    def both(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+        gain, effort = 5.0, bias
+        effort[:] = -gain * v
+
+    def added(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+        damping = 5.0 * v
+        effort += bias
+        effort -= damping
+
+    for wrong in (lost, both):
+        with pytest.raises(ModelError, match='gives its last argument another value.*fill effort'):
+            law(memory=1)(wrong)
+    panda_sim.robot.set_law('arm', law(added))
+    panda_sim.advance(20)
+    assert not panda_sim.robot.reflexes.tripped
+    assert np.abs(panda_sim.robot.state().velocity).max() < 1e-9
+
+
 def test_a_law_that_cannot_be_compiled_says_why_in_one_line(panda_sim):
     @law
     def opening(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
