@@ -354,6 +354,26 @@ def test_force_mode_approaches_at_its_limit_presses_with_its_force_and_stays_at_
     assert np.abs(op.twist).max() < 1e-3
 
 
+@pytest.mark.parametrize('messages', ['half lost', 'twice', 'never again'])
+def test_a_force_mode_off_schedule_goes_on_at_its_velocity_or_ends(messages):
+    op = impedance('Panda')
+    op.robot.set_command_timeout('arm', 0.2, ends_targets=False)
+    velocities = []
+    for number in range(20):
+        for _ in range({'half lost': (number + 1) % 2, 'twice': 2, 'never again': number < 5}[
+                messages]):
+            op.robot.apply(op.robot.parse_cartesian.force_mode(
+                'right', [0, 0, 1, 0, 0, 0], [0, 0, 5, 0, 0, 0], [1, 1, 0.05, 1, 1, 1]))
+        op.run(0.1)
+        velocities.append(op.twist[2])
+    if messages == 'never again':
+        before = op.pose[0]
+        op.run(1.0)
+        assert abs(velocities[4]) > 0.04 and np.abs(op.pose[0] - before).max() < 1e-4
+    else:
+        np.testing.assert_allclose(velocities[5:], 0.05, rtol=0.02)
+
+
 @pytest.mark.full
 @pytest.mark.parametrize('axis', range(6))
 def test_a_chosen_axis_without_force_yields_and_is_braked_beyond_its_limit(axis):

@@ -11,7 +11,9 @@ import pytest
 from springs import assert_swings, deflection
 
 from manip_sim.control.commands import JointImpedance, JointSetpoint, Status
+from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import CommandError
+from manip_sim.laws import law
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
@@ -193,6 +195,50 @@ def test_messages_of_one_period_say_together_what_each_says_last(impeded):
     assert second.values[0] == 0.3 and np.isnan(second.values[1]) and second.messages == 2
     assert second.pulls[2].tolist() == [100.0, 50.0] and second.pulls[1].tolist() == [1.0, 2.0]
     assert commands[0].handle.status is Status.REPLACED and third is commands[2]
+
+
+@law
+def following(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+    for i in range(len(q)):
+        effort[i] = bias[i]
+        for j in range(len(q)):
+            effort[i] += mass[i, j] * (setpoint[j, 2] + 400.0 * (setpoint[j, 0] - q[j])
+                                       + 40.0 * (setpoint[j, 1] - v[j]))
+
+
+def arrivals(schedule):
+    """Return the numbers of the messages that arrive in each of 150 control periods."""
+    random, due = np.random.default_rng(5), [[] for _ in range(160)]
+    for number in range(0, 100, 2):
+        if schedule == 'lost' and random.random() < 0.3 or schedule == 'never' and number > 40:
+            continue
+        late = int(random.integers(6)) if schedule == 'late' else 0
+        due[number + late] += [number] * (2 if schedule == 'twice' else 1)
+    return due[:150]
+
+
+@pytest.mark.parametrize('schedule', ['late', 'lost', 'twice', 'never'])
+@pytest.mark.parametrize('mode', ['impedance', 'law:following'])
+def test_messages_off_schedule_keep_the_limits_and_end_at_the_last_goal(
+        mode, schedule, panda_sim, monkeypatch):
+    monkeypatch.setattr(LAWS, '_laws', {'following': following})
+    robot = panda_sim.robot
+    robot.set_control_mode('arm', mode)
+    limits = [limit(np.arange(1))[0] for limit in (
+        robot.joints.velocity_limits, robot.joints.acceleration_limits)]
+    velocities, goal = [0.0], 0.0
+    for numbers in arrivals(schedule):
+        for number in numbers:
+            goal = 0.4 * (1.0 - math.cos(0.06 * number))
+            robot.apply(*robot.parse.joint_command(ARM[:1], position=[goal]), period_s=0.01)
+            if mode == 'impedance':
+                impede(panda_sim, ARM[:1], stiffness=400.0, damping=40.0)
+        panda_sim.advance(5)
+        velocities.append(robot.joints.setpoints.velocity[0])
+    assert np.abs(velocities).max() <= limits[0]
+    assert np.abs(np.diff(velocities)).max() <= 1.5 * limits[1] * 0.01
+    panda_sim.advance(500)
+    assert abs(robot.state().position[0] - goal) < 1e-3
 
 
 def test_a_stream_of_impedances_is_followed_as_one_of_positions(impeded):
