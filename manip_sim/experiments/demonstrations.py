@@ -207,14 +207,16 @@ class EventDevice(Device):
 
     help = ('gamepad: sticks and hat, A: gripper, start: done, select: discard, B: quit; '
             'spacemouse: cap, left button: gripper, right button: done')
-    #: Types of events: end of a report, button, relative and absolute axis.
-    _REPORT, _BUTTON, _RELATIVE, _ABSOLUTE = range(4)
+    #: Types of events: button, relative and absolute axis.
+    _BUTTON, _RELATIVE, _ABSOLUTE = 1, 2, 3
     #: By kind: codes of the axes of the six motions, and their signs.
     _AXES = {'spacemouse': ((1, -1.0), (0, -1.0), (2, -1.0), (4, -1.0), (3, -1.0), (5, -1.0)),
              'gamepad': ((1, -1.0), (0, -1.0), (4, -1.0), (16, 1.0), (17, 1.0), (3, -1.0))}
     _BUTTONS = {'spacemouse': {256: 'grip', 257: DONE},
                 'gamepad': {304: 'grip', 305: QUIT, 314: DISCARD, 315: DONE}}
-    #: Counts of a cap that is deflected completely, and after what time without any it rests [s].
+    #: Counts of a cap that is deflected completely, and after what time without a report of an
+    #: axis it rests [s]. Caps report 60 times a second or more, most of them in turns the axes
+    #: that they move along and those that they turn about, and no axis that rests.
     _FULL, _RESTS_S = 350.0, 0.15
 
     def __init__(self, kind: str, device: Any = None) -> None:
@@ -222,25 +224,19 @@ class EventDevice(Device):
                       for number, (code, sign) in enumerate(self._AXES[kind])}
         self._buttons = self._BUTTONS[kind]
         self._device = _input_device(kind, set(self._axes)) if device is None else device
-        self._values, self._last_s = np.zeros(6), 0.0
-        self._moved: set[int] = set()
+        self._values, self._reported_s = np.zeros(6), np.full(6, np.inf)
 
     def read(self) -> Reading:
         """Return the present deflections, and what the buttons say."""
         found = Reading(self._values)
         for event in self._events():
-            if event.type == self._REPORT and self._moved:
-                # A relative axis that rests is not reported.
-                self._values[[n for n in range(6) if n not in self._moved]] = 0.0
-                self._moved.clear()
-            elif event.type in (self._RELATIVE, self._ABSOLUTE) and event.code in self._axes:
+            if event.type in (self._RELATIVE, self._ABSOLUTE) and event.code in self._axes:
                 self._move(event)
             elif event.type == self._BUTTON and event.value == 1 and event.code in self._buttons:
                 meaning = self._buttons[event.code]
                 found.toggles ^= meaning == 'grip'
                 found.event = found.event or ('' if meaning == 'grip' else meaning)
-        if self._last_s and time.monotonic() - self._last_s > self._RESTS_S:
-            self._values[:] = 0.0
+        self._values[time.monotonic() - self._reported_s > self._RESTS_S] = 0.0
         found.motion = self._values.copy()
         return found
 
@@ -251,8 +247,7 @@ class EventDevice(Device):
             info = self._device.absinfo(event.code)
             middle, half = 0.5 * (info.min + info.max), max(0.5 * (info.max - info.min), 1.0)
         else:
-            self._moved.add(number)
-            self._last_s = time.monotonic()
+            self._reported_s[number] = time.monotonic()
         share = sign * (event.value - middle) / half
         self._values[number] = 0.0 if abs(share) < _DEAD else min(max(share, -1.0), 1.0)
 
@@ -269,6 +264,12 @@ class EventDevice(Device):
         self._device.close()
 
 
+def is_spacemouse(name: str) -> bool:
+    """Return whether a device of the kernel is a SpaceMouse, by its name."""
+    # A wireless one has the name of its receiver, 3Dconnexion Universal Receiver.
+    return any(word in name.lower() for word in ('space', '3dconnexion'))
+
+
 def _input_device(kind: str, axes: set[int]) -> Any:
     """Return the first device of the kernel that has all axes."""
     try:
@@ -278,8 +279,7 @@ def _input_device(kind: str, axes: set[int]) -> Any:
     for path in evdev.list_devices():
         device = evdev.InputDevice(path)
         found = device.capabilities(absinfo=False)
-        is_cap = 'space' in device.name.lower()
-        if is_cap == (kind == 'spacemouse') and any(
+        if is_spacemouse(device.name) == (kind == 'spacemouse') and any(
                 axes <= set(found.get(of_type, ())) for of_type in (2, 3)):
             return device
         device.close()

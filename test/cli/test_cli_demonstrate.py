@@ -7,6 +7,7 @@ import csv
 import importlib.util
 import os
 import pty
+import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.experiments.demonstrations import (
-    DISCARD, DONE, EventDevice, Keyboard, LeaderArm, open_leader, QUIT)
+    DISCARD, DONE, EventDevice, is_spacemouse, Keyboard, LeaderArm, open_leader, QUIT)
 from manip_sim.tasks import Setting
 
 pytest.importorskip('mcap_ros2', reason='needs the extra records')
@@ -126,7 +127,11 @@ class Events:
     """A device of the kernel that reports events."""
 
     def __init__(self, *events):
-        self.events = [SimpleNamespace(type=t, code=c, value=v) for t, c, v in events]
+        self.events = []
+        self.report(*events)
+
+    def report(self, *events):
+        self.events += [SimpleNamespace(type=t, code=c, value=v) for t, c, v in events]
 
     def absinfo(self, code):
         return SimpleNamespace(min=0, max=255)
@@ -146,9 +151,52 @@ def test_events_of_the_kernel_move_along_and_about_axes():
     found = pad.read()
     assert found.motion.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0] and found.toggles
     assert pad.read().motion[0] == 1.0  # A stick that is held reports nothing.
-    device = Events((2, 1, -350), (2, 5, 175), (0, 0, 0), (2, 5, 175), (0, 0, 0), (1, 257, 1))
-    found = EventDevice('spacemouse', device).read()
-    assert np.allclose(found.motion, [0.0, 0.0, 0.0, 0.0, 0.0, -0.5]) and found.event == DONE
+
+
+def events_of(*reports):
+    """
+    Yield the events that Linux makes of the reports of a SpaceMouse Compact.
+
+    Report 1 has where its cap is moved to, report 2 about what it is turned, report 3 the buttons:
+    whole numbers of 16 bits. A relative axis makes no event if it is 0.
+    """
+    for report in reports:
+        number, *values = struct.unpack(f'<B{(len(report) - 1) // 2}h', report)
+        if number == 3:
+            yield from ((1, 256 + button, values[0] >> button & 1) for button in range(2))
+        else:
+            yield from ((2, 3 * (number - 1) + axis, value)
+                        for axis, value in enumerate(values) if value)
+        yield 0, 0, 0
+
+
+def test_reports_of_a_cap_that_is_moved_and_turned_at_once(monkeypatch):
+    now_s = [10.0]
+    monkeypatch.setattr('manip_sim.experiments.demonstrations.time',
+                        SimpleNamespace(monotonic=lambda: now_s[0]))
+    moved, turned = struct.pack('<B3h', 1, 0, -350, 70), struct.pack('<B3h', 2, 0, 0, 175)
+    device = Events(*events_of(moved, turned, moved, turned, moved))
+    mouse = EventDevice('spacemouse', device)
+    np.testing.assert_allclose(mouse.read().motion, [1.0, 0.0, -0.2, 0.0, 0.0, -0.5])
+    # The cap is turned on, but moved no longer.
+    for _ in range(20):
+        now_s[0] += 0.016
+        device.report(*events_of(struct.pack('<B3h', 1, 0, 0, 0), turned))
+        found = mouse.read()
+    assert found.motion.tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, -0.5]
+    now_s[0] += 0.2
+    assert not mouse.read().motion.any()
+    for pressed, toggles, event in ((1, True, ''), (0, False, ''), (2, False, DONE)):
+        device.report(*events_of(struct.pack('<Bh', 3, pressed)))
+        found = mouse.read()
+        assert (found.toggles, found.event) == (toggles, event)
+
+
+@pytest.mark.parametrize(('name', 'expected'), [
+    ('3Dconnexion SpaceNavigator', True), ('3Dconnexion SpaceMouse Compact', True),
+    ('3Dconnexion Universal Receiver', True), ('Microsoft X-Box 360 pad', False)])
+def test_a_spacemouse_is_known_by_its_name(name, expected):
+    assert is_spacemouse(name) == expected
 
 
 class Leader:
