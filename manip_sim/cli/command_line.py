@@ -443,17 +443,18 @@ def _add_compare(commands: Any) -> None:
 def _add_demonstrate(commands: Any) -> None:
     parser = _command(
         commands, 'demonstrate', 'demonstrate', 'demonstrate a task with a device, and record it',
-        'Moves the end effector by the keyboard, a gamepad or a SpaceMouse, in real time, and '
-        'records each episode in DIR/SEED.mcap. Each record is repeated at once. A '
-        'demonstration ends with success, when the time is up, or by a key; a discarded one '
-        'begins again.',
+        'Moves the end effector by the keyboard, a gamepad, a SpaceMouse or a page in the '
+        'browser, in real time, and records each episode in DIR/SEED.mcap. Each record is '
+        'repeated at once. A demonstration ends with success, when the time is up, or by a key; a '
+        'discarded one begins again.',
         'examples: manip_sim demonstrate pick_cube --device keyboard --out picks\n'
         '          manip_sim demonstrate reach --device file:actions.csv --out reaches\n'
         'The exit code is 1 if a record does not repeat to the last bit, or there is none.')
     parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks'")
     parser.add_argument('--device', required=True, metavar='NAME', help='keyboard, gamepad, '
-                        'spacemouse, a leader arm of LeRobot as lerobot:TYPE,OPTION=VALUE, or '
-                        'file:ACTIONS.csv with a column for each number of an action')
+                        'spacemouse, browser, a leader arm of LeRobot as '
+                        'lerobot:TYPE,OPTION=VALUE, or file:ACTIONS.csv with a column for each '
+                        'number of an action')
     parser.add_argument('--out', required=True, type=Path, metavar='DIR',
                         help='folder for the records; seeds that it has are left out')
     parser.add_argument('--episodes', type=count, default=1, metavar='N',
@@ -465,6 +466,10 @@ def _add_demonstrate(commands: Any) -> None:
                         help="(default: the robot's own, unless the task needs another one)")
     parser.add_argument('--rate', type=positive, default=20.0, metavar='HZ',
                         help='actions per second (default: 20)')
+    parser.add_argument('--listen', default='127.0.0.1', metavar='ADDRESS', help='address of the '
+                        'page for the browser (default: 127.0.0.1, only this machine)')
+    parser.add_argument('--port', type=whole, default=8080, metavar='N',
+                        help='port of that page (default: 8080)')
 
 
 def _add_identify(commands: Any) -> None:

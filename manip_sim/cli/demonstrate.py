@@ -15,10 +15,12 @@ from manip_sim.cli.output import ProgressBar
 from manip_sim.errors import ManipSimError
 from manip_sim.experiments.demonstrations import action_of, open_device
 from manip_sim.quoting import pluralize
+from manip_sim.ros_environment import missing_module
 from manip_sim.tasks import Setting
 
 if TYPE_CHECKING:
-    from manip_sim.experiments.demonstrations import Demonstration
+    from manip_sim.experiments.demonstrations import Demonstration, Device
+    from manip_sim.tasks import Episode
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
@@ -29,7 +31,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     setting = Setting(options.task, options.robot, options.gripper, action_of(options.device),
                       options.rate)
     episode = setting.create_episode()
-    device = open_device(options.device, episode.actions.names)
+    device = _open(options, episode)
     with contextlib.closing(device), ProgressBar('s') as progress:
         if device.help:
             print(device.help, file=sys.stderr)
@@ -57,6 +59,16 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     return (f'{options.out}: {pluralize(len(kept), "demonstration")}, '
             f'{sum(one.success for one in kept)} with success; {equal} of {len(kept)} repeat'
             ), int(equal < len(kept) or not kept)
+
+
+def _open(options: argparse.Namespace, episode: Episode) -> Device:
+    if options.device != 'browser':
+        return open_device(options.device, episode.actions.names)
+    try:
+        from manip_sim.viewer.dragging import PageDevice
+    except ImportError as error:
+        raise ManipSimError(missing_module(error)) from error
+    return PageDevice(episode, options.listen, options.port)
 
 
 def _line(one: Demonstration) -> str:

@@ -4,7 +4,8 @@
 """
 Demonstrations of a task with a device: recorded, and each repeated at once.
 
-Devices are the keyboard, a gamepad, a SpaceMouse, a leader arm of LeRobot, and a file.
+Devices are the keyboard, a gamepad, a SpaceMouse, a leader arm of LeRobot, and a file; that of the
+browser is in :mod:`manip_sim.viewer.dragging`.
 """
 
 from __future__ import annotations
@@ -383,7 +384,7 @@ def action_of(name: str) -> str:
 
 def open_device(name: str, actions: Sequence[str]) -> Device:
     """
-    Return a device by its name.
+    Return a device by its name, except that of the browser.
 
     :param name: ``keyboard``, ``gamepad``, ``spacemouse``, ``file:ACTIONS.csv``, or as for
         :func:`open_leader` ``lerobot:TYPE,OPTION=VALUE``
@@ -404,8 +405,15 @@ def open_device(name: str, actions: Sequence[str]) -> Device:
         return Keyboard()
     if name in EventDevice._AXES:
         return EventDevice(name)
-    raise UnknownNameError('device', name, ['keyboard', *EventDevice._AXES, f'{_FILE}ACTIONS.csv',
-                                            f'{_LEROBOT}TYPE'])
+    raise UnknownNameError('device', name, [
+        'keyboard', 'browser', *EventDevice._AXES, f'{_FILE}ACTIONS.csv', f'{_LEROBOT}TYPE'])
+
+
+def external_force(episode: Episode) -> float:
+    """Return the greatest external force on a gripper of an episode [N]."""
+    return max((float(np.linalg.norm(robot.sensing.measured(f'{arm}/external_wrench')[:3]))
+                for robot in episode.simulation.robots.values()
+                for arm in robot.end_effectors), default=0.0)
 
 
 #: Speed of an end effector at full deflection [m/s, rad/s].
@@ -487,9 +495,11 @@ class Demonstrator:
     def _act(self, recorder: EpisodeRecorder) -> str:
         """Act until the episode or the demonstration ends; return the event that ended it."""
         episode, closing = self._episode, np.full(len(self._episode.actions.arms), -1.0)
-        begin_s = time.monotonic()
+        begin_s = 0.0
         while not episode.over:
             reading = self._device.read()
+            if not episode.periods:
+                begin_s = time.monotonic()  # A device may wait for a person.
             if reading.event:
                 return reading.event
             if reading.toggles:
@@ -498,7 +508,7 @@ class Demonstrator:
             episode.step(action)
             recorder.period(action)
             now_s = episode.periods * episode.period_s
-            self._show(now_s, episode.success, self._force())
+            self._show(now_s, episode.success, external_force(episode))
             if self._device.is_live:
                 time.sleep(max(0.0, begin_s + now_s - time.monotonic()))
         self._device.end()
@@ -514,9 +524,3 @@ class Demonstrator:
                 action[item.goals] = motion * self._scale
             action[item.gripper] = closing[index]
         return action
-
-    def _force(self) -> float:
-        """Return the greatest external force on a gripper [N]."""
-        return max((float(np.linalg.norm(robot.sensing.measured(f'{arm}/external_wrench')[:3]))
-                    for robot in self._episode.simulation.robots.values()
-                    for arm in robot.end_effectors), default=0.0)

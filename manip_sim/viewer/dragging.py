@@ -1,0 +1,147 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A page in the browser on which a person drags the end effectors of a task, to demonstrate it."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ModelError
+from manip_sim.experiments.demonstrations import Device, EVENTS, external_force, Reading
+from manip_sim.quaternion import matrix_of
+from manip_sim.simulation.snapshots import VisibleWorld
+from manip_sim.tasks import Episode
+from manip_sim.tasks.episode_actions import PoseActions
+from manip_sim.viewer.page.model_scene import Kinematics, Scene
+from manip_sim.viewer.page.page_commands import Events
+from manip_sim.viewer.page.plain_text import Line, PlainText
+from manip_sim.viewer.page.pointer import Aiming
+from manip_sim.viewer.page.server import Access, close_server, open_server, page_address, set_theme
+
+#: Time between two looks at the page before an episode begins [s].
+_PERIOD_S = 1.0 / 30.0
+_SCALE = 0.18
+
+
+class PageDevice(Device):
+    """
+    A page with the world of a task, and a target for each end effector, which moves there.
+
+    An episode begins as soon as a person does something.
+
+    :param episode: whose actions are ``osc_pose``
+    :param listen: name or address of the interface to listen on
+    :param port: 0 takes one that is free
+    :raises ModelError: if the actions are others
+    :raises ManipSimError: if it cannot listen there
+    """
+
+    gives_actions = True
+
+    def __init__(self, episode: Episode, listen: str, port: int) -> None:
+        if not isinstance(episode.actions, PoseActions):
+            raise ModelError('a person drags end effectors, so the actions must be osc_pose')
+        self._episode, self._actions = episode, episode.actions
+        # The simulation's own model has no shapes that only show something.
+        self._posture = Kinematics(VisibleWorld(episode.simulation.plan).model)
+        access = Access.of(os.environ)
+        self._server: Any = open_server(listen, port, access)
+        set_theme(self._server, dark=False)
+        self.help = f'drag the end effector on {page_address(self._server, listen, access)}'
+        self._events, self._event, self._acted = Events(), '', False
+        self._build()
+        self._scene = Scene(self._server, self._posture.model, self._posture.data)
+        self._aiming = Aiming(self._server)
+        self._aiming.begin(self._posture)
+
+    def _build(self) -> None:
+        gui = self._server.gui
+        gui.set_panel_label('manip_sim')
+        self._text = PlainText(gui)
+        several = len(self._actions.arms) > 1
+        self._targets, self._grippers = [], []
+        for item in self._actions.arms:
+            name = f'{item.robot.name}/{item.arm}'
+            target = self._server.scene.add_transform_controls(
+                f'/targets/{name}', scale=_SCALE, depth_test=False, opacity=0.85)
+            target.on_update(self._dragged)
+            self._targets.append(target)
+            box = gui.add_checkbox(f'Close {item.arm} gripper' if several else 'Close gripper',
+                                   False)
+            box.on_update(self._ticked)
+            self._grippers.append(box)
+        self._buttons = gui.add_button_group('Demonstration',
+                                             [name.capitalize() for name in EVENTS])
+        self._buttons.on_click(lambda event: self._events.add(
+            lambda: self._end(event.target.value.lower())))
+
+    def _dragged(self, event: Any) -> None:
+        if event.phase == 'start':
+            self._events.add(self._begin)
+
+    def _ticked(self, event: Any) -> None:
+        if event.client_id is not None:
+            self._events.add(self._begin)
+
+    def _begin(self) -> None:
+        self._acted = True
+
+    def _end(self, event: str) -> None:
+        self._acted, self._event = True, event
+
+    def read(self) -> Reading:
+        """Return the actions towards the targets; before the first one, wait for the person."""
+        if self._episode.periods == 0:
+            self._wait()
+        self._update()
+        action = np.zeros(self._actions.size)
+        for item, target, box in zip(self._actions.arms, self._targets, self._grippers):
+            action[item.goals] = self._actions.towards(
+                item, np.array(target.position), matrix_of(np.array(target.wxyz)))
+            action[item.gripper] = 1.0 if box.value else -1.0
+        event, self._event = self._event, ''
+        return Reading(action, event=event)
+
+    def _wait(self) -> None:
+        """Show the start, with the targets at the end effectors, until a person acts."""
+        self._events.run()
+        self._acted, self._event = False, ''
+        for box in self._grippers:
+            box.value = False
+        self._update()
+        while not self._acted:
+            # A drag that began in the last episode may still go on.
+            for item, target in zip(self._actions.arms, self._targets):
+                position, rotation = item.chain.tip.pose(self._episode.simulation.data)
+                quat = np.empty(4)
+                mujoco.mju_mat2Quat(quat, rotation.ravel())
+                if not np.allclose([*target.position, *target.wxyz], [*position, *quat]):
+                    target.position, target.wxyz = position, quat
+            time.sleep(_PERIOD_S)
+            self._update()
+
+    def _update(self) -> None:
+        """Show the present state, and do what the person asked for."""
+        self._events.run()
+        episode, shown = self._episode, self._posture.data
+        data = episode.simulation.data
+        shown.qpos[:], shown.mocap_pos[:] = data.qpos, data.mocap_pos
+        shown.mocap_quat[:] = data.mocap_quat
+        self._posture.compute()
+        self._scene.update(shown)
+        self._aiming.update(self._posture)
+        self._text.show([
+            Line(episode.task.instruction),
+            Line(f'{episode.periods * episode.period_s:.1f} s of '
+                 f'{episode.most_periods * episode.period_s:.1f}', 'Time'),
+            Line(f'{external_force(episode):.1f} N', 'External force')])
+
+    def close(self) -> None:
+        """Close the page."""
+        close_server(self._server)
