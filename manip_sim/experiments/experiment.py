@@ -12,8 +12,10 @@ import functools
 import json
 from pathlib import Path
 import platform
+import random
 import re
 import statistics
+import sys
 import time
 from typing import Any
 
@@ -160,6 +162,21 @@ class Experiment:
                          'numpy': np.__version__, 'python': platform.python_version()}}
 
 
+def seed_generators(seed: int) -> None:
+    """
+    Seed the generators that whole programs share: of Python, NumPy, and torch if it is loaded.
+
+    A policy that draws from them does the same each time with the same seed, and two policies
+    that are compared draw the same.
+
+    :param seed: of an episode, from 0
+    """
+    random.seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002, what others draw from is theirs to choose
+    if 'torch' in sys.modules:
+        sys.modules['torch'].manual_seed(seed % 2**63)
+
+
 class Worker:
     """
     Runs the episodes of an experiment in one process: one after the other, or a batch at once.
@@ -244,6 +261,7 @@ class Worker:
             self._report(0.0)
 
     def _reset_policy(self, seed: int) -> None:
+        seed_generators(seed)
         with self._reported(), wrap_errors('reset() of the policy', PolicyFailure):
             self._policy.reset(seed)
 

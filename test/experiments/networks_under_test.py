@@ -20,3 +20,11 @@ class OfArray(torch.nn.Module):
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         way = (seen[:, 19:22] - seen[:, 0:3]) / 0.05
         return torch.cat([way.clamp(-1.0, 1.0), torch.zeros(1, 4)], 1)
+
+
+class Draws(torch.nn.Module):
+    """As the other one, and adds what the generator of torch draws."""
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        way = (seen[:, 19:22] - seen[:, 0:3]) / 0.05 + 0.2 * torch.randn(1, 3)
+        return torch.cat([way.clamp(-1.0, 1.0), torch.zeros(1, 4)], 1)

@@ -6,6 +6,7 @@
 import multiprocessing
 import os
 from pathlib import Path
+import random
 import signal
 import sys
 import threading
@@ -28,6 +29,16 @@ class Towards:
         self.periods += 1
         way = observation['goal'] - observation['eef_pose'][0, :3]
         return np.array([*np.clip(way / 0.05, -1.0, 1.0), 0.0, 0.0, 0.0, 0.0])
+
+
+class Draws(Towards):
+    """Draws from the generators of Python and NumPy, which it does not seed."""
+
+    def act(self, observation):
+        found = super().act(observation)
+        found[0] += np.random.normal(0.0, 0.2)  # noqa: NPY002, as policies do
+        found[1] += random.gauss(0.0, 0.2)
+        return found
 
 
 class WithoutSeed(Towards):

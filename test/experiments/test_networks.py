@@ -49,6 +49,25 @@ def test_a_torch_script_gives_the_rows_of_the_policy_in_python(takes, like, tmp_
     assert_alike(rows_of(tmp_path / 'network.pt'), like)
 
 
+def assert_draws_depend_on_the_seed_alone(policy):
+    rows = rows_of(policy)
+    worker = Worker(Experiment(Setting('reach'), str(policy)))
+    assert [worker.run(seed) for seed in (2, 1)] == [rows[2], rows[1]]
+    assert len({row.digest for row in rows}) == 3
+
+
+def test_what_a_policy_draws_depends_on_the_seed_alone():
+    assert_draws_depend_on_the_seed_alone(IN_PYTHON.replace(':Towards', ':Draws'))
+
+
+@pytest.mark.filterwarnings('ignore::FutureWarning', 'ignore::DeprecationWarning')
+def test_what_a_network_draws_depends_on_the_seed_alone(tmp_path):
+    torch = pytest.importorskip('torch', reason='torch is not installed; it is the extra torch')
+    from networks_under_test import Draws
+    torch.jit.script(Draws()).save(str(tmp_path / 'network.pt'))
+    assert_draws_depend_on_the_seed_alone(tmp_path / 'network.pt')
+
+
 @pytest.mark.full
 @pytest.mark.parametrize('takes', ['dictionary', 'array'])
 def test_an_onnx_file_gives_the_rows_of_the_policy_in_python(takes, like, tmp_path):
