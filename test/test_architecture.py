@@ -61,7 +61,7 @@ MAY_IMPORT = {
     # What a client shares with the node: names of topics, how messages and archives are read,
     # what is logged.
     'viewer/ros': ({'interface', 'models', 'ros', 'viewer'}, None),
-    'viewer/dragging.py': ({'experiments', 'simulation', 'tasks', 'viewer'}, PURE),
+    'viewer/task_page.py': ({'experiments', 'simulation', 'tasks', 'viewer'}, PURE),
     'viewer': ({'interface', 'models', 'records', 'viewer'}, PURE | {'PIL', 'viser'}),
     'interface': ({'control', 'interface', 'models', 'physics', 'sensing', 'simulation', 'tasks'},
                   PURE),

@@ -466,6 +466,8 @@ def _add_demonstrate(commands: Any) -> None:
                         help="(default: the robot's own, unless the task needs another one)")
     parser.add_argument('--rate', type=positive, default=20.0, metavar='HZ',
                         help='actions per second (default: 20)')
+    parser.add_argument('--view', action='store_true',
+                        help='show the world on a page in the browser beside another device')
     parser.add_argument('--listen', default='127.0.0.1', metavar='ADDRESS', help='address of the '
                         'page for the browser (default: 127.0.0.1, only this machine)')
     parser.add_argument('--port', type=whole, default=8080, metavar='N',

@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 import contextlib
 import importlib.util
 import sys
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from manip_sim.cli.output import ProgressBar
@@ -19,8 +21,11 @@ from manip_sim.ros_environment import missing_module
 from manip_sim.tasks import Setting
 
 if TYPE_CHECKING:
-    from manip_sim.experiments.demonstrations import Demonstration, Device
+    from manip_sim.experiments.demonstrations import Demonstration, Demonstrator, Device
     from manip_sim.tasks import Episode
+    from manip_sim.viewer.task_page import TaskPage
+
+_BROWSER = 'browser'
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
@@ -31,44 +36,64 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     setting = Setting(options.task, options.robot, options.gripper, action_of(options.device),
                       options.rate)
     episode = setting.create_episode()
-    device = _open(options, episode)
-    with contextlib.closing(device), ProgressBar('s') as progress:
+    with contextlib.ExitStack() as stack:
+        device = stack.enter_context(contextlib.closing(_open(options, episode)))
+        page: TaskPage | None = None
+        if options.view and options.device != _BROWSER:
+            page = stack.enter_context(contextlib.closing(_pages().TaskPage(
+                episode, options.listen, options.port)))
+            print(f'the world is shown on {page.address}', file=sys.stderr)
         if device.help:
             print(device.help, file=sys.stderr)
+        progress = stack.enter_context(ProgressBar('s'))
+
+        def show(time_s: float, success: bool, force: float) -> None:
+            progress.show(int(time_s), f', external force {force:.1f} N' + (
+                ', success' if success else ''))
+            if page is not None:
+                page.update()
         options.out.mkdir(parents=True, exist_ok=True)
-        demonstrator = Demonstrator(
-            episode, device, options.out, {'device': options.device},
-            lambda time_s, success, force: progress.show(
-                int(time_s), f', external force {force:.1f} N' + (', success' if success else '')))
-        kept: list[Demonstration] = []
-        seed, quits = options.seed, False
-        while len(kept) < options.episodes and not quits:
-            if (options.out / f'{seed}.mcap').exists():
-                seed += 1
-                continue
-            try:
-                one = demonstrator.run(seed)
-            except KeyboardInterrupt:
-                break
-            print(_line(one), file=sys.stderr)
-            quits = one.quits
-            if one.file is not None:
-                kept.append(one)
-                seed += 1
+        kept = [*_demonstrations(options, Demonstrator(
+            episode, device, options.out, {'device': options.device}, show))]
     equal = sum(one.repeats for one in kept)
     return (f'{options.out}: {pluralize(len(kept), "demonstration")}, '
             f'{sum(one.success for one in kept)} with success; {equal} of {len(kept)} repeat'
             ), int(equal < len(kept) or not kept)
 
 
+def _demonstrations(options: argparse.Namespace, demonstrator: Demonstrator
+                    ) -> Iterator[Demonstration]:
+    """Yield the demonstrations that are kept; tell of each."""
+    seed, count = options.seed, 0
+    while count < options.episodes:
+        if (options.out / f'{seed}.mcap').exists():
+            seed += 1
+            continue
+        try:
+            one = demonstrator.run(seed)
+        except KeyboardInterrupt:
+            return
+        print(_line(one), file=sys.stderr)
+        if one.file is not None:
+            yield one
+            seed, count = seed + 1, count + 1
+        if one.quits:
+            return
+
+
 def _open(options: argparse.Namespace, episode: Episode) -> Device:
-    if options.device != 'browser':
-        return open_device(options.device, episode.actions.names)
+    if options.device == _BROWSER:
+        device: Device = _pages().PageDevice(episode, options.listen, options.port)
+        return device
+    return open_device(options.device, episode.actions.names)
+
+
+def _pages() -> ModuleType:
     try:
-        from manip_sim.viewer.dragging import PageDevice
+        from manip_sim.viewer import task_page
     except ImportError as error:
         raise ManipSimError(missing_module(error)) from error
-    return PageDevice(episode, options.listen, options.port)
+    return task_page
 
 
 def _line(one: Demonstration) -> str:

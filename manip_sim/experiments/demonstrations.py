@@ -5,7 +5,7 @@
 Demonstrations of a task with a device: recorded, and each repeated at once.
 
 Devices are the keyboard, a gamepad, a SpaceMouse, a leader arm of LeRobot, and a file; that of the
-browser is in :mod:`manip_sim.viewer.dragging`.
+browser is in :mod:`manip_sim.viewer.task_page`.
 """
 
 from __future__ import annotations
@@ -495,11 +495,11 @@ class Demonstrator:
     def _act(self, recorder: EpisodeRecorder) -> str:
         """Act until the episode or the demonstration ends; return the event that ended it."""
         episode, closing = self._episode, np.full(len(self._episode.actions.arms), -1.0)
-        begin_s = 0.0
+        reading = self._first()
+        begin_s = time.monotonic()
         while not episode.over:
-            reading = self._device.read()
-            if not episode.periods:
-                begin_s = time.monotonic()  # A device may wait for a person.
+            if episode.periods:
+                reading = self._device.read()
             if reading.event:
                 return reading.event
             if reading.toggles:
@@ -513,6 +513,17 @@ class Demonstrator:
                 time.sleep(max(0.0, begin_s + now_s - time.monotonic()))
         self._device.end()
         return ''
+
+    def _first(self) -> Reading:
+        """Return the first reading; without one of whole actions, wait for one that acts."""
+        device, episode = self._device, self._episode
+        reading = device.read()
+        while not (device.gives_actions or reading.event or reading.toggles
+                   or reading.motion.any()):
+            self._show(0.0, episode.success, external_force(episode))
+            time.sleep(episode.period_s)
+            reading = device.read()
+        return reading
 
     def _action(self, motion: FloatArray, closing: FloatArray) -> FloatArray:
         """Return the action of a motion; a person moves the first arm."""

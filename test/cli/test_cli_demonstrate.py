@@ -15,7 +15,8 @@ import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.experiments.demonstrations import (
-    DISCARD, DONE, EventDevice, is_spacemouse, Keyboard, LeaderArm, open_leader, QUIT)
+    Demonstrator, DISCARD, DONE, EventDevice, is_spacemouse, Keyboard, LeaderArm, open_leader,
+    QUIT)
 from manip_sim.tasks import Setting
 
 pytest.importorskip('mcap_ros2', reason='needs the extra records')
@@ -121,6 +122,38 @@ def test_keys_move_grip_and_end_a_demonstration(typed, here, tmp_path):
                                 tmp_path)
     assert code == 1 and output.endswith('0 demonstrations, 0 with success; 0 of 0 repeat\n')
     assert 'discarded' in errors and not list(tmp_path.iterdir())
+
+
+def test_a_demonstration_begins_with_the_first_key(typed, tmp_path):
+    shown = []
+
+    def show(time_s, success, force):
+        shown.append(time_s)
+        if len(shown) == 5:
+            typed('w')
+        elif time_s > 0.25:
+            typed('q')
+    keyboard = Keyboard()
+    found = Demonstrator(Setting('reach').create_episode(), keyboard, tmp_path, {}, show).run(0)
+    keyboard.close()
+    assert shown[:5] == [0.0] * 5 and shown[5] == 0.05
+    assert found.quits and found.periods == len(shown) - 5 <= 8
+
+
+def test_the_world_is_shown_on_a_page_beside_another_device(here, expert, tmp_path, monkeypatch):
+    task_page = pytest.importorskip('manip_sim.viewer.task_page', reason='needs the extra viewer')
+    texts, close = [], task_page.TaskPage.close
+
+    def note(page):
+        texts.append(page._text._shown)
+        close(page)
+    monkeypatch.setattr(task_page.TaskPage, 'close', note)
+    code, _, errors = here('demonstrate', 'reach', '--device', f'file:{expert}', '--view',
+                           '--port', 0, '--out', tmp_path / 'out')
+    assert code == 0 and 'the world is shown on http://127.0.0.1:' in errors
+    (text,) = texts
+    assert 'Move the end effector to the green point.' in text and ' s of 3.0' in text
+    assert '0.0 s of' not in text
 
 
 class Events:

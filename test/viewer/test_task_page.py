@@ -22,7 +22,7 @@ from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.experiments.demonstrations import DISCARD, DONE  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
-from manip_sim.viewer.dragging import PageDevice  # noqa: E402
+from manip_sim.viewer.task_page import PageDevice  # noqa: E402
 from manip_sim.viewer.page.model_scene import body_meshes  # noqa: E402
 
 TOKEN = 'a-token-that-is-long-enough'
@@ -121,14 +121,15 @@ def test_an_episode_waits_for_a_person_and_each_arm_goes_to_its_target(device, e
              for item, position in zip(episode.actions.arms, before)]
     np.testing.assert_allclose(moved, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]], atol=0.01)
     assert reading.motion[6] == 1.0 and reading.motion[13] == -1.0
-    assert 'External force' in device._text._shown and '1.5 s of' in device._text._shown
+    text = device._page._text._shown
+    assert 'External force' in text and '1.5 s of' in text
 
 
 def test_robots_and_objects_are_on_the_page(device, episode):
-    model = device._posture.model
+    model = device._page._posture.model
     seen = {model.body(mesh.body).name for mesh in body_meshes(model) if not mesh.collides}
     assert {'robot0_link7', 'robot1_link7', 'table'} <= seen
-    assert len(device._scene._visual) >= len(seen)
+    assert len(device._page._scene._visual) >= len(seen)
 
 
 def test_buttons_end_a_demonstration(device, episode):

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A page in the browser on which a person drags the end effectors of a task, to demonstrate it."""
+"""A page that shows the world of a task, and on which a person drags end effectors."""
 
 from __future__ import annotations
 
@@ -29,9 +29,55 @@ _PERIOD_S = 1.0 / 30.0
 _SCALE = 0.18
 
 
+class TaskPage:
+    """
+    A page with the world of a task, the time, and the external force.
+
+    :param episode: that is shown
+    :param listen: name or address of the interface to listen on
+    :param port: 0 takes one that is free
+    :ivar server: the ``viser.ViserServer``
+    :ivar address: of the page
+    :raises ManipSimError: if it cannot listen there
+    """
+
+    def __init__(self, episode: Episode, listen: str, port: int) -> None:
+        self._episode = episode
+        # The simulation's own model has no shapes that only show something.
+        self._posture = Kinematics(VisibleWorld(episode.simulation.plan).model)
+        access = Access.of(os.environ)
+        self.server: Any = open_server(listen, port, access)
+        self.address = page_address(self.server, listen, access)
+        set_theme(self.server, dark=False)
+        self.server.gui.set_panel_label('manip_sim')
+        self._text = PlainText(self.server.gui)
+        self._scene = Scene(self.server, self._posture.model, self._posture.data)
+        self._aiming = Aiming(self.server)
+        self._aiming.begin(self._posture)
+
+    def update(self) -> None:
+        """Show the present state."""
+        episode, shown = self._episode, self._posture.data
+        data = episode.simulation.data
+        shown.qpos[:], shown.mocap_pos[:] = data.qpos, data.mocap_pos
+        shown.mocap_quat[:] = data.mocap_quat
+        self._posture.compute()
+        self._scene.update(shown)
+        self._aiming.update(self._posture)
+        self._text.show([
+            Line(episode.task.instruction),
+            Line(f'{episode.periods * episode.period_s:.1f} s of '
+                 f'{episode.most_periods * episode.period_s:.1f}', 'Time'),
+            Line(f'{external_force(episode):.1f} N', 'External force')])
+
+    def close(self) -> None:
+        """Close the page."""
+        close_server(self.server)
+
+
 class PageDevice(Device):
     """
-    A page with the world of a task, and a target for each end effector, which moves there.
+    A page with a target for each end effector, which moves there.
 
     An episode begins as soon as a person does something.
 
@@ -48,27 +94,18 @@ class PageDevice(Device):
         if not isinstance(episode.actions, PoseActions):
             raise ModelError('a person drags end effectors, so the actions must be osc_pose')
         self._episode, self._actions = episode, episode.actions
-        # The simulation's own model has no shapes that only show something.
-        self._posture = Kinematics(VisibleWorld(episode.simulation.plan).model)
-        access = Access.of(os.environ)
-        self._server: Any = open_server(listen, port, access)
-        set_theme(self._server, dark=False)
-        self.help = f'drag the end effector on {page_address(self._server, listen, access)}'
+        self._page = TaskPage(episode, listen, port)
+        self.help = f'drag the end effector on {self._page.address}'
         self._events, self._event, self._acted = Events(), '', False
         self._build()
-        self._scene = Scene(self._server, self._posture.model, self._posture.data)
-        self._aiming = Aiming(self._server)
-        self._aiming.begin(self._posture)
 
     def _build(self) -> None:
-        gui = self._server.gui
-        gui.set_panel_label('manip_sim')
-        self._text = PlainText(gui)
+        gui = self._page.server.gui
         several = len(self._actions.arms) > 1
         self._targets, self._grippers = [], []
         for item in self._actions.arms:
             name = f'{item.robot.name}/{item.arm}'
-            target = self._server.scene.add_transform_controls(
+            target = self._page.server.scene.add_transform_controls(
                 f'/targets/{name}', scale=_SCALE, depth_test=False, opacity=0.85)
             target.on_update(self._dragged)
             self._targets.append(target)
@@ -129,19 +166,8 @@ class PageDevice(Device):
     def _update(self) -> None:
         """Show the present state, and do what the person asked for."""
         self._events.run()
-        episode, shown = self._episode, self._posture.data
-        data = episode.simulation.data
-        shown.qpos[:], shown.mocap_pos[:] = data.qpos, data.mocap_pos
-        shown.mocap_quat[:] = data.mocap_quat
-        self._posture.compute()
-        self._scene.update(shown)
-        self._aiming.update(self._posture)
-        self._text.show([
-            Line(episode.task.instruction),
-            Line(f'{episode.periods * episode.period_s:.1f} s of '
-                 f'{episode.most_periods * episode.period_s:.1f}', 'Time'),
-            Line(f'{external_force(episode):.1f} N', 'External force')])
+        self._page.update()
 
     def close(self) -> None:
         """Close the page."""
-        close_server(self._server)
+        self._page.close()
