@@ -118,6 +118,20 @@ class Network:
         return float((error**2).mean())
 
 
+def trained(seen: FloatArray, labels: FloatArray, epochs: int) -> Network:
+    """Return a network that has learned from demonstrations; print its error and the time."""
+    begin, losses = time.process_time(), []
+    network, random = Network((seen.shape[1], labels.shape[1])), np.random.default_rng(1)
+    network.mean, network.scale = seen.mean(axis=0), seen.std(axis=0) + 1e-3
+    for _ in range(epochs):
+        order = random.permutation(len(seen))
+        losses = [network.learn(seen[batch], labels[batch])
+                  for batch in np.array_split(order, max(1, len(order) // _BATCH))]
+    print(f'{epochs} epochs, squared error {np.mean(losses):.4f}: '
+          f'{time.process_time() - begin:.0f} s of CPU')
+    return network
+
+
 def success(robot: str, network: Network, count: int) -> NDArray[np.bool_]:
     """Return which seeds of the test succeed, shape (count,)."""
     env = TaskVectorEnv('pick_cube', count, robot=robot, autoreset_mode='Disabled')
@@ -147,15 +161,7 @@ def main() -> None:
     seen, labels = demonstrate(options.robot, options.demonstrations)
     print(f'{options.demonstrations} demonstrations, {len(seen)} actions: '
           f'{time.process_time() - begin:.0f} s of CPU')
-    network, random = Network((seen.shape[1], labels.shape[1])), np.random.default_rng(1)
-    network.mean, network.scale = seen.mean(axis=0), seen.std(axis=0) + 1e-3
-    begin, losses = time.process_time(), []
-    for _ in range(options.epochs):
-        order = random.permutation(len(seen))
-        losses = [network.learn(seen[batch], labels[batch])
-                  for batch in np.array_split(order, max(1, len(order) // _BATCH))]
-    print(f'{options.epochs} epochs, squared error {np.mean(losses):.4f}: '
-          f'{time.process_time() - begin:.0f} s of CPU')
+    network = trained(seen, labels, options.epochs)
     begin = time.process_time()
     succeeded = success(options.robot, network, options.test)
     low, high = wilson_interval(int(succeeded.sum()), len(succeeded))

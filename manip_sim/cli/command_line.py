@@ -413,8 +413,8 @@ def _add_compare(commands: Any) -> None:
     parser = _command(
         commands, 'compare', 'compare', 'compare runs with the same seeds, pair by pair',
         'Shows the success of each run, its difference from the first run with a 95 % interval, '
-        "McNemar's exact test, and the seeds with which only some of them succeed. The runs may "
-        'differ in the policy; compares the seeds that all of them have.',
+        "p and mid-p of McNemar's exact test, and the seeds with which only some of them succeed. "
+        'The runs may differ in the policy; compares the seeds that all of them have.',
         'examples: manip_sim compare before after --threshold 0.05\n'
         '          manip_sim compare before after --until 0.1 --video videos\n'
         'The exit code is 1 if a run is worse than the first one by more than the threshold, '

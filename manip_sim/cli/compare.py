@@ -110,10 +110,10 @@ def _text(options: argparse.Namespace, comparison: Comparison, lines: list[str])
     tables.append(table(
         f'Difference from {first.path}',
         ('run', 'difference', '95 % interval', 'both', 'only first', 'only this', 'neither',
-         "McNemar's p"), [
+         "McNemar's p", 'mid-p'), [
             (str(run.path), f'{100.0 * pairs.difference:+.1f} %', _span(pairs.interval, '+'),
              str(pairs.both), str(pairs.only_first), str(pairs.only_second), str(pairs.neither),
-             f'{pairs.p:.3g}')
+             f'{pairs.p:.3g}', f'{pairs.mid_p:.3g}')
             for run, pairs in zip(comparison.runs[1:], comparison.pairs)], width))
     tables.append(_differing(comparison, width))
     notes = [f'{comparison.equal} of {count} episodes are equal to the last bit in all runs',

@@ -24,21 +24,25 @@ _FREE = frozenset({'policy', 'policy_content', 'policy_files', 'versions'})
 _HALVINGS = 60
 
 
-def mcnemar_p(only_first: int, only_second: int) -> float:
+def mcnemar_p(only_first: int, only_second: int, mid: bool = False) -> float:
     """
-    Return the p-value of McNemar's exact test, two-sided.
+    Return the p-value of McNemar's exact test, two-sided, or its mid-p-value.
 
-    It is the probability of pairs as unequal as these if both succeed equally often.
+    The p-value is the probability of pairs as unequal as these, or more, if both succeed equally
+    often. With few pairs, it is too careful: it is below 5 % in much fewer than 5 % of the cases.
+    The mid-p-value (Fagerland, Lydersen and Laake 2013) counts half of what is as unequal.
 
     :param only_first: number of pairs in which only the first one succeeds
     :param only_second: number of pairs in which only the second one does
+    :param mid: whether to return the mid-p-value
     """
     count, fewer = only_first + only_second, min(only_first, only_second)
     term = total = 1
     for k in range(fewer):
         term = term * (count - k) // (k + 1)
         total += term
-    share: float = 2 * total / 2**count  # Of whole numbers, so it is exact.
+    # A ratio of whole numbers is exact.
+    share: float = (2 * total - term * mid) / 2**count
     return min(1.0, share)
 
 
@@ -124,14 +128,19 @@ class Pairs:
         """The p-value of McNemar's exact test."""
         return mcnemar_p(self.only_first, self.only_second)
 
+    @property
+    def mid_p(self) -> float:
+        """The mid-p-value of that test."""
+        return mcnemar_p(self.only_first, self.only_second, mid=True)
+
     def is_worse(self, threshold: float) -> bool:
         """
         Return whether the second one is sure to be worse, at 95 %.
 
         :param threshold: by how much the second success rate may be lower, from 0
         """
-        # With few pairs, the exact test is more careful than the interval.
-        return self.interval[1] < -threshold and self.p < 0.05
+        # With few pairs, the mid-p-value is more careful than the interval.
+        return self.interval[1] < -threshold and self.mid_p < 0.05
 
     @property
     def width(self) -> float:
@@ -211,7 +220,7 @@ class Comparison:
                 'both': pairs.both, 'only_first': pairs.only_first,
                 'only_this': pairs.only_second, 'neither': pairs.neither,
                 'difference': pairs.difference, 'difference_95': pairs.interval,
-                'mcnemar_p': pairs.p}
+                'mcnemar_p': pairs.p, 'mcnemar_mid_p': pairs.mid_p}
         return {'seeds': spans(self.seeds), 'episodes': len(self.seeds), 'runs': runs,
                 'differing_seeds': self.differing, 'equal_episodes': self.equal,
                 'notes': self.notes}
