@@ -39,7 +39,7 @@ _FROM_PIP = {'mujoco': 'mujoco', 'numpy': 'numpy', 'PIL': 'pillow', 'pydantic': 
 #: and most leftovers that an error names.
 _SHARED_MEMORY, _NEEDED_BYTES, _NAMED = Path('/dev/shm'), 4_000_000, 5  # noqa: S108
 _DISTRIBUTION = re.compile('[a-z]+')
-_OF_VIEWER = ('scipy', 'trimesh', 'viser')
+_OF_VIEWER = ('msgspec', 'scipy', 'trimesh', 'viser', 'websockets')
 
 
 def check_ros_environment() -> None:

@@ -97,7 +97,8 @@ def test_a_program_ends_with_one_line(program, variable, value, monkeypatch):
 
 @pytest.mark.parametrize('module, hint', [
     ('mujoco', 'pip install mujoco'), ('yaml', 'pip install pyyaml'), ('PIL', 'pillow'),
-    ('viser', "pip install 'manip_sim[viewer]'"), ('rclpy', 'source ROS 2 Jazzy'),
+    ('viser', "pip install 'manip_sim[viewer]'"),
+    ('websockets', "pip install 'manip_sim[viewer]'"), ('rclpy', 'source ROS 2 Jazzy'),
     ('sensor_msgs.msg', 'source ROS 2 Jazzy')])
 def test_a_module_that_is_missing_is_named_with_what_installs_it(module, hint):
     line = missing_module(ModuleNotFoundError('', name=module))
