@@ -416,7 +416,7 @@ def external_force(episode: Episode) -> float:
                 for arm in robot.end_effectors), default=0.0)
 
 
-#: Speed of an end effector at full deflection [m/s, rad/s].
+#: Speed at full deflection with which the goal of an end effector goes ahead of it [m/s, rad/s].
 _SPEED, _TURN = 0.25, 1.0
 
 

@@ -15,8 +15,8 @@ import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.experiments.demonstrations import (
-    Demonstrator, DISCARD, DONE, EventDevice, is_spacemouse, Keyboard, LeaderArm, open_leader,
-    QUIT)
+    Demonstrator, Device, DISCARD, DONE, EventDevice, is_spacemouse, Keyboard, LeaderArm,
+    open_leader, QUIT, Reading)
 from manip_sim.tasks import Setting
 
 pytest.importorskip('mcap_ros2', reason='needs the extra records')
@@ -138,6 +138,29 @@ def test_a_demonstration_begins_with_the_first_key(typed, tmp_path):
     keyboard.close()
     assert shown[:5] == [0.0] * 5 and shown[5] == 0.05
     assert found.quits and found.periods == len(shown) - 5 <= 8
+
+
+class Deflected(Device):
+    """A stick that is deflected along y for a second."""
+
+    is_live = False
+
+    def __init__(self):
+        self.readings = [Reading(np.eye(6)[1]) for _ in range(20)] + [
+            Reading(np.zeros(6), event=DISCARD)]
+
+    def read(self):
+        return self.readings.pop(0)
+
+
+@pytest.mark.parametrize('robot', ['Panda', 'UR5e'])
+def test_full_deflection_moves_at_the_speed_that_the_page_tells(robot, tmp_path):
+    episode = Setting('pick_cube', robot).create_episode()
+    episode.reset(0)
+    before = episode.observation['eef_pose'][0, :3]
+    Demonstrator(episode, Deflected(), tmp_path, {}).run(0)
+    np.testing.assert_allclose(episode.observation['eef_pose'][0, :3] - before, [0.0, 0.2, 0.0],
+                               atol=0.015)
 
 
 def test_the_world_is_shown_on_a_page_beside_another_device(here, expert, tmp_path, monkeypatch):
