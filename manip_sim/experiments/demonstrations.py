@@ -496,7 +496,7 @@ class Demonstrator:
         """Act until the episode or the demonstration ends; return the event that ended it."""
         episode, closing = self._episode, np.full(len(self._episode.actions.arms), -1.0)
         reading = self._first()
-        begin_s = time.monotonic()
+        due_s = time.monotonic()
         while not episode.over:
             if episode.periods:
                 reading = self._device.read()
@@ -507,10 +507,13 @@ class Demonstrator:
             action = self._action(reading.motion, closing)
             episode.step(action)
             recorder.period(action)
-            now_s = episode.periods * episode.period_s
-            self._show(now_s, episode.success, external_force(episode))
+            self._show(episode.periods * episode.period_s, episode.success,
+                       external_force(episode))
             if self._device.is_live:
-                time.sleep(max(0.0, begin_s + now_s - time.monotonic()))
+                # What a slow machine has lost is not made up for: a person would not keep up.
+                now_s = time.monotonic()
+                due_s = max(due_s + episode.period_s, now_s)
+                time.sleep(due_s - now_s)
         self._device.end()
         return ''
 

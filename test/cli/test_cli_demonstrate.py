@@ -8,6 +8,7 @@ import importlib.util
 import os
 import pty
 import struct
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -161,6 +162,25 @@ def test_full_deflection_moves_at_the_speed_that_the_page_tells(robot, tmp_path)
     Demonstrator(episode, Deflected(), tmp_path, {}).run(0)
     np.testing.assert_allclose(episode.observation['eef_pose'][0, :3] - before, [0.0, 0.2, 0.0],
                                atol=0.015)
+
+
+class Stalling(Deflected):
+    """A stick that a busy machine reads late once."""
+
+    is_live = True
+
+    def read(self):
+        if len(self.readings) == 15:
+            time.sleep(0.5)
+        return super().read()
+
+
+def test_what_a_busy_machine_has_lost_is_not_made_up_for(tmp_path):
+    shown = []
+    Demonstrator(Setting('reach').create_episode(), Stalling(), tmp_path, {},
+                 lambda *_: shown.append(time.monotonic())).run(0)
+    # The 13 periods after that take as long as without it, but for one of them.
+    assert len(shown) == 20 and shown[-1] - shown[6] > 11.9 * 0.05
 
 
 def test_the_world_is_shown_on_a_page_beside_another_device(here, expert, tmp_path, monkeypatch):
