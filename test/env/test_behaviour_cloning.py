@@ -26,6 +26,8 @@ def example():
 def test_the_example_learns_from_demonstrations_and_is_tested_in_worlds(example):
     seen, labels = example.demonstrate('Panda', 3)
     assert len(seen) == len(labels) and seen.shape[1:] == (17,) and np.isfinite(seen).all()
+    # The noise keeps the expert from no goal: with too much, it waited until it gave up.
+    assert len(seen) < 3 * 55
     network = example.Network((17, labels.shape[1]))
     network.mean, network.scale = seen.mean(axis=0), seen.std(axis=0) + 1e-3
     errors = [network.learn(seen, labels) for _ in range(150)]
