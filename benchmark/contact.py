@@ -42,7 +42,7 @@ from manip_sim.simulation import Simulation
 
 TIMESTEP_S, STEPS = 0.002, 5
 PERIOD_S = TIMESTEP_S * STEPS
-#: What each gripper may carry [kg], and the edge of the cube [m]; the load is 80 % of it. Where it
+#: Payload of each gripper [kg], and the edge of the cube [m]; the load is 80 % of it. Where it
 #: says so, the figure of the maker could not be checked.
 PAYLOADS = {
     # The arm's payload, as Franka Emika states it for the Panda.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What control costs beside the physics of one robot at a table, as a table.
+Measure the cost of control beside the physics of one robot at a table.
 
     python3 benchmark/control_cost.py [ROBOT] [--steps N ...]
 
@@ -18,28 +18,17 @@ import time
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from manip_sim.laws import law
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation import SimulatedRobot, Simulation
+from targets.many_worlds import spring
 
 ROUNDS, PERIODS, WARM_UP = 7, 60, 40
 #: Length of motions that do not end while they are measured [s].
 LONG_S = 1e5
-#: What periods with a belt are compared with.
+#: Name of the steps that periods with a belt are compared with.
 BELT = '`mj_step` with a belt'
-Array = NDArray[np.float64]
-
-
-@law(parameters={'stiffness': 300.0, 'damping': 30.0})  # type: ignore[untyped-decorator]
-def spring(t: float, q: Array, v: Array, bias: Array, mass: Array, jacobian: Array, wrench: Array,
-           setpoint: Array, parameters: Array, memory: Array, effort: Array) -> None:
-    """Pull joints to their setpoints as springs with dampers."""
-    for i in range(len(q)):
-        effort[i] = (bias[i] + parameters[0] * (setpoint[i, 0] - q[i])
-                     + parameters[1] * (setpoint[i, 1] - v[i]))
 
 
 def periods(name: str, steps: int) -> dict[str, Callable[[], object]]:

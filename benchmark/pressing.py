@@ -20,7 +20,7 @@ _START = PoseStamped()
 _START.pose.position = Point(x=-0.1, y=0.0, z=0.83)
 _START.pose.orientation = Quaternion(x=1.0, y=0.0, z=0.0, w=0.0)
 _NEAR_M = 1e-3
-#: How long a gripper needs to close, at most [s].
+#: Longest time that a gripper needs to close [s].
 _CLOSED_S = 1.6
 
 
@@ -60,7 +60,7 @@ class PressingClient:
 
     @property
     def done(self) -> bool:
-        """Whether it has pressed and slid."""
+        """True once it has pressed and slid."""
         return len(self.forces) >= 2 * self._count
 
     def _take_pose(self, message: PoseStamped) -> None:

@@ -64,7 +64,7 @@ class Arm:
 
     @property
     def rests_s(self) -> float:
-        """How long after the end effector the joints rested [s], infinite if they did not."""
+        """Time from rest of the end effector to rest of the joints [s], infinite without."""
         if not math.isfinite(self.arrives_s) or self.moved_s > LIMIT_S - RESTS_S:
             return math.inf
         return max(self.moved_s - self.arrives_s, 0.0)

@@ -66,7 +66,7 @@ class Row:
 
     @property
     def stream(self) -> tuple[int, int, float]:
-        """What the stream on schedule has in common with it."""
+        """Rates and due time, which the stream on schedule has too."""
         return self.rate, self.control_rate, self.due
 
     def deliver(self, seconds: float) -> tuple[FloatArray, FloatArray]:

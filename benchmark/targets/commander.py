@@ -28,7 +28,7 @@ from sensor_msgs.msg import JointState
 
 #: Large enough to be distinguished from what else acts on the joint [N m].
 _EFFORT = 0.2
-#: What keeps the joint from drifting away [N m s/rad], [N m/rad].
+#: Damping and stiffness that keep the joint from drifting away [N m s/rad], [N m/rad].
 _DAMPING, _STIFFNESS = 0.05, 0.2
 
 

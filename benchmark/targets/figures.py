@@ -22,7 +22,7 @@ class MeasureError(Exception):
 @dataclass(frozen=True)
 class Settings:
     """
-    How the rows are measured.
+    Number of rounds, durations and reports of the rows.
 
     :ivar rounds: of each figure, A B A B
     :ivar scale: of durations; 1 is what the targets are meant for
@@ -43,7 +43,7 @@ class Settings:
 @dataclass(frozen=True)
 class Target:
     """
-    What a figure shall be.
+    Bound of a figure.
 
     :ivar sign: ``>=``, ``<=``
     """
@@ -59,7 +59,7 @@ class Target:
 @dataclass(frozen=True)
 class Figure:
     """
-    What was measured in some rounds.
+    Values measured in some rounds.
 
     :ivar row: name of the measurement, as for ``--only``
     :ivar what: in words
@@ -87,7 +87,7 @@ class Figure:
 
     @property
     def ok(self) -> bool | None:
-        """Whether the target is met, or None without a target."""
+        """True if the target is met, or None without a target."""
         return None if self.target is None else self.target.met(self.median)
 
     @property
@@ -102,7 +102,7 @@ class Figure:
 
     @property
     def missed(self) -> bool:
-        """Whether the target is missed, or the plain loop is better."""
+        """True if the target is missed, or the plain loop is better."""
         return self.ok is False or self.against_plain == 'behind'
 
     def cells(self) -> tuple[str, ...]:

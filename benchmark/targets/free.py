@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How fast the node steps in ``free``, as a ratio to MuJoCo alone on the same cores."""
+"""Steps of the node in ``free``, as a ratio to MuJoCo alone on the same cores."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether the node's memory grows in ``free``, while two topics are listened to."""
+"""Growth of the node's memory in ``free``, while two topics are listened to."""
 
 from __future__ import annotations
 

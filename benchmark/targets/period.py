@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the parts of a control period of five steps cost in process, against the bare physics."""
+"""Cost of the parts of a control period of five steps in process, against the bare physics."""
 
 from __future__ import annotations
 

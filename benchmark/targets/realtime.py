@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How well the node keeps real time, and what it takes, seen by a subscriber's process."""
+"""Real-time factor, periods and CPU time of the node, seen by a subscriber's process."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What further Pandas in one world cost, against what they cost MuJoCo alone; without ROS."""
+"""Cost of further Pandas in one world, against that in MuJoCo alone; without ROS."""
 
 from __future__ import annotations
 

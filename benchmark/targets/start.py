@@ -25,7 +25,7 @@ from targets.figures import Figure, Settings, Target
 from targets.processes import Process, start_node, start_script
 
 TARGET = 1.3
-#: How long a new listener gets for its own start and DDS discovery [s].
+#: Time that a new listener gets for its own start and DDS discovery [s].
 _SETTLE_S = 0.7
 #: All laws are compiled in so long at most [s].
 _COMPILED_S = 180.0

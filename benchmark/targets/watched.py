@@ -12,7 +12,7 @@ from types import TracebackType
 
 from targets.processes import Process, start_node, start_script
 
-#: What the targets call one client.
+#: Topics of one client, as the targets mean it.
 ONE_CLIENT = ('joint_states', 'right/wrench')
 #: After the first states, a start goes on for so long: a node then loads its compiled laws [s].
 _START_S = 2.0
@@ -23,7 +23,7 @@ _RECOVERY_S = 0.4
 @dataclass(frozen=True)
 class Window:
     """
-    What was seen in a while.
+    Observations of a window of time.
 
     :ivar simulated_s: simulation time [s]
     :ivar wall_s: wall time [s]

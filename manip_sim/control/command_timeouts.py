@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which parts have had no fresh command for longer than their timeout."""
+"""Timeouts of parts that have had no fresh command for too long."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CommandTimeouts:
 
     @property
     def pending(self) -> bool:
-        """Whether any part that is watched has a timeout."""
+        """True if any part that is watched has a timeout."""
         return bool(self._last_s) and any([self._timeout_s[part] for part in self._last_s])
 
     @property

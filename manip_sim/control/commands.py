@@ -39,7 +39,7 @@ class Status(Enum):
     ABORTED = 'aborted'
 
 
-#: How an empty trajectory ends other trajectories.
+#: Status and reason of trajectories that an empty one ends.
 STOPPED = (Status.ABORTED, 'ended by an empty trajectory')
 
 
@@ -65,7 +65,7 @@ class CommandHandle:
 
     @property
     def is_active(self) -> bool:
-        """Whether the command still waits or runs."""
+        """True while the command waits or runs."""
         return self.status in (Status.WAITING, Status.RUNNING)
 
     def end(self, status: Status, reason: str = '', error: FloatArray | None = None) -> None:
@@ -203,7 +203,7 @@ class NoCommand(Command):
 
 class TrajectoryReference(NamedTuple):
     """
-    What the joints of a trajectory follow at an instant, arrays of shape (n,).
+    Reference of the joints of a trajectory at an instant, arrays of shape (n,).
 
     :ivar position: [rad or m]
     :ivar velocity: [rad/s or m/s]

@@ -22,7 +22,7 @@ from manip_sim.physics.physics import Physics
 
 #: A trajectory that would have to be slowed down more than this is rejected.
 _MAX_SLOWDOWN = 1000.0
-#: How often it is slowed down further at most; two are nearly always enough.
+#: Largest number of times that it is slowed down further; two are nearly always enough.
 _MOST_ROUNDS = 10
 #: Words in the names of the joints of a mobile base that moves along x, y and turns about z.
 _TWIST_JOINTS = ('forward', 'side', 'yaw')

@@ -259,10 +259,10 @@ class GripperController:
         self._action: FloatArray | None = None
         # When it is taken next, and half a step.
         self._call = np.array([0.0, self._timestep_s / 2.0])
-        # Whether the state of ``format_action`` matches the goal.
+        # True while the state of ``format_action`` matches the goal.
         self._in_step = False
         self._goal = np.zeros(count)
-        # Which servos were sent to an end of their range, and stopped before it.
+        # Servos that were sent to an end of their range, and stopped before it.
         self._to_end = np.zeros((count, 2), dtype=bool)
         self._pressing = np.zeros(count, dtype=bool)
         self._pace = np.full(count, np.inf)
@@ -271,12 +271,12 @@ class GripperController:
 
     @property
     def faults(self) -> int:
-        """How many calls of the gripper's ``format_action`` or ``start_at`` failed."""
+        """Number of calls of the gripper's ``format_action`` or ``start_at`` that failed."""
         return self._formatter.faults
 
     @property
     def last_fault(self) -> str:
-        """What the last of these calls did; empty if there was none."""
+        """Description of the last of these calls; empty if there was none."""
         return self._formatter.last_fault
 
     @property

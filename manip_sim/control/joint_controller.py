@@ -92,7 +92,7 @@ class JointController(ControlledJoints):
         self._base = BaseTwists(self._servos, self._setpoints)
         #: The parts whose timeout was set, and so ends Cartesian targets too.
         self._targets_end: set[str] = set()
-        #: Whether new efforts have yet to be written.
+        #: True while new efforts have yet to be written.
         self._efforts_due = False
         self._written = False
 

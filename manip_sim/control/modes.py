@@ -45,7 +45,7 @@ class Arrival(NamedTuple):
 
 
 class Joints(Protocol):
-    """What a mode can make joints do; all values have the shape of ``indices``."""
+    """Motions of joints that a mode can ask for; all values have the shape of ``indices``."""
 
     def go_to(self, indices: IntArray, position: FloatArray, arrival: Arrival) -> None:
         """Let setpoints come to a position, or follow a stream of positions [rad or m]."""
@@ -59,7 +59,7 @@ class Joints(Protocol):
 
 class ControlMode(ABC):
     """
-    What commands of a joint mean.
+    Meaning of the commands of a joint.
 
     :cvar name: value of the parameter ``control_mode.<part>``
     :cvar field: that holds the commands, one of :data:`FIELDS`, and command interface of

@@ -243,7 +243,7 @@ class ReflexLimits:
 
     @property
     def any(self) -> bool:
-        """Whether there is any limit."""
+        """True if there is any limit."""
         return self != ReflexLimits()
 
 

@@ -194,7 +194,7 @@ class Servos:
 
     @property
     def velocity_limit(self) -> FloatArray:
-        """How fast each joint may move [rad/s or m/s], shape (n,)."""
+        """Greatest velocity of each joint [rad/s or m/s], shape (n,)."""
         return np.asarray(self.ranges['velocity'][:, 1])
 
     def position_clamp(self) -> FloatArray:

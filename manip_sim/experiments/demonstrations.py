@@ -510,7 +510,7 @@ class Demonstrator:
             self._show(episode.periods * episode.period_s, episode.success,
                        external_force(episode))
             if self._device.is_live:
-                # What a slow machine has lost is not made up for: a person would not keep up.
+                # Time that a slow machine has lost is not made up for: a person would not keep up.
                 now_s = time.monotonic()
                 due_s = max(due_s + episode.period_s, now_s)
                 time.sleep(due_s - now_s)

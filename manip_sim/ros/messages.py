@@ -389,7 +389,7 @@ class _Layout:
         return length, end
 
     def _message_end(self, message: Any, place: int, is_time: bool) -> int:
-        """Note the places in a message, as ``_end`` in ``messages.py`` walks; return its end."""
+        """Note the places in a message, as :func:`_end` walks; return its end."""
         for name, kind in message.get_fields_and_field_types().items():
             value = getattr(message, name)
             if kind.startswith('sequence<') or kind.endswith(']'):

@@ -133,7 +133,7 @@ class Worlds:
 
     @property
     def diverged(self) -> BoolArray:
-        """Whether the physics of each world is on hold, shape (count,), a copy."""
+        """Mask of worlds whose physics is on hold, shape (count,), a copy."""
         return np.array([simulation.diverged is not None for simulation in self.simulations])
 
     @property
@@ -362,7 +362,7 @@ class SimulationPrototype:
         pickler = _Pickler(file, self._model, self._data)
         pickler.dump(simulation)
         self._pickled, self._outside = file.getvalue(), pickler.outside
-        #: What each copy has of its own, by its place in :attr:`_outside`.
+        #: Fields and views of each copy, by their places in :attr:`_outside`.
         self._own = [(number, item) for number, item in enumerate(self._outside)
                      if isinstance(item, (_Own, _OwnArray))]
 
@@ -380,7 +380,7 @@ class SimulationPrototype:
 
 @dataclass(frozen=True)
 class _Own:
-    """What belongs to the model or the data of a copy: a field of it, or a view of the field."""
+    """A field of the model or the data of a copy, or a view of the field."""
 
     of_model: bool
     field: str

@@ -305,7 +305,7 @@ def test_only_the_state_that_was_shown_last_can_be_answered(pending, answer):
                 'present state is that of 3600.020000000 s$')):
             answer(stamp_ns)
     assert not pending.complete
-    # What gives no stamp answers whatever is shown.
+    # A command without a stamp answers whatever is shown.
     assert answer(0).status is Status.WAITING and pending.complete
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How an end effector follows regular poses: one and a half intervals late, without stops."""
+"""A stream of poses that an end effector follows one and a half intervals late, without stops."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What keeps the end effector of an arm from its target: counted, and described in words."""
+"""Causes that keep an end effector from its target: counted, and described in words."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What an end effector is to do: a goal pose, or a twist that moves it; made as commands begin."""
+"""Target of an end effector: a goal pose, or a twist that moves it; made as commands begin."""
 
 from __future__ import annotations
 

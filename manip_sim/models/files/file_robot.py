@@ -232,7 +232,7 @@ def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, 
               if part == 'arm' and joint not in used and str(model.joint(joint).name)
               not in declared and not tree.below(int(model.jnt_bodyid[joint])) & loops]
     subsystems.update(dict.fromkeys(others, 'other'))
-    for joint in reversed(others):  # What a joint carries is sorted before it.
+    for joint in reversed(others):  # Joints further down are sorted first.
         body = int(model.jnt_bodyid[joint])
         leaders = {part for other in tree.coupled([joint])
                    if (part := subsystems[other]) != 'other' and (other in used or part != 'arm')}
@@ -250,7 +250,7 @@ def _part_of_carrier(tree: BodyTree, subsystems: Mapping[int, str], joint: int) 
     """
     Return the part of what a joint moves on: a head, a leg, or a wheel; ``other`` if none.
 
-    What turns on and on on a head is none of it, such as a laser.
+    A joint of a head that turns without end is no part of it: it turns a laser.
     """
     body = int(tree.model.jnt_bodyid[joint])
     above = [joint for joint in tree.joints(tree.path(tree.parent(body))) if joint in subsystems]

@@ -294,7 +294,7 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
         is_object = _is_free(body) and not driven.intersection(joints)
         # Some robots keep the joints that a variant lacks on bodies beside it.
         is_dummy = floats and not _is_free(body) and len({*model.jnt_bodyid[joints]}) == 1
-        # What nothing drives, ties or touches shows something, such as where a hand should be.
+        # A body that nothing drives, ties or touches marks a place, such as that of a hand.
         is_furniture = (not joints and (floats or len(articulated) == 1)) or (
             (floats or driven and is_drawn)
             and not driven.intersection(joints) and not _is_tied(model, below))

@@ -383,8 +383,8 @@ def support_couplings(spec: mujoco.MjSpec) -> None:
     """
     Give coupled joints of a URDF the rotor inertia below which its servos would part them.
 
-    What holds a constraint grows with the inertia of its joints. The rotors are small beside that
-    of the leader.
+    The force of a constraint grows with the inertia of its joints. The rotors are small beside
+    that of the leader.
     """
     ties = {tie.name1: (tie.name2, float(tie.data[1])) for tie in spec.equalities}
     for follower in ties:
