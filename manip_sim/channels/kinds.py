@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.channels import contents
-from manip_sim.channels.channel import Channel, Make, Read
+from manip_sim.channels.contents import Channel, Make, Read
 from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.frame_names import FrameNames, ROOT
 from manip_sim.interface.offered_sensors import Offered

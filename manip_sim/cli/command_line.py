@@ -179,7 +179,7 @@ def _command(commands: Any, name: str, module: str, summary: str, more: str = ''
 
 def _add_list(commands: Any) -> None:
     parser = _command(
-        commands, 'list', 'listing',
+        commands, 'list', 'describe:list_parts',
         'list the available parts and tasks, and where they come from',
         example='example: manip_sim list grippers')
     parser.add_argument('kind', nargs='?', choices=KINDS, metavar='KIND',
@@ -411,7 +411,7 @@ def _add_merge(commands: Any) -> None:
 
 def _add_compare(commands: Any) -> None:
     parser = _command(
-        commands, 'compare', 'compare', 'compare runs with the same seeds, pair by pair',
+        commands, 'compare', 'run:compare_runs', 'compare runs with the same seeds, pair by pair',
         'Shows the success of each run, its difference from the first run with a 95 % interval, '
         "p and mid-p of McNemar's exact test, and the seeds with which only some of them succeed. "
         'The runs may differ in the policy; compares the seeds that all of them have.',
@@ -442,7 +442,8 @@ def _add_compare(commands: Any) -> None:
 
 def _add_demonstrate(commands: Any) -> None:
     parser = _command(
-        commands, 'demonstrate', 'demonstrate', 'demonstrate a task with a device, and record it',
+        commands, 'demonstrate', 'records:demonstrate',
+        'demonstrate a task with a device, and record it',
         'Moves the end effector by the keyboard, a gamepad, a SpaceMouse or a page in the '
         'browser, in real time, and records each episode in DIR/SEED.mcap. Each record is '
         'repeated at once. A demonstration ends with success, when the time is up, or by a key; a '

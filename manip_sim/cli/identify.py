@@ -17,10 +17,10 @@ from manip_sim.cli.composing_options import compose_from
 from manip_sim.cli.output import (
     check_folder, number, ProgressBar, table, terminal_width, write_whole)
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.identification.excitation import find_excitation, record_excitation
 from manip_sim.identification.least_squares import (
     identify, Identification, JointFit, PayloadFit, RigidModel, Value)
-from manip_sim.identification.recorded_motion import read_motion, RecordedMotion
+from manip_sim.identification.recorded_motion import (
+    find_excitation, read_motion, record_excitation, RecordedMotion)
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.quoting import pluralize, quoted_names

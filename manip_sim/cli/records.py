@@ -1,20 +1,32 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim record``, ``convert`` and ``replay``: records of nodes and episodes."""
+"""``manip_sim record``, ``replay``, ``convert`` and ``demonstrate``: records."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+import contextlib
+import importlib.util
 from pathlib import Path
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from manip_sim.cli.output import ProgressBar
-from manip_sim.errors import RecordError
+from manip_sim.errors import ManipSimError, RecordError
+from manip_sim.experiments.demonstrations import (
+    action_of, Demonstration, Demonstrator, Device, open_device)
 from manip_sim.quoting import pluralize
 from manip_sim.records.converting import convert as convert_records, records_in
 from manip_sim.records.recorded import Record
 from manip_sim.records.replay import JournalReplay, Repetition, Replay
 from manip_sim.ros_environment import check_ros_environment, missing_module
+from manip_sim.tasks import Episode, Setting
+
+if TYPE_CHECKING:
+    from manip_sim.viewer.task_page import TaskPage
 
 
 def record(options: argparse.Namespace) -> tuple[str, int]:
@@ -111,3 +123,84 @@ def convert(options: argparse.Namespace) -> tuple[str, int]:
     if notes:
         summary += f'; {len(notes)} incomplete'
     return '\n'.join([*notes, f'{options.out} ({summary})']), 0
+
+
+_BROWSER = 'browser'
+
+
+def demonstrate(options: argparse.Namespace) -> tuple[str, int]:
+    """Demonstrate; return a line each, and 1 if one does not repeat, or none was kept."""
+    if importlib.util.find_spec('mcap') is None:
+        raise ManipSimError("demonstrations need mcap: pip install 'manip_sim[records]'")
+    setting = Setting(options.task, options.robot, options.gripper, action_of(options.device),
+                      options.rate)
+    episode = setting.create_episode()
+    with contextlib.ExitStack() as stack:
+        device = stack.enter_context(contextlib.closing(_open(options, episode)))
+        page: TaskPage | None = None
+        if options.view and options.device != _BROWSER:
+            page = stack.enter_context(contextlib.closing(_pages().TaskPage(
+                episode, options.listen, options.port)))
+            print(f'the world is shown on {page.address}', file=sys.stderr)
+        if device.help:
+            print(device.help, file=sys.stderr)
+        progress = stack.enter_context(ProgressBar('s'))
+
+        def show(time_s: float, success: bool, force: float) -> None:
+            progress.show(int(time_s), f', external force {force:.1f} N' + (
+                ', success' if success else ''))
+            if page is not None:
+                page.update()
+        options.out.mkdir(parents=True, exist_ok=True)
+        kept = [*_demonstrations(options, Demonstrator(
+            episode, device, options.out, {'device': options.device}, show))]
+    equal = sum(one.repeats for one in kept)
+    return (f'{options.out}: {pluralize(len(kept), "demonstration")}, '
+            f'{sum(one.success for one in kept)} with success; {equal} of {len(kept)} repeat'
+            ), int(equal < len(kept) or not kept)
+
+
+def _demonstrations(options: argparse.Namespace, demonstrator: Demonstrator
+                    ) -> Iterator[Demonstration]:
+    """Yield the demonstrations that are kept; tell of each."""
+    seed, count = options.seed, 0
+    while count < options.episodes:
+        if (options.out / f'{seed}.mcap').exists():
+            seed += 1
+            continue
+        try:
+            one = demonstrator.run(seed)
+        except KeyboardInterrupt:
+            return
+        print(_line(one), file=sys.stderr)
+        if one.file is not None:
+            yield one
+            seed, count = seed + 1, count + 1
+        if one.quits:
+            return
+
+
+def _open(options: argparse.Namespace, episode: Episode) -> Device:
+    if options.device == _BROWSER:
+        device: Device = _pages().PageDevice(episode, options.listen, options.port)
+        return device
+    return open_device(options.device, episode.actions.names)
+
+
+def _pages() -> ModuleType:
+    try:
+        from manip_sim.viewer import task_page
+    except ImportError as error:
+        raise ManipSimError(missing_module(error)) from error
+    return task_page
+
+
+def _line(one: Demonstration) -> str:
+    """Return what became of a demonstration, and of its repetition."""
+    outcome = 'success' if one.success else 'no success'
+    about = f'seed {one.seed}: {outcome} after {pluralize(one.periods, "control period")}'
+    if one.repetition is None:
+        return f'{about}, discarded'
+    if one.repeats:
+        return f'{about}, repeats to {outcome}: {one.file}'
+    return f'{about}, does not repeat: {one.repetition.difference}'

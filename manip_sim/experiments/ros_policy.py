@@ -21,8 +21,7 @@ from std_msgs.msg import String
 
 from manip_sim.arrays import FloatArray
 from manip_sim.channels import contents
-from manip_sim.channels.channel import Fields, Make, stamp_fields
-from manip_sim.channels.contents import image
+from manip_sim.channels.contents import Fields, image, Make, stamp_fields
 from manip_sim.errors import CommandError, ManipSimError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
 from manip_sim.rclpy_internals import start_rclpy

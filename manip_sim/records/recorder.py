@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import FloatArray
-from manip_sim.channels.channel import Channel, Fields, stamp_fields
-from manip_sim.channels.contents import compressed_image, multi_array, PatchedBytes
+from manip_sim.channels.contents import (
+    Channel, compressed_image, Fields, multi_array, PatchedBytes, stamp_fields)
 from manip_sim.channels.kinds import clock_channel, object_channel, offered_channel, robot_channels
 from manip_sim.errors import ManipSimError, RecordError
 from manip_sim.frame_names import FrameNames, OPTICAL

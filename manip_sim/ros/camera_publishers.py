@@ -15,8 +15,7 @@ import mujoco
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
-from manip_sim.channels.channel import Fields, stamp_fields
-from manip_sim.channels.contents import image_channels, ImageChannel
+from manip_sim.channels.contents import Fields, image_channels, ImageChannel, stamp_fields
 from manip_sim.errors import ManipSimError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_image

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
 from manip_sim.arrays import FloatArray
-from manip_sim.channels.channel import Channel, Fields
+from manip_sim.channels.contents import Channel, Fields
 from manip_sim.channels.kinds import (
     instrument_channels, lidar_channel, object_channels, offered_channel, robot_channels)
 from manip_sim.errors import ManipSimError, ModelError

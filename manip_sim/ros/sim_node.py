@@ -29,7 +29,7 @@ from manip_sim.interface.world_topics import topics_of_surroundings, topics_of_w
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError, without_source
-from manip_sim.ros.action_servers import ActionServers, offer_actions
+from manip_sim.ros.action_servers import ActionServers, MotionsUntilContact, offer_actions
 from manip_sim.ros.arguments import check_qos_names, check_qos_values
 from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.channel_publishers import (
@@ -38,17 +38,17 @@ from manip_sim.ros.channel_publishers import (
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands, SurroundingsCommands
 from manip_sim.ros.declared_parameters import Parameters
-from manip_sim.ros.diagnostics import Diagnostics, SafetyStatePublisher
-from manip_sim.ros.episode_publishers import EpisodePublisher, JournalPublisher, TaskPublisher
+from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.feature import Feature, NodeContext, PublishingThread
 from manip_sim.ros.live_parameters import LiveParameters
 from manip_sim.ros.rejection_log import RejectionLog
-from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher, ModelPublisher
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
 from manip_sim.ros.startup_log import log_start
-from manip_sim.ros.until_contact import MotionsUntilContact
 from manip_sim.ros.visualization_topics import check_frame_prefix, OdometryPublishers, SceneTopics
+from manip_sim.ros.world_publishers import (
+    DescriptionPublisher, DynamicsPublisher, EpisodePublisher, JournalPublisher, ModelPublisher,
+    SafetyStatePublisher, TaskPublisher)
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.compiled_period import load

@@ -19,7 +19,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.arrays import FloatArray
-from manip_sim.channels.channel import Channel
+from manip_sim.channels.contents import Channel
 from manip_sim.channels.kinds import odometry_channel
 from manip_sim.errors import ParameterError
 from manip_sim.frame_names import FrameNames

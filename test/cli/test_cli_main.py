@@ -25,7 +25,7 @@ class Command:
     @staticmethod
     def run(options):
         raise KeyError('lost\\nand found')
-sys.modules['manip_sim.cli.listing'] = Command
+sys.modules['manip_sim.cli.describe'] = Command
 sys.exit(main.run())
 """
 
@@ -212,7 +212,7 @@ def test_an_output_is_in_the_encoding_of_the_terminal(encoding, text, environmen
 
 def test_what_nobody_expected_is_one_line_too(environment):
     def run(*options):
-        return subprocess.run([sys.executable, *options, '-c', FAILING, 'list'], text=True,
+        return subprocess.run([sys.executable, *options, '-c', FAILING, 'describe'], text=True,
                               env=environment, capture_output=True, timeout=300.0)
     done = run()
     assert done.returncode == 1 and done.stderr.count('\n') == 1
@@ -223,11 +223,11 @@ def test_what_nobody_expected_is_one_line_too(environment):
 
 @pytest.mark.full
 def test_ctrl_c_ends_it_without_a_traceback(environment):
-    slow = ("import sys, time; from manip_sim.cli import __main__, listing; "
-            "listing.run = lambda options: (print('ready', flush=True), time.sleep(60)); "
+    slow = ("import sys, time; from manip_sim.cli import __main__, describe; "
+            "describe.run = lambda options: (print('ready', flush=True), time.sleep(60)); "
             'sys.exit(__main__.run())')
-    process = subprocess.Popen([sys.executable, '-c', slow, 'list'], env=environment, text=True,
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen([sys.executable, '-c', slow, 'describe'], env=environment,
+                               text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout.readline() == 'ready\n'
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=300.0)[1] == ''

@@ -20,7 +20,7 @@ from std_msgs.msg import String
 from test_model_files import write_arm
 
 from manip_sim.interface.topics import Scope
-from manip_sim.ros import robot_description
+from manip_sim.ros import world_publishers
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -157,7 +157,7 @@ def test_dynamics_that_json_cannot_say_are_never_published():
         damping: float
     robot = SimpleNamespace(dynamics=lambda: {'elbow': Joint(math.inf)})
     published = []
-    publisher = robot_description.DynamicsPublisher(SimpleNamespace(
+    publisher = world_publishers.DynamicsPublisher(SimpleNamespace(
         node=SimpleNamespace(
             create_publisher=lambda *_: SimpleNamespace(publish=published.append)),
         simulation=SimpleNamespace(timestep_s=0.002, robots={'robot0': robot}),
@@ -170,7 +170,7 @@ def test_dynamics_that_json_cannot_say_are_never_published():
 @pytest.mark.parametrize(('scope', 'note'), [
     ('left', 'left: robot_description: no a; no b'), ('', 'robot_description: no a; no b')])
 def test_what_a_urdf_leaves_out_is_said_with_the_name_of_the_robot(scope, note, monkeypatch):
-    monkeypatch.setattr(robot_description, 'urdfs_of', lambda *_: {
+    monkeypatch.setattr(world_publishers, 'urdfs_of', lambda *_: {
         'robot0': SimpleNamespace(xml='<robot/>', notes=['no a', 'no b'])})
     published, notes = [], []
     context = SimpleNamespace(
@@ -178,6 +178,6 @@ def test_what_a_urdf_leaves_out_is_said_with_the_name_of_the_robot(scope, note, 
         parameters=SimpleNamespace(value=lambda name: False),
         node=SimpleNamespace(create_publisher=lambda kind, topic, qos: SimpleNamespace(
             publish=lambda message: published.append((topic, message.data)))))
-    robot_description.DescriptionPublisher(context, None, None).started()
+    world_publishers.DescriptionPublisher(context, None, None).started()
     assert notes == [note]
     assert published == [(f'{scope}/robot_description'.lstrip('/'), '<robot/>')]

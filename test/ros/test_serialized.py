@@ -14,8 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from manip_sim.channels import contents
-from manip_sim.channels.channel import Channel
-from manip_sim.channels.contents import ROWS
+from manip_sim.channels.contents import Channel, ROWS
 from manip_sim.channels.kinds import clock_channel, controller_numbers
 from manip_sim.control.controlled_joints import ControllerState, JointReference
 from manip_sim.interface.topics import BY_NAME
