@@ -252,14 +252,11 @@ def _values(found: Instrument) -> Make:
     return multi_array((label, found.length))
 
 
-def _magnetic_field(_: Instrument) -> Make:
-    return lambda head, numbers: {'header': head, 'magnetic_field': vector(numbers)}
-
-
 #: By kind: returns what makes the messages of an instrument.
 OF_INSTRUMENTS: dict[str, Callable[[Instrument], Make]] = {
-    IMU: _imu, RANGE: _range, VALUES: _values, MAGNETIC_FIELD: _magnetic_field,
-    WRENCH: lambda _: wrench}
+    IMU: _imu, RANGE: _range, VALUES: _values, WRENCH: lambda _: wrench,
+    MAGNETIC_FIELD: lambda _: lambda head, numbers: {
+        'header': head, 'magnetic_field': vector(numbers)}}
 
 
 def laser_scan(lidar: Lidar, period_s: float) -> Make:

@@ -291,58 +291,53 @@ def _range(limits: Any) -> list[float]:
     return [float(value) for value in limits]
 
 
-#: By section of the description: the names of the columns, and the cells of a row.
-_COLUMNS: dict[str, tuple[tuple[str, ...], Callable[[Row], tuple[str, ...]]]] = {
+#: By section of the description: the title, the names of the columns, and the cells of a row.
+_COLUMNS: dict[str, tuple[str, tuple[str, ...], Callable[[Row], tuple[str, ...]]]] = {
     'models': (
-        ('kind', 'class', 'prefix', 'mass kg', 'joints', 'actuators', 'from'),
+        'Models', ('kind', 'class', 'prefix', 'mass kg', 'joints', 'actuators', 'from'),
         lambda r: (_kind(r), r['class'], r['prefix'],
                    number(r['mass_kg']), str(r['joints']), str(r['actuators']), r['from'])),
     'parts': (
-        ('part', 'consists of', 'joints', 'actuators', 'control mode'),
+        'Parts', ('part', 'consists of', 'joints', 'actuators', 'control mode'),
         lambda r: (r['name'], ', '.join(n for n in r['consists_of'] if n != r['name']) or '-',
                    str(len(r['joints'])), str(len(r['actuators'])), r['control_mode'] or '-')),
     'joints': (
+        'Joints: velocity limits per second, effort limits in N m or N',
         ('joint', 'part', 'start', 'position', 'unit', 'velocity', 'effort', 'driven by'),
         lambda r: (r['name'], r['part'], number(r['start']), span(r['position']), r['unit'],
                    number(r['velocity']), span(r['effort']), _driver(r))),
     'actuators': (
+        'Actuators, as the files have them',
         ('actuator', 'part', 'type', 'drives', 'control', 'force'),
         lambda r: (r['name'], r['part'], r['type'], f'{r["drives"]} {r["target"]}',
                    span(r['control']), span(r['force']))),
     'sensors': (
-        ('sensor', 'type', 'of', 'length'),
+        'Sensors', ('sensor', 'type', 'of', 'length'),
         lambda r: (r['name'], r['type'], r['of'] or '-', str(r['length']))),
     'frames': (
+        'Frames, at the start in world',
         ('frame', 'kind', 'parent', 'mass kg', 'x m', 'y m', 'z m'),
         lambda r: (r['name'], r['kind'], r['parent'], number(r['mass_kg']),
                    *(f'{round(value, 3) + 0.0:.3f}' for value in r['position_m']))),
     'cameras': (
-        ('camera', 'body', 'field of view rad', 'resolution'),
+        'Cameras', ('camera', 'body', 'field of view rad', 'resolution'),
         lambda r: (r['name'], r['body'], number(r['fovy_rad']),
                    'x'.join(map(str, r['resolution'])) if r['resolution'] else '-')),
-    'objects': (('object', 'mass kg'), lambda r: (r['name'], number(r['mass_kg']))),
+    'objects': ('Objects', ('object', 'mass kg'), lambda r: (r['name'], number(r['mass_kg']))),
     'topics': (
-        ('topic', 'type', 'node', 'meaning'),
+        'Topics of the node', ('topic', 'type', 'node', 'meaning'),
         lambda r: (r['name'], r['type'], {'published': 'publishes'}.get(
             r['direction'], 'subscribes'), r['meaning'])),
-    'services': (('service', 'type', 'meaning'),
+    'services': ('Services of the node', ('service', 'type', 'meaning'),
                  lambda r: (r['name'], r['type'], r['meaning'])),
-    'actions': (('action', 'type', 'meaning'),
-                lambda r: (r['name'], r['type'], r['meaning'])),
+    'actions': (
+        'Actions of the node, where control_msgs is installed', ('action', 'type', 'meaning'),
+        lambda r: (r['name'], r['type'], r['meaning'])),
     'parameters': (
-        ('parameter', 'value', 'unit', 'live', 'meaning'),
+        'Parameters of the node', ('parameter', 'value', 'unit', 'live', 'meaning'),
         lambda r: (r['name'], _value(r['value']), r['unit'] or '-', 'yes' if r['live'] else '-',
                    r['meaning'])),
 }
-_TITLES = {
-    'models': 'Models', 'parts': 'Parts',
-    'joints': 'Joints: velocity limits per second, effort limits in N m or N',
-    'actuators': 'Actuators, as the files have them', 'sensors': 'Sensors',
-    'frames': 'Frames, at the start in world', 'cameras': 'Cameras',
-    'objects': 'Objects', 'topics': 'Topics of the node',
-    'services': 'Services of the node',
-    'actions': 'Actions of the node, where control_msgs is installed',
-    'parameters': 'Parameters of the node'}
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
@@ -353,8 +348,8 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     if options.json:
         return json.dumps(description, indent=2, allow_nan=False), 0
     width = terminal_width()
-    tables = [table(_TITLES[section], header, [cells(row) for row in description[section]], width)
-              for section, (header, cells) in _COLUMNS.items()]
+    tables = [table(title, header, [cells(row) for row in description[section]], width)
+              for section, (title, header, cells) in _COLUMNS.items()]
     return '\n\n'.join([_summary(description), *filter(None, tables)]), 0
 
 

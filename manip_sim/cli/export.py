@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         urdf = urdf_of(world, name, _hardware(composed, name) if options.ros2_control else None)
         content, notes = urdf.xml.encode(), urdf.notes
     write_whole(file, lambda path: path.write_bytes(content))
-    return '\n'.join([f'{file} ({_size(file)})', *notes]), 0
+    return '\n'.join([f'{file} ({-(-file.stat().st_size // 1000)} kB)', *notes]), 0
 
 
 def _said(world: World, load: Callable[[], mujoco.MjModel]) -> str:
@@ -98,7 +98,3 @@ def _hardware(composed: Composed, name: str) -> Hardware:
         value('sensors'), [found.name for found, *_ in named], value('publish_rate'))
     return hardware_of(simulation, robot, scope, value('ros2_control_plugin'),
                        value('stepping') == 'lockstep', remapped, rates_hz=settings.rates_hz)
-
-
-def _size(file: Path) -> str:
-    return f'{-(-file.stat().st_size // 1000)} kB'

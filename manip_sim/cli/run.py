@@ -67,8 +67,8 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         ('jitter', options.answer_time_jitter), ('chunk_hz', options.chunk_hz),
         ('ask_ahead', options.ask_ahead)) if value is not None}
     sweeps: dict[str, list[Any]] = {
-        'command': _or_one(options.latency, late['command']),
-        'state': _or_one(options.state_latency, late['state']),
+        'command': options.latency or [late['command']],
+        'state': options.state_latency or [late['state']],
         'answer': _answer_times(options.answer_time)}
     cases = [dict(zip(sweeps, values)) for values in itertools.product(*sweeps.values())]
     several = [kind for kind, values in sweeps.items() if len(values) > 1]
@@ -107,10 +107,6 @@ def _plot(found: list[tuple[Any, dict[str, Any]]], kind: str, file: Path) -> Non
 
 def _sweep_title(found: list[tuple[Any, dict[str, Any]]]) -> str:
     return f'{found[0][1]["task"]}, {found[0][1]["policy"]}'
-
-
-def _or_one(given: list[float] | None, default: float) -> list[float]:
-    return [default] if given is None else given
 
 
 def _answer_times(given: str | None) -> list[float | str]:

@@ -223,8 +223,8 @@ def bag_messages(path: Path, type_name: str) -> Iterator[tuple[str, int, Any]]:
     """
     decode, size = decoder(type_name), 0
     for file in _files(path):
-        read = _read_sqlite if file.suffix == '.db3' else _read_mcap
-        for topic, time_ns, content in read(file, type_name):
+        for topic, time_ns, content in (_read_sqlite(file, type_name) if file.suffix == '.db3'
+                                        else Record(file).messages(type_name)):
             size += len(content) + MESSAGE_BYTES
             if size > MAX_BYTES:
                 raise RecordError(f'{path}: it has more than {MAX_BYTES} bytes of {type_name}')
@@ -243,10 +243,6 @@ def _files(path: Path) -> list[Path]:
     if not found:
         raise RecordError(f'{path}: this folder has no *.mcap and no *.db3 file')
     return found
-
-
-def _read_mcap(file: Path, type_name: str) -> Iterator[tuple[str, int, bytes]]:
-    return Record(file).messages(type_name)
 
 
 def _read_sqlite(file: Path, type_name: str) -> Iterator[tuple[str, int, bytes]]:

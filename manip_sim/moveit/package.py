@@ -379,9 +379,15 @@ def _contents(world: World, package: str, controlling: Controlling | None
     srdf = write_srdf(name, groups, postures, passive, disabled)
     texts = {f'config/{name}.urdf': urdf.xml, f'config/{name}.srdf': srdf,
              **text_files(package, name),
-             **as_yaml(_settings(groups, simulated, velocity, effort, controlling)),
-             **as_yaml({'.setup_assistant': setup_assistant(package, name),
-                        'rviz/moveit.rviz': rviz(groups[0].name)})}
+             **as_yaml({
+                 'config/kinematics.yaml': kinematics(groups),
+                 'config/joint_limits.yaml': joint_limits(groups, simulated, velocity),
+                 'config/moveit_controllers.yaml': controllers(groups, effort, controlling),
+                 'config/ompl_planning.yaml': ompl(groups),
+                 'config/pilz_industrial_motion_planner_planning.yaml': pilz(),
+                 'config/pilz_cartesian_limits.yaml': pilz_cartesian_limits(),
+                 '.setup_assistant': setup_assistant(package, name),
+                 'rviz/moveit.rviz': rviz(groups[0].name)})}
     return {**{path: text.encode() for path, text in texts.items()}, **meshes}, list(urdf.notes)
 
 
@@ -389,22 +395,12 @@ def describe(model: mujoco.MjModel, robot: RobotModel, package: str,
              hardware: Hardware | None = None) -> tuple[Urdf, dict[str, bytes]]:
     """Return the URDF of a robot, and the meshes that it names in its package, by path."""
     meshes = _meshes(model)
-    uris = {key: _mesh_file(package, name) for key, (name, _) in meshes.items()}
+    uris = {key: MeshFile(f'package://{package}/meshes/{name}', np.ones(3), np.zeros(3), np.eye(3))
+            for key, (name, _) in meshes.items()}
     urdf = write_urdf(model, robot, uris, hardware)
     used = [mesh for mesh in meshes.values() if f'/meshes/{mesh[0]}"' in urdf.xml]
     return urdf, {'meshes/README.md': b'Meshes of the robot as MuJoCo has compiled them.\n',
                   **{f'meshes/{file}': content for file, content in used}}
-
-
-def _settings(groups: list[Group], robot: Any, velocity: Mapping[str, float],
-              effort: Mapping[str, float], controlling: Controlling | None) -> dict[str, Any]:
-    return {
-        'config/kinematics.yaml': kinematics(groups),
-        'config/joint_limits.yaml': joint_limits(groups, robot, velocity),
-        'config/moveit_controllers.yaml': controllers(groups, effort, controlling),
-        'config/ompl_planning.yaml': ompl(groups),
-        'config/pilz_industrial_motion_planner_planning.yaml': pilz(),
-        'config/pilz_cartesian_limits.yaml': pilz_cartesian_limits()}
 
 
 def _read(urdf: Urdf) -> tuple[str, dict[str, float], dict[str, float]]:
@@ -423,7 +419,3 @@ def _meshes(model: mujoco.MjModel) -> dict[str, tuple[str, bytes]]:
     for mesh in np.unique(model.geom_dataid[model.geom_type == _MESH]).tolist():
         files[model.mesh(mesh).name] = (f'mesh_{mesh}.stl', stl_of(model, mesh))
     return files
-
-
-def _mesh_file(package: str, name: str) -> MeshFile:
-    return MeshFile(f'package://{package}/meshes/{name}', np.ones(3), np.zeros(3), np.eye(3))

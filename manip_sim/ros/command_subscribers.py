@@ -9,11 +9,12 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 import time
 from typing import Any
 import weakref
 
-from geometry_msgs.msg import Pose as PoseMessage, PoseStamped, Twist, TwistStamped, WrenchStamped
+from geometry_msgs.msg import Pose as PoseMessage, PoseStamped, Twist, TwistStamped
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -153,16 +154,18 @@ class CommandSubscribers:
                           for name, part in robot.parts.items()}
         self.statistics = {entry: CommandStatistics() for entry in self._entry_of.values()}
         self.statistics['joint_command'] = CommandStatistics()
+        parse, cartesian = robot.parse, robot.parse_cartesian
         self._subscribe_to({
-            'action': self._action, 'joint_command': self._joint_command,
-            'impedance': self._impedance,
+            'action': lambda part, message: [parse.action(part, message.data)],
+            'joint_command': self._joint_command, 'impedance': self._impedance,
             'trajectory': self._trajectory, 'base_twist': self._twist,
             'stamped_base_twist': lambda part, message: self._twist(part, message.twist)})
-        self._subscribe_to({'target_pose': self._target_pose, 'target_twist': self._target_twist,
-                            'target_wrench': self._target_wrench,
-                            'force_mode': self._force_mode,
-                            'until_contact': self._until_contact,
-                            'pose_command': self._pose_action})
+        self._subscribe_to({
+            'target_pose': self._in_frame(cartesian.pose, 'pose.position', 'pose.orientation'),
+            'target_twist': self._in_frame(cartesian.twist, 'twist.linear', 'twist.angular'),
+            'target_wrench': self._in_frame(cartesian.wrench, 'wrench.force', 'wrench.torque'),
+            'force_mode': self._force_mode, 'until_contact': self._until_contact,
+            'pose_command': lambda arm, message: [cartesian.action(arm, message.data)]})
 
     def _subscribe_to(self, parsers: Mapping[str, Parser]) -> None:
         """
@@ -249,9 +252,6 @@ class CommandSubscribers:
                                f'factor {command.slowed:.3g}, to {command.trajectory.end_s:.3g} '
                                's, to keep to the velocity limits')
 
-    def _action(self, part: str, message: Float64MultiArray) -> Sequence[Command]:
-        return [self._parse.action(part, message.data)]
-
     def _joint_command(self, part: str, message: JointState) -> Sequence[Command]:
         return self._parse.joint_command(
             self._context.joint_names.own(message.name), message.position, message.velocity,
@@ -283,20 +283,11 @@ class CommandSubscribers:
                                'angular.x and angular.y at zero')
         return [self._parse.twist(linear.x, linear.y, angular.z)]
 
-    def _target_pose(self, arm: str, message: PoseStamped) -> Sequence[Command]:
-        return [self._parse_cartesian.pose(
-            arm, numbers_of(message.pose.position), numbers_of(message.pose.orientation),
-            self._frame_of(message))]
-
-    def _target_twist(self, arm: str, message: TwistStamped) -> Sequence[Command]:
-        return [self._parse_cartesian.twist(
-            arm, numbers_of(message.twist.linear), numbers_of(message.twist.angular),
-            self._frame_of(message))]
-
-    def _target_wrench(self, arm: str, message: WrenchStamped) -> Sequence[Command]:
-        return [self._parse_cartesian.wrench(
-            arm, numbers_of(message.wrench.force), numbers_of(message.wrench.torque),
-            self._frame_of(message))]
+    def _in_frame(self, parse: Callable[..., Command], *fields: str) -> Parser:
+        """Return the parser of stamped messages by two of their fields, in their frame."""
+        vectors, prefix = attrgetter(*fields), self._context.frame_prefix
+        return lambda arm, message: [parse(arm, *map(numbers_of, vectors(message)),
+                                           message.header.frame_id.removeprefix(prefix))]
 
     def _force_mode(self, arm: str, message: Float64MultiArray) -> Sequence[Command]:
         if len(message.data) != 18:
@@ -313,13 +304,6 @@ class CommandSubscribers:
         return [self._parse_cartesian.until_contact(
             arm, numbers[:3], numbers[3:6], force=numbers[6], distance=numbers[7],
             duration_s=numbers[8])]
-
-    def _frame_of(self, message: PoseStamped | TwistStamped | WrenchStamped) -> str:
-        frame_id: str = message.header.frame_id
-        return frame_id.removeprefix(self._context.frame_prefix)
-
-    def _pose_action(self, arm: str, message: Float64MultiArray) -> Sequence[Command]:
-        return [self._parse_cartesian.action(arm, message.data)]
 
 
 class RobotCommands(Feature):

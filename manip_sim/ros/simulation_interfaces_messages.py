@@ -130,22 +130,30 @@ class TagsMode(IntEnum):
 
 
 class FeatureCode(IntEnum):
-    """Constants of the message ``SimulatorFeatures`` for the supported features."""
+    """Constants of ``SimulatorFeatures`` for what is supported, and an interface of each."""
+
+    needed: str
+
+    def __new__(cls, number: int, needed: str = 'GetSimulatorFeatures') -> FeatureCode:
+        """Return a feature that versions of the package without an interface do not have."""
+        feature = int.__new__(cls, number)
+        feature._value_, feature.needed = number, needed
+        return feature
 
     SPAWNING = 0
     DELETING = 1
-    NAMED_POSES = 2
-    POSE_BOUNDS = 3
-    ENTITY_TAGS = 4
-    ENTITY_BOUNDS = 5
+    NAMED_POSES = 2, 'GetNamedPoses'
+    POSE_BOUNDS = 3, 'GetNamedPoseBounds'
+    ENTITY_TAGS = 4, 'SetEntityInfo'
+    ENTITY_BOUNDS = 5, 'GetEntityBounds'
     ENTITY_BOUNDS_BOX = 6
     ENTITY_CATEGORIES = 8
     SPAWNING_RESOURCE_STRING = 9
     ENTITY_STATE_GETTING = 10
     ENTITY_STATE_SETTING = 11
-    ENTITY_INFO_GETTING = 12
-    ENTITY_INFO_SETTING = 13
-    SPAWNABLES = 14
+    ENTITY_INFO_GETTING = 12, 'GetEntityInfo'
+    ENTITY_INFO_SETTING = 13, 'SetEntityInfo'
+    SPAWNABLES = 14, 'GetSpawnables'
     SIMULATION_RESET = 20
     SIMULATION_RESET_STATE = 22
     SIMULATION_STATE_GETTING = 24
@@ -153,25 +161,12 @@ class FeatureCode(IntEnum):
     SIMULATION_STATE_PAUSE = 26
     STEP_SIMULATION_SINGLE = 31
     STEP_SIMULATION_MULTIPLE = 32
-    STEP_SIMULATION_ACTION = 33
-    WORLD_LOADING = 40
-    WORLD_UNLOADING = 43
-    WORLD_INFO_GETTING = 44
-    AVAILABLE_WORLDS = 45
-    SPAWNING_ENTITIES = 50
-
-
-#: The interface that a feature needs, where not all versions of the package have it.
-NEEDED = {FeatureCode.ENTITY_TAGS: 'SetEntityInfo', FeatureCode.ENTITY_BOUNDS: 'GetEntityBounds',
-          FeatureCode.ENTITY_INFO_GETTING: 'GetEntityInfo',
-          FeatureCode.ENTITY_INFO_SETTING: 'SetEntityInfo',
-          FeatureCode.STEP_SIMULATION_ACTION: 'SimulateSteps',
-          FeatureCode.NAMED_POSES: 'GetNamedPoses', FeatureCode.POSE_BOUNDS: 'GetNamedPoseBounds',
-          FeatureCode.SPAWNABLES: 'GetSpawnables', FeatureCode.WORLD_LOADING: 'LoadWorld',
-          FeatureCode.WORLD_UNLOADING: 'UnloadWorld',
-          FeatureCode.WORLD_INFO_GETTING: 'GetCurrentWorld',
-          FeatureCode.AVAILABLE_WORLDS: 'GetAvailableWorlds',
-          FeatureCode.SPAWNING_ENTITIES: 'SpawnEntities'}
+    STEP_SIMULATION_ACTION = 33, 'SimulateSteps'
+    WORLD_LOADING = 40, 'LoadWorld'
+    WORLD_UNLOADING = 43, 'UnloadWorld'
+    WORLD_INFO_GETTING = 44, 'GetCurrentWorld'
+    AVAILABLE_WORLDS = 45, 'GetAvailableWorlds'
+    SPAWNING_ENTITIES = 50, 'SpawnEntities'
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import filled, import_optional, numbers_of, stamp_of, WORLD
 from manip_sim.ros.simulation_interfaces_messages import (
     answering, answering_later, BoundsType, Category, change_unless_diverged, FeatureCode,
-    LoadCode, NEEDED, reject_if_diverged, Rejection, resource_of, result_filled, ResultCode,
+    LoadCode, reject_if_diverged, Rejection, resource_of, result_filled, ResultCode,
     ScopeCode, SetEntityCode, SetStateCode, StandardTypes, StateCode, TagsMode, WorldCode)
 from manip_sim.ros.spawning_services import (
     FORMATS, RequestedRobot, SpawnedRobots, SpawningServices, SUFFIXES)
@@ -312,8 +312,8 @@ class SimulationInterfaces:
             self._server.destroy()
 
     def _features(self, _: Any, response: Any) -> Any:
-        response.features.features = [int(feature) for feature in FeatureCode if self._types.has(
-            NEEDED.get(feature, 'GetSimulatorFeatures'))]
+        response.features.features = [
+            int(feature) for feature in FeatureCode if self._types.has(feature.needed)]
         response.features.spawn_formats = list(FORMATS)
         response.features.custom_info = _ABOUT
         return response

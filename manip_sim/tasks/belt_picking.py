@@ -80,7 +80,7 @@ class PickFromBelt(Task):
 
     def goal(self, simulation: Simulation) -> FloatArray:
         """Return the velocity of the belt along y of ``world`` [m/s], shape (1,)."""
-        return np.array([-_speed(simulation)])
+        return np.array([-simulation.data.actuator(BELT).ctrl[0]])
 
     def expert(self, simulation: Simulation) -> Expert:
         """
@@ -92,11 +92,6 @@ class PickFromBelt(Task):
             raise ModelError(f'the expert of {self.name} needs a suction cup, such as that of '
                              f'{self.own_gripper}')
         return _BeltPicker(simulation)
-
-
-def _speed(simulation: Simulation) -> float:
-    """Return how fast the belt is told to run [m/s]."""
-    return float(simulation.data.actuator(BELT).ctrl[0])
 
 
 class _BeltPicker(Expert):

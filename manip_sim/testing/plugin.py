@@ -82,13 +82,10 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
         root = item.config.rootpath / item.config.getoption(_OPTION)
         running: list[SimulationUnderTest] = item.stash.get(_RUNNING, [])
         for index, simulation in enumerate(running):
-            folder = root / (_file_name(item.nodeid) + (f'-{index}' if index else ''))
+            name = re.sub(r'[^\w.-]+', '_', item.nodeid).strip('_')
+            folder = root / (f'{name}-{index}' if index else name)
             report.sections.append(('manip_sim', _saved(simulation, folder)))
     return report
-
-
-def _file_name(test: str) -> str:
-    return re.sub(r'[^\w.-]+', '_', test).strip('_')
 
 
 def _saved(simulation: SimulationUnderTest, folder: Path) -> str:

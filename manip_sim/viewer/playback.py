@@ -37,11 +37,10 @@ from manip_sim.viewer.page.page_commands import Events
 from manip_sim.viewer.page.plain_text import Line, plain, PlainText
 from manip_sim.viewer.page.pointer import Aiming
 from manip_sim.viewer.page.server import Access, close_server, open_server, page_address, set_theme
-from manip_sim.viewer.page.timeline import Timeline
+from manip_sim.viewer.page.timeline import add_plot, Timeline
 
 #: Least time between two updates of the browser [s].
 _PERIOD_S = 1.0 / 30.0
-_COLORS = ('#2e7bd6', '#e8590c', '#2f9e44', '#c2255c', '#7048e8', '#0c8599', '#f08c00', '#868e96')
 #: Width of the line that shows the present instant, as a share of the time of a plot.
 _LINE = 1e-4
 #: A browser lays out a plot in place of another one only when its data come again [s].
@@ -566,14 +565,10 @@ class Player:
         self._drawn, self._is_new, self._new_s = drawn, True, None
         if chosen is None:
             return
-        curves = [{'label': plain(name), 'stroke': _COLORS[i % len(_COLORS)], 'width': 1.5}
-                  for i, name in enumerate(chosen.names)]
-        self._plot = self._server.gui.add_uplot(
-            self._data(chosen),
-            ({'label': 's'}, *curves, {'label': 'now', 'stroke': '#868e96', 'width': 1}),
-            title=plain(chosen.title), scales={'x': {'time': False}}, height=220,
-            axes=({}, {'size': 52, 'gap': 3, 'ticks': {'size': 4}}),
-            legend={'show': len(chosen.names) <= len(_COLORS), 'live': False})
+        self._plot = add_plot(
+            self._server.gui, plain(chosen.title), [*map(plain, chosen.names)],
+            self._data(chosen), [{'label': 'now', 'stroke': '#868e96', 'width': 1}],
+            scales={'x': {'time': False}}, height=220)
 
     def _draw_line(self) -> None:
         chosen = self._plots.get(str(self._quantity.value))

@@ -299,11 +299,8 @@ class JointPanel:
 
     def _add_actions(self, gui: Any) -> None:
         group = gui.add_button_group('Fingers', ('Open', 'Close'))
-        group.on_click(lambda event: self._act(event.target.value))
-
-    def _act(self, value: str) -> None:
-        self._events.add(lambda: self._commands.act(
-            self._robot.space, self._part.name, 1.0 if value == 'Close' else -1.0))
+        group.on_click(lambda event: self._events.add(lambda: self._commands.act(
+            self._robot.space, self._part.name, 1.0 if event.target.value == 'Close' else -1.0)))
 
     def _add_slider(self, gui: Any, joint: ShownJoint) -> None:
         low, high = rounded_inward(*joint.ranges[self.field])

@@ -102,7 +102,8 @@ class Access:
         own_origins = f'http://{hosts[0]}', f'https://{hosts[0]}'
         if any(origin not in own_origins for origin in origins) or len(origins) < len(upgrades):
             return f'the origin {quoted(" ".join(origins))} is another'
-        if not hmac.compare_digest(_first(path).encode(errors='replace'), self.token.encode()):
+        first = path.partition('?')[0].lstrip('/').partition('/')[0]
+        if not hmac.compare_digest(first.encode(errors='replace'), self.token.encode()):
             return 'open the address that sim_view has printed, with the token at its end'
         return ''
 
@@ -112,10 +113,6 @@ class Access:
         except ValueError:
             return name in self.names
         return True
-
-
-def _first(path: str) -> str:
-    return path.partition('?')[0].lstrip('/').partition('/')[0]
 
 
 def _is_of_interest(record: logging.LogRecord) -> bool:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,16 @@ class History:
             return np.zeros(0), np.zeros((0, 0))
         times = np.array([time_s for time_s, _ in self._rows])
         return times - times[-1], np.array([row for _, row in self._rows])
+
+
+def add_plot(gui: Any, title: str, labels: Sequence[str], data: tuple[FloatArray, ...],
+             more: Sequence[Mapping[str, Any]] = (), **options: Any) -> Any:
+    """Add a plot of curves over time, and of more series, with further options of uPlot."""
+    curves = [{'label': label, 'stroke': _COLORS[i % len(_COLORS)], 'width': 1.5}
+              for i, label in enumerate(labels)]
+    return gui.add_uplot(
+        data, ({'label': 's'}, *curves, *more), title=title, axes=({}, _AXIS),
+        legend={'show': len(labels) <= len(_COLORS), 'live': False}, **options)
 
 
 class PlotPanel:
@@ -138,16 +148,13 @@ class PlotPanel:
                                     slice(number * count, (number + 1) * count)))
 
     def _plot(self, title: str, labels: Sequence[str]) -> Any:
-        nothing = np.zeros(2)
-        return self._gui.add_uplot(
-            (np.array([-WINDOW_S, 0.0]), *([nothing] * len(labels))),
-            ({'label': 's'}, *({'label': label, 'stroke': _COLORS[i % len(_COLORS)], 'width': 1.5}
-                               for i, label in enumerate(labels))),
-            title=title, scales={'x': {'time': False, 'range': (-WINDOW_S, 0.0)},
-                                 'y': {'range': {'min': {'pad': 0.1, 'soft': -_SMALL, 'mode': 1},
-                                                 'max': {'pad': 0.1, 'soft': _SMALL, 'mode': 1}}}},
-            axes=({}, _AXIS), padding=_PADDING, height=_HEIGHT,
-            legend={'show': len(labels) <= len(_COLORS), 'live': False})
+        return add_plot(
+            self._gui, title, labels,
+            (np.array([-WINDOW_S, 0.0]), *([np.zeros(2)] * len(labels))), scales={
+                'x': {'time': False, 'range': (-WINDOW_S, 0.0)},
+                'y': {'range': {'min': {'pad': 0.1, 'soft': -_SMALL, 'mode': 1},
+                                'max': {'pad': 0.1, 'soft': _SMALL, 'mode': 1}}}},
+            padding=_PADDING, height=_HEIGHT)
 
 
 def _row(states: JointStates, part: ShownPart) -> FloatArray | None:
