@@ -381,29 +381,21 @@ class _Function:
         self._reset()
 
 
-def flat(observation: Observation, keys: Collection[str] | None = None) -> FloatArray:
+def inputs(observation: Observation, names: list[str], keys: Collection[str] | None
+           ) -> dict[str, Any]:
     """
-    Return all of an observation but its images in one array, shape (n,), float64.
+    Return what a network takes of observations with a leading axis, numbers as float32.
 
-    The order is that of the sorted keys, as gymnasium's ``FlattenObservation`` has it.
+    A single input that is no key gets all but images as gymnasium's ``FlattenObservation`` has it.
 
-    :param keys: of the part that is returned; None for all of it
+    :param names: of the inputs
+    :param keys: of the part that such an input gets; None for all of it
     """
-    return np.concatenate([observation[key].ravel() for key in _flat_keys(observation, keys)])
-
-
-def _flat_keys(observation: Observation, keys: Collection[str] | None) -> list[str]:
-    return [key for key in sorted(observation)
-            if not key.startswith(IMAGE) and (keys is None or key in keys)]
-
-
-def _inputs(observation: Observation, names: list[str], keys: Collection[str] | None
-            ) -> dict[str, Any]:
-    """Return what a network takes of observations with a leading axis, numbers as float32."""
     if len(names) == 1 and names[0] not in observation:
         return {names[0]: np.concatenate(
-            [observation[key].reshape(len(observation[key]), -1)
-             for key in _flat_keys(observation, keys)], axis=1).astype(np.float32)}
+            [observation[key].reshape(len(observation[key]), -1) for key in sorted(observation)
+             if not key.startswith(IMAGE) and (keys is None or key in keys)],
+            axis=1).astype(np.float32)}
     return {key: value if value.dtype == np.uint8 else value.astype(np.float32)
             for key, value in observation.items() if key in names}
 
@@ -430,7 +422,7 @@ def _onnx(file: str, keys: Collection[str] | None) -> Callable[..., Any]:
         raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
     names = [item.name for item in session.get_inputs()]
     return lambda observations, seeds=None: session.run(
-        None, _inputs(observations, names, keys))[0]
+        None, inputs(observations, names, keys))[0]
 
 
 def _torch_script(file: str, keys: Collection[str] | None) -> Callable[..., Any]:
@@ -451,7 +443,7 @@ def _torch_script(file: str, keys: Collection[str] | None) -> Callable[..., Any]
     def act(observations: Observation, seeds: IntArray | None = None) -> Any:
         names = list(observations) if takes_dict else ['']
         tensors = {key: torch.from_numpy(value)
-                   for key, value in _inputs(observations, names, keys).items()}
+                   for key, value in inputs(observations, names, keys).items()}
         with torch.no_grad():
             return module(tensors if takes_dict else tensors['']).numpy()
     return act

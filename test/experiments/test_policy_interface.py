@@ -16,7 +16,7 @@ pytest.importorskip('tqdm', reason='tqdm is not installed')
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ModelError  # noqa: E402
 from manip_sim.experiments import Experiment, Worker  # noqa: E402
-from manip_sim.experiments.policies import flat, load_policy  # noqa: E402
+from manip_sim.experiments.policies import inputs, load_policy  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
 from manip_sim.tasks.policy_interface import (  # noqa: E402
     check_interface, interface_of, read_interface)
@@ -151,9 +151,9 @@ def test_a_run_is_rejected_by_the_file_beside_its_policy_and_takes_that_of_a_run
 
 
 def test_a_network_gets_the_observations_that_its_file_lists():
-    observation = {'b': np.ones(2), 'a': np.zeros(3), 'image/top': np.ones((2, 2, 3))}
-    assert flat(observation).tolist() == [0.0] * 3 + [1.0] * 2
-    assert flat(observation, ['b']).tolist() == [1.0, 1.0]
+    observation = {'b': np.ones((1, 2)), 'a': np.zeros((1, 3)), 'image/top': np.ones((1, 2, 2, 3))}
+    assert inputs(observation, ['x'], None)['x'].tolist() == [[0.0] * 3 + [1.0] * 2]
+    assert inputs(observation, ['x'], ['b'])['x'].tolist() == [[1.0, 1.0]]
 
 
 @pytest.mark.full

@@ -25,7 +25,7 @@ from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
 from manip_sim.experiments import (  # noqa: E402
     Experiment, parse_seeds, parse_shard, processes, wilson_interval, Worker)
-from manip_sim.experiments.policies import flat, load_policy, policy_content  # noqa: E402
+from manip_sim.experiments.policies import inputs, load_policy, policy_content  # noqa: E402
 from manip_sim.experiments.run_folder import spans  # noqa: E402
 from manip_sim.experiments.summary import TIMES  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
@@ -718,7 +718,9 @@ def test_a_flat_observation_has_the_order_of_gymnasium():
     env = TaskEnv('pick_cube')
     observation, _ = env.reset(seed=1)
     flattened, _ = gymnasium.wrappers.FlattenObservation(env).reset(seed=1)
-    np.testing.assert_array_equal(flat(observation), flattened)
+    batch = {key: value[None] for key, value in observation.items()}
+    np.testing.assert_array_equal(
+        inputs(batch, ['x'], None)['x'], flattened[None].astype(np.float32))
     env.close()
 
 

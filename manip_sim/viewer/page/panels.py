@@ -93,7 +93,7 @@ class SavePanel:
             self._buttons.options = options
 
 
-_CONTACTS, _FORCES = 'contact_points', 'contact_forces'
+_FORCES = 'contact_forces'
 _WRENCHES = ('force', 'torque')
 
 
