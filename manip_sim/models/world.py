@@ -327,7 +327,13 @@ class World:
         """
         if seed is not None:
             checked_seed(seed)
-        noise = None if self.noise is None else self.noise.with_seed(seed)
+        start = self.exact_qpos(keyframe)
+        if self.noise is not None:
+            self._add_noise(start, self.noise.with_seed(seed))
+        return start
+
+    def exact_qpos(self, keyframe: str | None = None) -> dict[str, float]:
+        """Return the start positions of :meth:`init_qpos` without noise."""
         start: dict[str, float] = {}
         for robot in self.robots:
             starts: list[tuple[MujocoXMLModel, Any]] = [(robot, robot.init_qpos)]
@@ -338,8 +344,6 @@ class World:
             for part, qpos in starts:
                 start.update(start_by_joint(part.name, part.joints, qpos))
         self._add_keyframe(start, self.keyframe if keyframe is None else keyframe)
-        if noise is not None:
-            self._add_noise(start, noise)
         return start
 
     def _add_keyframe(self, start: dict[str, float], keyframe: str) -> None:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 from manip_sim.sensing.robot_sensing import RobotSensing
-from manip_sim.simulation.drawn_randomization import DomainRandomizer
+from manip_sim.simulation.drawn_randomization import DomainRandomizer, Sample
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
 #: Duration of the simulation in which coupled joints settle at their start [s].
@@ -78,6 +78,8 @@ class EpisodeStart:
         self.seed = world.seed
         self.randomized = DomainRandomizer(None, physics, {})
         self._keyframe, self._changes = world.keyframe, False
+        #: Keyframe and draws, and where couplings then put the joints of grippers.
+        self._settled: tuple[tuple[str, Sample], dict[str, float]] | None = None
 
     def randomize(self, sensing: Mapping[str, RobotSensing]) -> None:
         """
@@ -138,6 +140,7 @@ class EpisodeStart:
         """Take over where the robots start that come, and forget those that go."""
         self.positions = {joint: position for joint, position in
                           {**self.positions, **plan.start}.items() if joint in plan.joints}
+        self._settled = None
 
     def place(self) -> None:
         """Put all joints, objects and the surroundings to the start."""
@@ -152,15 +155,26 @@ class EpisodeStart:
         self._surroundings.hold_actuators()
         self._floating_bases.apply()
 
-    def settle(self, grippers: Iterable[Part]) -> None:
+    def settle(self, grippers: Iterable[Part], reset: Callable[[], None]) -> None:
         """
-        Make the start of grippers satisfy their couplings; all is at the start, at rest.
+        Make the start of grippers satisfy their couplings.
 
-        A declared start may violate them; great forces would correct it in the first steps.
+        A declared start may violate them; great forces would correct it in the first steps. The
+        noise of the start does not move grippers, so the start without it is simulated, and again
+        only when the keyframe, the draws or the robots have changed.
+
+        :param reset: brings all to the start, at rest
         """
         model, data = self._physics.model, self._physics.data
         if not model.neq + model.ntendon:
             return
-        _settle(model, data)
-        for part in grippers:
-            self.positions.update(zip(part.joints, data.qpos[part.qpos_addresses].tolist()))
+        changed = self._keyframe, self.randomized.drawn
+        if self._settled is None or self._settled[0] != changed:
+            positions, self.positions = self.positions, self.world.exact_qpos(self._keyframe)
+            reset()
+            _settle(model, data)
+            self.positions = positions
+            self._settled = changed, {
+                joint: position for part in grippers for joint, position in zip(
+                    part.joints, data.qpos[part.qpos_addresses].tolist())}
+        self.positions.update(self._settled[1])

@@ -268,9 +268,8 @@ class Simulation:
         return [sentence for robot in self.robots.values() for sentence in robot.joints.lowered]
 
     def _settle(self) -> None:
-        self._reset()
         self.episode_start.settle([gripper.part for robot in self.robots.values()
-                                   for gripper in robot.grippers.values()])
+                                   for gripper in robot.grippers.values()], self._reset)
 
     @property
     def time_s(self) -> float:

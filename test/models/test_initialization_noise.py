@@ -50,6 +50,20 @@ def test_a_seed_gives_the_same_start_in_another_world_and_after_a_reset():
         first[:7], list(world.init_qpos().values())[:7])
 
 
+@pytest.mark.parametrize('magnitude', [0.02, 0.1])
+def test_coupled_fingers_start_where_they_do_without_noise(magnitude):
+    def fingers(simulation):
+        part = simulation.robot.grippers['right/gripper'].part
+        return simulation.data.qpos[part.qpos_addresses].tolist()
+    plain = fingers(Simulation(compose('Panda', gripper='Robotiq85Gripper')))
+    assert np.any(plain)
+    noisy = Simulation(compose('Panda', gripper='Robotiq85Gripper', seed=1,
+                               initialization_noise={'magnitude': magnitude}))
+    for seed in (1, 2, 3):
+        noisy.reset(seed)
+        assert fingers(noisy) == plain
+
+
 def test_without_a_seed_each_world_is_another():
     assert start(None) != start(None)
 
