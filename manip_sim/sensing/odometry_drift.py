@@ -10,7 +10,6 @@ import math
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.sensing.randomness import NormalRows
 from manip_sim.sensing.sensor_noise import Channel
 from manip_sim.sensing.settings import SensingSettings
 
@@ -39,11 +38,6 @@ class OdometryChannel(Channel):
         #: The true and the measured pose in the last period, or None at the start.
         self.poses: tuple[Planar, Planar] | None = None
 
-    def _draw(self, seed: int) -> None:
-        self.seed = seed
-        self._shares = NormalRows(seed, f'{self.name} slip', 3)
-        self._steps = NormalRows(seed, f'{self.name} drift', 3)
-
     def adapt(self, settings: SensingSettings) -> None:
         """Take over the settings of the robot; without any, it begins again."""
         self._slip, drift, heading = (settings[f'noise.{name}'] for name in (
@@ -59,7 +53,7 @@ class OdometryChannel(Channel):
 
     def _rates(self) -> list[float]:
         """Return what wheels measure of a motion of 1 along x, along y and of the heading."""
-        return [1.0 + self._slip * share for share in self._shares.row(0).tolist()]
+        return [1.0 + self._slip * share for share in self.rows('slip', 3).row(0).tolist()]
 
     def end_period(self, exact: FloatArray, count: int) -> None:
         """
@@ -75,7 +69,7 @@ class OdometryChannel(Channel):
         way = math.hypot(*motion[:2]) + _HALF_TRACK_M * abs(motion[2])
         x, y, heading = (
             rate * part + spread * math.sqrt(way) * number for rate, part, spread, number in zip(
-                self._rates(), motion, self._spread, self._steps.row(count).tolist()))
+                self._rates(), motion, self._spread, self.rows('drift', 3).row(count).tolist()))
         self.poses = present, _times(measured, (x, y, heading))
 
     @property

@@ -49,18 +49,22 @@ class Channel:
         self.bias: FloatArray = np.zeros(width)
         self.drift: FloatArray = np.zeros(width)
         self.step: FloatArray | None = None
-        self._draw(0)
-
-    def _draw(self, seed: int) -> None:
-        self.seed = seed
-        self._white = NormalRows(seed, self.name, self.width)
-        self._offset = NormalRows(seed, f'{self.name} bias', self.width)
-        self._walk = NormalRows(seed, f'{self.name} drift', self.width)
+        self.seed = 0
+        #: Random numbers by what they are for; most sensors need none.
+        self._rows: dict[str, NormalRows] = {}
 
     def set_seed(self, seed: int) -> None:
         """Draw other numbers from now on, unless this is the seed already."""
         if seed != self.seed:
-            self._draw(seed)
+            self.seed, self._rows = seed, {}
+
+    def rows(self, purpose: str, width: int) -> NormalRows:
+        """Return random numbers of a purpose, the same ones until the seed changes."""
+        rows = self._rows.get(purpose)
+        if rows is None:
+            rows = self._rows[purpose] = NormalRows(
+                self.seed, f'{self.name} {purpose}'.rstrip(), width)
+        return rows
 
     def adapt(self, settings: SensingSettings) -> None:
         """Take over the settings of the robot; by default there are none."""
@@ -74,11 +78,11 @@ class Channel:
         """
         total = np.zeros(self.width)
         if self.sd.any():
-            total += self.sd * self._white.row(count)
+            total += self.sd * self.rows('', self.width).row(count)
         if self.bias.any():
-            total += self.bias * self._offset.row(0)
+            total += self.bias * self.rows('bias', self.width).row(0)
         if self.drift.any():
-            total += self.drift * np.sqrt(timestep_s) * self._walk.sum(count)
+            total += self.drift * np.sqrt(timestep_s) * self.rows('drift', self.width).sum(count)
         return total
 
     def measure(self, exact: FloatArray, count: int, timestep_s: float) -> FloatArray:
