@@ -333,7 +333,12 @@ class World:
         return start
 
     def exact_qpos(self, keyframe: str | None = None) -> dict[str, float]:
-        """Return the start positions of :meth:`init_qpos` without noise."""
+        """
+        Return the start positions of :meth:`init_qpos` without noise.
+
+        :param keyframe: that replaces the usual start; None for that of the world
+        :raises UnknownNameError: if no part has the keyframe
+        """
         start: dict[str, float] = {}
         for robot in self.robots:
             starts: list[tuple[MujocoXMLModel, Any]] = [(robot, robot.init_qpos)]
