@@ -54,7 +54,7 @@ class Clock:
     @property
     def time_ns(self) -> int:
         """Simulation time [ns]."""
-        return self.step_count * self.step_ns
+        return self.counts.item(0) * self.step_ns
 
     @property
     def control_s(self) -> float:

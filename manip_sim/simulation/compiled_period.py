@@ -26,7 +26,7 @@ from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.floating_bases import FloatingBases
-from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Physics, ROW, Scratch, STEPS, STOOD
+from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Physics, ROW, Scratch
 from manip_sim.physics.physics_steps import DivergenceWatch, PhysicsSteps
 
 #: Of how many lengths of runs the room for notes is kept.
@@ -397,10 +397,7 @@ def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> No
     :param steps: of the period
     :param scratch: of this thread and of these worlds
     """
-    if (table[worlds, STEPS] == steps).any():
-        _period().run_rows(table[worlds, ROW], table, worlds, steps, _row_in_thread(scratch))
-    else:
-        table[worlds, BECAME] = STOOD
+    _period().run_rows(table[worlds, ROW], table, worlds, steps, _row_in_thread(scratch))
 
 
 def go_on_alone(standing: IntArray, steps: int, scratch: Scratch) -> None:

@@ -25,6 +25,7 @@ from manip_sim.validation import clamp, command_numbers, positive_number
 
 #: So many streams of a robot are known at most.
 _MOST_STREAMS = 8
+_NO_WORLDS = np.zeros(0, np.int64)
 
 
 class GoingOn:
@@ -37,7 +38,8 @@ class GoingOn:
     """
 
     def __init__(self, table: IntArray, timestep_s: float) -> None:
-        self._table, self._timestep_s = table, timestep_s
+        self._timestep_s = timestep_s
+        self._steps, self._present_epochs = table[:, STEPS], table[:, EPOCH]
         self.robots, self._epochs = np.zeros((2, len(table)), np.int64)
 
     def find(self, mask: BoolArray, period_s: float | None, address: Callable[[int], int]
@@ -49,14 +51,15 @@ class GoingOn:
         :param period_s: length of a control period that they have to have [s]; None for any
         :param address: returns that of the row of the robot in a world if the command runs, or 0
         """
-        steps, epochs = self._table[:, STEPS], self._table[:, EPOCH]
-        stands = mask & (steps > 0)
+        stands = mask & (self._steps > 0)
         if period_s is not None:
-            stands &= steps * self._timestep_s == period_s
-        for world in np.flatnonzero(stands & (self._epochs != epochs)).tolist():
-            self._epochs[world] = epochs[world]
-            self.robots[world] = address(world)
-        return np.flatnonzero(stands & (self.robots > 0))
+            stands &= self._steps * self._timestep_s == period_s
+        changed = stands & (self._epochs != self._present_epochs)
+        if changed.any():
+            for world in changed.nonzero()[0].tolist():
+                self._epochs[world] = self._present_epochs[world]
+                self.robots[world] = address(world)
+        return (stands & (self.robots > 0)).nonzero()[0]
 
 
 class RowByRow:
@@ -136,14 +139,16 @@ class _Stream(NamedTuple):
 
     :ivar one: the command of a world
     :ivar modes: of all joints of the robot
-    :ivar clamps: lowest and highest numbers, shape (n, 2)
+    :ivar low: lowest numbers, finite, shape (n,)
+    :ivar high: highest numbers, finite, shape (n,)
     :ivar velocities: whether they are velocities, not positions
     :ivar going_on: the worlds that go on with it
     """
 
     one: JointSetpoint
     modes: tuple[str, ...]
-    clamps: FloatArray
+    low: FloatArray
+    high: FloatArray
     velocities: bool
     going_on: GoingOn
 
@@ -210,14 +215,16 @@ class Commands(RowByRow):
         columns = {field: self._rows(values, f'{part or "joint_command"}: {field}')
                    for field, values in (('position', position), ('velocity', velocity),
                                          ('effort', effort)) if values is not None}
-        mask = world_mask(where, len(self._robots))
-        alike, goal = np.zeros(len(self._robots), dtype=bool), None
+        mask, goal = world_mask(where, len(self._robots)), None
         if len(columns) == 1:
             (field, values), = columns.items()
-            mask = mask & ~self._go_on(names, field, values, part, mask, period_s)
+            mask = mask.copy()
+            mask[self._go_on(names, field, values, part, mask, period_s)] = False
             if not mask.any():
                 return
             goal, alike = self._alike(names, field, values, part, mask)
+        else:
+            alike = np.zeros_like(mask)
         made = self._parsed(lambda robot, world: robot.parse.joint_command(
             names, part=part, **{field: values[world] for field, values in columns.items()}),
             mask & ~alike)
@@ -255,26 +262,29 @@ class Commands(RowByRow):
             where, period_s)
 
     def _go_on(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
-               mask: BoolArray, period_s: float | None) -> BoolArray:
+               mask: BoolArray, period_s: float | None) -> IntArray:
         """Let commands that run in worlds that go on have other numbers; return where they do."""
         try:
             stream = self._going_on.get((*names, field, part))
         except TypeError:  # The error is raised world by world, with a clear message.
             stream = None
-        goes_on = np.zeros(len(mask), dtype=bool)
-        if stream is None or values.ndim != 2 or values.shape[1] != len(stream.clamps) or (
-                np.isinf(values).any()):
-            return goes_on
-        low, high = stream.clamps.T
+        if stream is None or values.shape[1:] != stream.low.shape:
+            return _NO_WORLDS
+        inside = ((values >= stream.low) & (values <= stream.high)).all(axis=1)
+        if not inside.all() and np.isinf(values).any():  # No world may get a command then.
+            return _NO_WORLDS
         worlds = stream.going_on.find(
-            mask & ((values >= low) & (values <= high)).all(axis=1), period_s,
-            lambda world: self._address(world, stream))
-        steps = self._table[worlds, STEPS]
-        for period in dict.fromkeys(steps.tolist()):
-            renew(self._table, stream.going_on.robots, worlds[steps == period],
-                  stream.one.indices, values, period * self._timestep_s, stream.velocities)
-        goes_on[worlds] = True
-        return goes_on
+            mask & inside, period_s, lambda world: self._address(world, stream))
+        if period_s is not None:
+            shares = [(worlds, float(period_s))]
+        else:
+            steps = self._table[worlds, STEPS]
+            shares = [(worlds[steps == period], period * self._timestep_s)
+                      for period in dict.fromkeys(steps.tolist())]
+        for share, length_s in shares:
+            renew(self._table, stream.going_on.robots, share, stream.one.indices, values,
+                  length_s, stream.velocities)
+        return worlds
 
     def _address(self, world: int, stream: _Stream) -> int:
         """Return the address of the row of a robot whose stream may have other numbers, or 0."""
@@ -307,8 +317,9 @@ class Commands(RowByRow):
         if velocities or {*goal.modes} == {POSITION.name}:
             if len(self._going_on) == _MOST_STREAMS:
                 self._going_on.clear()
+            low, high = np.nan_to_num(clamps).T.copy()
             self._going_on[(*names, field, part)] = _Stream(
-                goal, modes, clamps, velocities, GoingOn(self._table, self._timestep_s))
+                goal, modes, low, high, velocities, GoingOn(self._table, self._timestep_s))
         for world in np.flatnonzero(inside).tolist():
             inside[world] = robots[world].joints.modes == modes
         return goal, inside

@@ -184,9 +184,8 @@ class Worlds:
     def _advance(self, numbers: IntArray, steps: int) -> None:
         """Run a control period in some worlds, all of which end it."""
         go_on(self._table, numbers, steps, self.simulations[0].physics.scratch)
-        became = self._table[numbers, BECAME].tolist()
-        _advance([self.simulations[number] for number, how in zip(numbers.tolist(), became)
-                  if how != WENT_ON], steps)
+        others = numbers[self._table[numbers, BECAME] != WENT_ON]
+        _advance([self.simulations[number] for number in others.tolist()], steps)
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:

@@ -728,6 +728,22 @@ def test_an_invalid_row_changes_no_world(lasting_pair, call, message):
     assert lasting_pair.worlds.digest() == before
 
 
+@pytest.mark.parametrize('mode', ['position', 'velocity'])
+def test_an_infinite_goal_lets_no_stream_have_other_numbers(pair, mode):
+    start(pair, mode)
+    names = pair.simulations[0].robot.joint_names[:7]
+    goals = (pair.worlds.robot.state().position[:, :7] if mode == 'position'
+             else np.zeros((3, 7)))
+    for period in range(60):  # In the end worlds go on without Python.
+        pair._both('joint_command', (names,), None, **{mode: goals + 1e-4 * period})
+        pair.advance()
+    goals[2, 3] = np.inf
+    with pytest.raises(CommandError, match=f'world 2: joint_command: {mode} must be finite'):
+        pair.worlds.robot.command.joint_command(names, **{mode: goals})
+    pair.advance()
+    pair.check_equal()
+
+
 def test_states_that_do_not_fit_restore_no_world(pair):
     start(pair)
     before, states = pair.worlds.digest(), pair.worlds.save()
