@@ -123,7 +123,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._show()
         observation = self.episode.observation
         self._asked_s = time.perf_counter()
-        return observation, {'seed': start_seed, **self._info(True)}
+        return observation, {'seed': start_seed, **self._info(self.episode.success, True)}
 
     def step(self, action: ArrayLike
              ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -143,19 +143,18 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
                 self._answers.advance()
                 self._show()
                 reward += self.episode.reward
-                if self._answers.asks or self.episode.over:
+                success, truncated = self.episode.success, self.episode.time_is_up
+                if self._answers.asks or success or truncated:
                     break
         except DivergenceError as error:
             return (self.episode.observation, 0.0, False, True,
-                    {'diverged': str(error), **self._info(True)})
-        terminated, truncated = self.episode.success, self.episode.time_is_up
-        observation, info = self.episode.observation, self._info(terminated or truncated)
+                    {'diverged': str(error), **self._info(self.episode.success, True)})
+        observation, info = self.episode.observation, self._info(success, success or truncated)
         self._asked_s = time.perf_counter()
-        return observation, reward, terminated, truncated, info
+        return observation, reward, success, truncated, info
 
-    def _info(self, with_digest: bool) -> dict[str, Any]:
+    def _info(self, success: bool, with_digest: bool) -> dict[str, Any]:
         digest = {'digest': self.episode.digest} if with_digest else {}
-        success = self.episode.success
         return {'success': success, 'is_success': success, **digest}
 
     def digest(self) -> str:

@@ -102,6 +102,15 @@ class EndEffectorReader:
         """
         return end_effector(*(getattr(self, name)(data) for name in READINGS))
 
+    def position(self, data: mujoco.MjData) -> FloatArray:
+        """
+        Return the position of ``grip_site`` in ``world``.
+
+        :param data: the ``mujoco.MjData``
+        :returns: [m], shape (3,), a copy
+        """
+        return np.array(data.site_xpos[self._grip_site])
+
     def pose(self, data: mujoco.MjData) -> FloatArray:
         """
         Return the pose of ``grip_site`` in ``world``.

@@ -215,7 +215,7 @@ class Task(ABC):
 
     def _end_effector(self, simulation: Simulation) -> FloatArray:
         """Return the position of ``grip_site`` of :attr:`arm` in ``world`` [m], shape (3,)."""
-        return simulation.robot.end_effectors[self.arm].pose(simulation.data)[:3]
+        return simulation.robot.end_effectors[self.arm].position(simulation.data)
 
     @abstractmethod
     def expert(self, simulation: Simulation) -> Expert:
