@@ -79,7 +79,7 @@ class EpisodeStart:
         self.randomized = DomainRandomizer(None, physics, {})
         self._keyframe, self._changes = world.keyframe, False
         #: Keyframe and draws, and where couplings then put the joints of grippers.
-        self._settled: tuple[tuple[str, Sample], dict[str, float]] | None = None
+        self._settled: tuple[str, Sample, dict[str, float]] | None = None
 
     def randomize(self, sensing: Mapping[str, RobotSensing]) -> None:
         """
@@ -168,13 +168,13 @@ class EpisodeStart:
         model, data = self._physics.model, self._physics.data
         if not model.neq + model.ntendon:
             return
-        changed = self._keyframe, self.randomized.drawn
-        if self._settled is None or self._settled[0] != changed:
-            positions, self.positions = self.positions, self.world.exact_qpos(self._keyframe)
+        keyframe, drawn = self._keyframe, self.randomized.drawn
+        if self._settled is None or self._settled[0] != keyframe or self._settled[1] is not drawn:
+            positions, self.positions = self.positions, self.world.exact_qpos(keyframe)
             reset()
             _settle(model, data)
             self.positions = positions
-            self._settled = changed, {
+            self._settled = keyframe, drawn, {
                 joint: position for part in grippers for joint, position in zip(
                     part.joints, data.qpos[part.qpos_addresses].tolist())}
-        self.positions.update(self._settled[1])
+        self.positions.update(self._settled[2])

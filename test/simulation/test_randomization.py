@@ -139,6 +139,13 @@ def test_the_same_seed_draws_the_same_in_any_order_and_other_seeds_others(simula
     assert all(first[key] != second[key] for key in first if 'armature' not in key)
 
 
+def test_drawn_values_may_be_arrays(simulation):
+    for seed in (3, 4):
+        colour = 0.1 * seed + np.array([0.2, 0.3, 0.4])
+        simulation.reset(seed, {'lights/key/diffuse': colour})
+        np.testing.assert_allclose(simulation.model.light('key').diffuse, colour, atol=1e-7)
+
+
 def test_a_reset_without_a_seed_repeats_the_episode(simulation):
     simulation.reset(5)
     first = simulation.digest()
