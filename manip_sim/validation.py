@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 import math
-import numbers
 import sys
 from typing import Any
 
@@ -110,7 +109,7 @@ def whole_number(value: object, least: int, what: str, error: type[ManipSimError
 
     :raises ManipSimError: that exception, if it is not a whole number from there
     """
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise error(f'{what} must be a whole number from {least}, got {format_value(value)}')
     return int(value)
 

@@ -397,7 +397,7 @@ def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> No
     :param steps: of the period
     :param scratch: of this thread and of these worlds
     """
-    _period().run_rows(table[worlds, ROW], table, worlds, steps, _row_in_thread(scratch))
+    _period().run_rows(table[:, ROW][worlds], table, worlds, steps, _row_in_thread(scratch))
 
 
 def go_on_alone(standing: IntArray, steps: int, scratch: Scratch) -> None:

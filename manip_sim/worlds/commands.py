@@ -278,7 +278,7 @@ class Commands(RowByRow):
         if period_s is not None:
             shares = [(worlds, float(period_s))]
         else:
-            steps = self._table[worlds, STEPS]
+            steps = self._table[:, STEPS][worlds]
             shares = [(worlds[steps == period], period * self._timestep_s)
                       for period in dict.fromkeys(steps.tolist())]
         for share, length_s in shares:

@@ -184,7 +184,7 @@ class Worlds:
     def _advance(self, numbers: IntArray, steps: int) -> None:
         """Run a control period in some worlds, all of which end it."""
         go_on(self._table, numbers, steps, self.simulations[0].physics.scratch)
-        others = numbers[self._table[numbers, BECAME] != WENT_ON]
+        others = numbers[self._table[:, BECAME][numbers] != WENT_ON]
         _advance([self.simulations[number] for number in others.tolist()], steps)
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
