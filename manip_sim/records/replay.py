@@ -14,7 +14,7 @@ import warnings
 import mujoco
 import numpy as np
 
-from manip_sim.control.commands import Command, GripperCommand, NoCommand, Status
+from manip_sim.control.commands import GripperCommand, NoCommand, Status
 from manip_sim.errors import CommandError, DivergenceError, ManipSimError, ModelError, RecordError
 from manip_sim.interface.composition import compose_world, Composition
 from manip_sim.interface.parameter_spec import GivenParameters
@@ -26,7 +26,8 @@ from manip_sim.records.recorder import physics_state
 from manip_sim.records.untrusted_records import files_of, parse_json
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import check_sum, decoded, NumberedHandles, restore_plain
+from manip_sim.simulation.json_state import (
+    check_sum, decoded_commands, NumberedHandles, restore_plain)
 from manip_sim.simulation.operations import Operations
 from manip_sim.tasks import create_task, Episode, start
 
@@ -276,11 +277,9 @@ class _World:
         self._entries[kind](*content)
 
     def _commands(self, content: Any) -> None:
-        commands, handles = decoded(self.simulation, content)
+        commands, handles = decoded_commands(self.simulation, content)
         self._handles.add(handles)
         for robot, command in commands:
-            if not isinstance(command, Command):
-                raise ModelError('a command is none')
             try:
                 self.simulation.robots[robot].apply(
                     command, period_s=self._steps * self.simulation.timestep_s)

@@ -21,7 +21,8 @@ from manip_sim.control.commands import (
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import check_sum, Encoder, NumberedHandles, plain_state
+from manip_sim.simulation.json_state import (
+    check_sum, NumberedHandles, plain_commands, plain_state)
 from manip_sim.simulation.operations import Operations
 
 #: Returns which atomic parts of a robot, given by its name, need no command.
@@ -303,14 +304,13 @@ class Journal:
         """Note commands that take effect now, with the names of their robots."""
         if self._write is None or not commands:
             return
-        encoder = Encoder(self._simulation.states.control.index_of)
         try:
-            encoded = encoder.encode(list(commands))
+            plain, handles = plain_commands(self._simulation, commands)
         except ModelError as error:
             self.unknown(f'a command: {error}')
             return
-        self._handles.add(met for met in encoder.met if isinstance(met, CommandHandle))
-        self._add('commands', encoded)
+        self._handles.add(handles)
+        self._add('commands', plain)
 
     def withdrawn(self, robot: str, command: Command, reason: str) -> None:
         """Note that a command was withdrawn, if it has taken effect before."""

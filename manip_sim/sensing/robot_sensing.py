@@ -294,29 +294,23 @@ class RobotSensing:
             self._history.send((count, values), arrival)
         self._adapt()
 
-    def encoded(self) -> bytes:
+    def digested(self) -> dict[str, Any] | None:
         """
-        Return the state as bytes for a digest; empty while all settings are zero.
+        Return what :meth:`save` returns without what makes no difference.
 
-        Channels without noise, such as the odometry of a node, follow from the others.
+        That is all while all settings are zero, what nobody wants again, read or not, and channels
+        without noise, such as the odometry of a node, which follow from the others.
         """
-        values = self.settings.as_dict()
-        if not values:
-            return b''
-        parts = [repr((self._name, self.seed, sorted(values.items()))).encode()]
-        for channel in self._external.values():
-            parts += [b'-' if channel.filtered is None else channel.filtered.tobytes(),
-                      channel.tare.tobytes()]
-        if self.odometry is not None:
-            parts.append(repr(self.odometry.poses).encode())
-        noisy = {name for name, (channel, _) in self._channels.items() if channel is not None}
-        if self._history:  # What nobody wants again must not count, read or not.
+        if not self.settings.as_dict():
+            return None
+        if self._history:
             self._history.newest(self.count)
-        for arrival, (count, measured) in self._history:
-            parts.append(b'%d %d' % (count, arrival))
-            parts += [name.encode() + value.tobytes() for name, value in sorted(measured.items())
-                      if name in noisy]
-        return b'\n'.join(parts)
+        state = self.save()
+        noisy = {name for name, (channel, _) in self._channels.items() if channel is not None}
+        state['history'] = [(count, arrival, {
+            name: value for name, value in values.items() if name in noisy})
+            for count, arrival, values in state['history']]
+        return state
 
 
 def _no_faults() -> None:

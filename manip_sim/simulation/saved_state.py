@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 import hashlib
-import pickle
 from typing import Any
 
 import mujoco
@@ -19,11 +18,16 @@ from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.physics import Physics, PHYSICS
 from manip_sim.physics.physics_steps import PhysicsSteps
+from manip_sim.physics.robot_frames import Frame
+from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
-from manip_sim.simulation.control_state import Content, ControlState
+from manip_sim.simulation.control_state import ControlState
 from manip_sim.simulation.episode_start import EpisodeStart
+from manip_sim.simulation.plain_data import check_like, Decoder, Encoder, to_json
 from manip_sim.simulation.robot import SimulatedRobot
 
+#: Version of the layout of states; 1 were those whose control was pickled.
+LAYOUT_VERSION = 2
 #: Numbers of a model that control changes: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
 
@@ -42,16 +46,17 @@ class SimulationState:
     :ivar physics: what MuJoCo integrates, and its solvers start from
     :ivar computed_from: the same when the present forces were computed
     :ivar gains: what control has changed in the model, by field
-    :ivar control: setpoints, commands, grippers, tare, filters and settings, pickled
+    :ivar control: setpoints, commands, grippers, tare, filters and settings, and of each robot's
+        sensors noise and measurements that have not arrived, as plain data
     :ivar start: of the joints at the next reset, by name [rad or m]
     :ivar step_count: physics steps since construction
     :ivar control_steps: physics steps since the last reset
     :ivar diverged: why the physics is on hold, or None
-    :ivar sensing: of each robot, noise and measurements that have not arrived, pickled
     :ivar drawn: the values drawn for the episode, by name
     :ivar seed: that the episode was drawn from
     :ivar layout: of what :attr:`control` refers to
     :ivar keyframe: that joints start from, and whether the next reset is the first to use it
+    :ivar layout_version: :data:`LAYOUT_VERSION` of the version that has saved it
     """
 
     versions: str
@@ -60,16 +65,16 @@ class SimulationState:
     physics: bytes
     computed_from: bytes
     gains: Mapping[str, bytes]
-    control: bytes
+    control: list[Any]
     start: Mapping[str, float]
     step_count: int
     control_steps: int
     diverged: str | None
-    sensing: bytes
     drawn: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     layout: str = ''
     keyframe: tuple[str, bool] = ('', False)
+    layout_version: int = 1
 
 
 class SavedStates:
@@ -115,12 +120,34 @@ class SavedStates:
         return SimulationState(
             versions=_versions(), model=self._physics.model.signature, robots=tuple(self._robots),
             physics=steps.state().tobytes(), computed_from=steps.computed_from.tobytes(),
-            gains=gains(self._physics.model), control=self.control.save(),
+            gains=gains(self._physics.model), control=self.encoded(Encoder(self.control.index_of)),
             start=dict(start.positions), step_count=self._clock.step_count,
             control_steps=self._clock.control_steps, diverged=diverged,
-            sensing=pickle.dumps([robot.sensing.save() for robot in self._robots.values()]),
             drawn=start.randomized.drawn, seed=start.seed, layout=self.control.layout,
-            keyframe=start.settings)
+            keyframe=start.settings, layout_version=LAYOUT_VERSION)
+
+    def encoded(self, encoder: Encoder) -> list[Any]:
+        """Return what objects with a state remember, grippers and sensors as plain data."""
+        return [*self.control.encoded(encoder), *(
+            encoder.encode(robot.sensing.save()) for robot in self._robots.values())]
+
+    def decoded(self, state: SimulationState) -> list[dict[str, Any]]:
+        """
+        Return what :meth:`encoded` made the plain data of that a state contains.
+
+        :param state: one that :meth:`check` accepts
+        :raises ModelError: if its ``control`` cannot have been saved by this version
+        """
+        decoder, model = Decoder(self.control.fixed), self._physics.model
+        present = [*self.control.content(), *(
+            robot.sensing.save() for robot in self._robots.values())]
+        if len(state.control) != len(present):
+            raise ModelError('control consists of other parts here')
+        content = [decoder.decode(values) for values in state.control]
+        for values, now in zip(content, present):
+            check_like(values, now)
+        check_frames(decoder, model)
+        return content
 
     def check(self, state: SimulationState) -> None:
         """
@@ -133,37 +160,44 @@ class SavedStates:
         if not isinstance(state, SimulationState):
             raise ModelError(f'expected a state of save(), got {state!r:.60}')
         if state.versions != _versions():
-            raise ModelError(f'the state was saved by {state.versions}, this is {_versions()}')
+            raise ModelError(f'the state was saved by {one_line(state.versions, 80)}, this is '
+                             f'{_versions()}')
+        if state.layout_version != LAYOUT_VERSION:
+            raise ModelError(f'the state has version {state.layout_version} of the layout of '
+                             f'states, and this manip_sim has version {LAYOUT_VERSION}')
         if state.robots != tuple(self._robots):
-            raise ModelError(f'the state was saved with the robots {", ".join(state.robots)}, now '
-                             f'there are {", ".join(self._robots)}')
+            raise ModelError(f'the state was saved with the robots '
+                             f'{one_line(", ".join(map(str, state.robots)), 200)}, now there are '
+                             f'{", ".join(self._robots)}')
         if (state.model != self._physics.model.signature
-                or len(state.physics) != self._steps.computed_from.nbytes):
+                or {len(state.physics), len(state.computed_from)}
+                != {self._steps.computed_from.nbytes}
+                or _sizes(state.gains) != _sizes(gains(self._physics.model))):
             raise ModelError('the state was saved in a simulation of another world, or with other '
                              'objects in it')
         if state.layout != self.control.layout:
             raise ModelError('objects have come or gone since the state was saved')
 
-    def replace(self, state: SimulationState, control: Content, sensing: Any) -> None:
+    def replace(self, state: SimulationState, content: list[dict[str, Any]]) -> None:
         """
         Continue from a state; what its episode has drawn is there already.
 
         :param state: one that :meth:`check` accepts
-        :param control: what its ``control`` stands for
-        :param sensing: what its ``sensing`` stands for
+        :param content: of it, as :meth:`decoded` returns it
         """
         model = self._physics.model
         self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
         self._start.positions, self._start.seed = dict(state.start), state.seed
         self._start.settings = state.keyframe
-        for name, content in state.gains.items():
+        for name, numbers in state.gains.items():
             array = getattr(model, name)
-            array.flat[:] = np.frombuffer(content, array.dtype)
-        self.control.replace(control)
+            array.flat[:] = np.frombuffer(numbers, array.dtype)
+        self.control.replace(content)
         # Commands may have changed controls since the present forces were computed.
         self._steps.compute_from(np.frombuffer(state.computed_from))
         mujoco.mj_setState(model, self._physics.data, np.frombuffer(state.physics), PHYSICS)
-        for robot, measured in zip(self._robots.values(), sensing):
+        robots = self._robots.values()
+        for robot, measured in zip(robots, content[len(content) - len(robots):]):
             robot.sensing.restore(measured)
 
     def digest(self) -> str:
@@ -171,18 +205,33 @@ class SavedStates:
         digest = hashlib.sha256(self._steps.state().tobytes())
         for name, content in gains(self._physics.model).items():
             digest.update(name.encode() + content)
-        for content in self.control.encoded():
-            digest.update(b'%d:' % len(content) + content)
-        for robot in self._robots.values():
-            digest.update(robot.sensing.encoded())
-        if self._start.randomized.drawn:
-            digest.update(repr(sorted(self._start.randomized.drawn.items())).encode())
+        encoder = Encoder(self.control.index_of, digest=True)
+        plain = [*self.control.encoded(encoder), *(encoder.encode(robot.sensing.digested())
+                 for robot in self._robots.values()), encoder.encode(self._start.randomized.drawn)]
+        digest.update(to_json(plain, sort_keys=True).encode())
         return f'mujoco-{mujoco.mj_versionString()}:{digest.hexdigest()}'
 
 
 def gains(model: mujoco.MjModel) -> dict[str, bytes]:
     """Return what control changes in a model, by field."""
     return {name: getattr(model, name).tobytes() for name in _GAINS}
+
+
+def check_frames(decoder: Decoder, model: mujoco.MjModel) -> None:
+    """
+    Check frames that were read, as MuJoCo does not.
+
+    :raises ModelError: if there is no such body or site
+    """
+    for frame in decoder.values:
+        if isinstance(frame, Frame) and not (
+                frame.body in range(model.nbody)
+                and (frame.site is None or frame.site in range(model.nsite))):
+            raise ModelError('a frame of no body or site')
+
+
+def _sizes(contents: Mapping[str, bytes]) -> dict[str, int]:
+    return {name: len(content) for name, content in contents.items()}
 
 
 def _versions() -> str:

@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import copy
-import pickle
-from typing import Any
 
 import mujoco
 
@@ -28,7 +26,6 @@ from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.spring_forces import SpringForces
 from manip_sim.sensing.lidars import Lidars
 from manip_sim.simulation.control_period import ControlPeriods
-from manip_sim.simulation.control_state import Content
 from manip_sim.simulation.drawn_randomization import DomainRandomizer, Sample
 from manip_sim.simulation.episode_start import EpisodeStart
 from manip_sim.simulation.faults import Faults
@@ -413,17 +410,7 @@ class Simulation:
             version of manip_sim or MuJoCo; then nothing changes
         """
         self.states.check(state)
-        self.continue_from(
-            state, self.states.control.loaded(state.control), pickle.loads(state.sensing))
-
-    def continue_from(self, state: SimulationState, control: Content, sensing: Any) -> None:
-        """
-        Continue from a state whose pickled parts are given as objects.
-
-        :param state: one that ``states.check`` accepts
-        :param control: what its ``control`` stands for
-        :param sensing: what its ``sensing`` stands for
-        """
+        content = self.states.decoded(state)
         self.physics.interrupt()
         for robot in self.robots.values():
             robot.abort('a saved state was restored')
@@ -431,7 +418,7 @@ class Simulation:
         self.periods.diverged = state.diverged
         if state.drawn != self.randomized.drawn:
             self._randomize(state.seed, state.drawn)
-        self.states.replace(state, control, sensing)
+        self.states.replace(state, content)
 
     def digest(self) -> str:
         """

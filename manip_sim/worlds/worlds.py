@@ -34,7 +34,6 @@ from manip_sim.models.world import World
 from manip_sim.physics.physics import BECAME, ENDED, WENT_ON
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.compiled_period import go_on, load, run_prepared
-from manip_sim.simulation.control_state import is_foreign, is_frozen, owner_of, ViewPickler
 from manip_sim.startup import processors
 from manip_sim.validation import whole_number
 from manip_sim.worlds.commands import world_mask
@@ -410,9 +409,34 @@ class _OwnArray:
         return self.array.copy('K')
 
 
-class _Pickler(ViewPickler):
+def owner_of(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array that an array is a view of, or itself."""
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return array
+
+
+def _is_foreign(array: NDArray[Any]) -> bool:
+    """Return whether an array is a view into ``MjData`` or ``MjModel``."""
+    return type(owner_of(array).base).__name__ == 'PyCapsule'
+
+
+def _is_frozen(item: object) -> bool:
+    """Return whether an object is of a frozen dataclass."""
+    parameters = getattr(type(item), '__dataclass_params__', None)
+    return parameters is not None and parameters.frozen
+
+
+def _view(owner: NDArray[Any], offset: int, shape: tuple[int, ...], strides: tuple[int, ...],
+          kind: str) -> NDArray[Any]:
+    return np.ndarray(shape, kind, owner.data, offset, strides)
+
+
+class _Pickler(pickle.Pickler):
     """
     A pickler that keeps aside what copies share, and what belongs to model and data.
+
+    Views of the same array stay views of the same array.
 
     :ivar outside: what it has kept aside, by the number in the pickle
     """
@@ -429,10 +453,13 @@ class _Pickler(ViewPickler):
                         for name, array in _arrays(owner)]
 
     def reducer_override(self, found: Any) -> Any:
-        """Let the copy of a cached method begin with an empty cache."""
+        """Let copies of cached methods begin with empty caches, and views be views."""
         if isinstance(found, functools._lru_cache_wrapper):
             return _cached, (found.cache_parameters()['maxsize'], found.__wrapped__)
-        return super().reducer_override(found)
+        if not isinstance(found, np.ndarray) or (owner := owner_of(found)) is found:
+            return NotImplemented
+        offset = found.__array_interface__['data'][0] - owner.__array_interface__['data'][0]
+        return _view, (owner, offset, found.shape, found.strides, found.dtype.str)
 
     def persistent_id(self, found: object) -> int | None:
         kind = type(found)
@@ -451,7 +478,7 @@ class _Pickler(ViewPickler):
     def _outside(self, found: object) -> object | None:
         """Return what stands for an object in every copy, or None if it is copied."""
         if isinstance(found, np.ndarray):
-            if is_foreign(found):
+            if _is_foreign(found):
                 return self._find(found)
             if owner_of(found) is not found or found.dtype.hasobject:
                 return None
@@ -463,7 +490,7 @@ class _Pickler(ViewPickler):
         root = type(found).__module__.partition('.')[0]
         shared = (isinstance(found, _SHARED) or root == 'mujoco'
                   or isinstance(found, MujocoXMLModel) and not isinstance(found, GripperModel)
-                  or is_frozen(found) and not any(
+                  or _is_frozen(found) and not any(
                       isinstance(field, GripperModel) for field in vars(found).values()))
         return found if shared else None
 

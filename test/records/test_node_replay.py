@@ -223,7 +223,7 @@ def test_laws_with_parameters_and_memory_are_repeated(counted, verify):
 
 @pytest.mark.parametrize(('change', 'text'), [
     (lambda state: state['law'].__setitem__(1, 'other'), "law that is not here: .*'other'"),
-    *[(lambda state, name=name: state.__setitem__(name, ['a', '<f8', [0], '', 'C']),
+    *[(lambda state, name=name: state.__setitem__(name, ['a', '<f8', [0], '']),
        "saved with another law 'counting'") for name in ('parameters', 'memory', 'wrench')]],
     ids=['law', 'parameters', 'memory', 'wrench'])
 def test_states_of_other_laws_are_rejected(change, text, counted, verify, tmp_path):
