@@ -31,6 +31,11 @@ def through_json(value):
     return Decoder([]).decode(json.loads(to_json(Encoder({}).encode(value))))
 
 
+@pytest.fixture(scope='module')
+def simulation():
+    return Simulation(compose('Panda', arena='table'))
+
+
 VALUES = [
     None, True, 3, -0.0, float('inf'), 1e-320, 2**80, 'ä\ud800', b'\0\xff', (1, (2.0,)), [1, []],
     {'a': {'b': (1,)}}, {}, {3: 'x', 'y': 2, (1, 2): None}, deque([1, (2,)]), {1, 2},
@@ -64,13 +69,38 @@ def test_an_object_that_two_others_have_stays_one():
     assert first is again and first is not other and first == handle
 
 
+def digest(value):
+    """Return what a digest is made of."""
+    return to_json(Encoder({}, digest=True).encode(value), sort_keys=True)
+
+
 def test_a_digest_sees_neither_what_became_of_a_command_nor_types_of_numpy():
-    def digest(value):
-        return to_json(Encoder({}, digest=True).encode(value), sort_keys=True)
     assert digest(CommandHandle(Status.DONE)) == digest(CommandHandle(Status.ABORTED, 'reset'))
     assert digest(CommandHandle(Status.DONE)) != digest(CommandHandle(Status.RUNNING))
     assert digest({'a': 1, 'b': np.float64(0.1)}) == digest({'b': 0.1, 'a': 1})
     assert digest({2: 'x', 1: 'y'}) == digest({1: 'y', 2: 'x'}) != digest({1: 'x', 2: 'y'})
+    assert digest({0, 8}) == digest({8, 0})
+    frame = Frame('world', 0)
+    assert digest([frame, frame]) == digest([frame, Frame('world', 0)])
+
+
+def test_a_digest_leaves_out_what_a_class_says_and_a_state_does_not(simulation):
+    state = simulation.save()
+    before = simulation.digest()
+    simulation.robot.joints._setpoints.counts[:] += 3
+    assert simulation.digest() == before
+    (command,) = simulation.robot.parse.joint_command(['robot0_joint1'], position=[0.1])
+    assert digest(replace(command, robot=None)) == digest(replace(command, robot=None, sent_ns=5))
+    assert through_json(replace(command, robot=None, sent_ns=5)).sent_ns == 5
+    simulation.restore(state)
+
+
+def test_a_state_that_was_restored_can_be_restored_again(simulation):
+    tree = Encoder({}).encode([np.zeros(3)])
+    for _ in range(2):
+        (array,) = Decoder([]).decode(tree)
+        assert not array.any()
+        array += 1.0
 
 
 @pytest.mark.parametrize('value', [object(), lambda: 0, np.array(['a']), np.array([None]), 1j,
@@ -91,6 +121,8 @@ ATTACKS = {
     'an enumeration as an object': (['o', 'manip_sim.control.commands:Status', {}], 'no data'),
     'a method': (['o', DATA, {**HANDLE, 'end': 1}], "no attribute 'end'"),
     'a special attribute': (['o', DATA, {**HANDLE, '__class__': 1}], "no attribute '__class__'"),
+    'a special attribute that no class has': (
+        ['o', DATA, {**HANDLE, '__deepcopy__': 1}], "no attribute '__deepcopy__'"),
     'too few attributes': (['o', DATA, {'status': None}], 'lacks attributes'),
     'a law that is not here': (['w', 'no law'], 'a law that is not here'),
     'a member that is none': (['e', 'manip_sim.control.commands:Status', 'NO'], 'KeyError'),
@@ -100,6 +132,7 @@ ATTACKS = {
     'a class as a tuple': (['T', DATA, 1, 2, 3], 'no tuple'),
     'an array of objects': (['a', '|O', [1], 'AAAAAAAAAAA='], 'no numbers'),
     'an array of records': (['a', 'f8,f8', [1], 'AAAAAAAAAAA='], 'no numbers'),
+    'an array of long doubles': (['a', '<f16', [1], f'{"A" * 22}=='], 'no numbers'),
     'an array larger than its text': (['a', '<f8', [10**12], 'AAAAAAAAAAA='], 'ValueError'),
     'an array of unknown length': (['a', '<f8', [-1], 'AAAAAAAAAAA='], 'no natural number'),
     'no base64': (['a', '<f8', [1], '?'], 'Error'),
@@ -146,11 +179,6 @@ def test_any_json_is_read_or_rejected_and_nothing_is_imported(content):
         value = None
     assert {*sys.modules} == modules
     assert not callable(value)
-
-
-@pytest.fixture(scope='module')
-def simulation():
-    return Simulation(compose('Panda', arena='table'))
 
 
 def places(content, path=()):
