@@ -18,6 +18,7 @@ import numpy as np
 
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.physics.robot_frames import Frame
 from manip_sim.simulation.plain_data import Encoder, KINDS
 
 #: Modules of the classes whose objects may have a state, or others that have one.
@@ -45,7 +46,7 @@ class ControlState:
     def __init__(self, roots: Iterable[object]) -> None:
         self._owners: list[Any] = []
         self._grippers: list[GripperModel] = []
-        #: Models of robots, to which commands refer.
+        #: Models and frames of robots, to which commands refer; frames change with the model.
         self._fixed: list[object] = []
         self._find(list(roots))
         self._index_of = {id(item): index for index, item in enumerate(self._fixed)}
@@ -65,14 +66,17 @@ class ControlState:
                 left += item.values()
             elif isinstance(item, (list, tuple, set, frozenset)):
                 left += item
-            elif isinstance(item, MujocoXMLModel):
+            elif isinstance(item, (MujocoXMLModel, Frame)):
                 self._fixed.append(item)
                 if isinstance(item, GripperModel):
                     self._grippers.append(item)
             elif type(item).__module__.startswith(_ROOMS) and hasattr(item, '__dict__'):
-                left += vars(item).values()
-                if hasattr(type(item), 'remembered'):
+                remembered = getattr(type(item), 'remembered', None)
+                if remembered is not None:
                     self._owners.append(item)
+                # What commands bring along is no place that every simulation has.
+                left += (value for name, value in vars(item).items()
+                         if name not in (remembered or ()))
 
     def content(self) -> list[dict[str, Any]]:
         """Return what each object with a state remembers, and each gripper; no copies."""
@@ -94,7 +98,8 @@ class ControlState:
         """The objects with a state, what they remember, and the models that it refers to."""
         return ' '.join([*(f'{type(owner).__qualname__}({",".join(owner.remembered)})'
                            for owner in self._owners),
-                         *(type(item).__qualname__ for item in self._fixed)])
+                         *(type(item).__qualname__ for item in self._fixed
+                           if not isinstance(item, Frame))])
 
     def encoded(self, encoder: Encoder) -> list[dict[str, Any]]:
         """Return the content as plain data."""

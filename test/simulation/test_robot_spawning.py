@@ -16,6 +16,7 @@ from manip_sim.models import compose, compose_robot, create_arena, World
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import robot_spawning, Simulation
+from manip_sim.simulation.json_state import plain_state, restore_plain
 from manip_sim.simulation.robot_spawning import plan_with_robot
 
 BOX = {'shape': 'box', 'size': [0.04] * 3, 'mass': 0.1}
@@ -250,6 +251,30 @@ def test_a_later_gripper_goes_on_when_one_before_it_is_deleted_after_a_restored_
         run(simulation, 20)
         digests.append(simulation.digest())
     assert digests[0] == digests[1]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize('restores', [
+    lambda simulation: simulation.restore(simulation.save()),
+    lambda simulation: restore_plain(simulation, plain_state(simulation)[0])],
+    ids=['state', 'journal'])
+def test_a_target_keeps_its_frame_when_a_robot_before_is_deleted_after_a_restored_state(restores):
+    places = []
+    for restore in (None, restores):
+        simulation = Simulation(World([compose_robot('Panda')], create_arena('empty')))
+        simulation.spawn_robot(robot_at('before', 2.0))
+        robot = simulation.spawn_robot(robot_at('last', -2.0, 'IIWA'))
+        pose = robot.state().end_effectors['right'].pose
+        goal, base = np.add(pose.position, [0.0, 0.05, 0.05]), robot.robot_model.root_body
+        robot.apply(robot.parse_cartesian.pose(
+            'right', goal - simulation.data.body(base).xpos, pose.quat_xyzw, base))
+        run(simulation, 1)
+        if restore is not None:
+            restore(simulation)
+        simulation.delete_robot(simulation.spawned_robots[0])
+        run(simulation, 100)
+        places.append(robot.state().end_effectors['right'].pose.position)
+    np.testing.assert_allclose(places, [goal] * 2, atol=1e-3)
 
 
 def test_a_constraint_that_is_off_stays_off():
