@@ -9,7 +9,7 @@ The newest command that has begun owns a joint, joint by joint, as the ledger no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
@@ -91,6 +91,8 @@ class Command:
 
     #: Times by clocks that a reset does not restart.
     undigested: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
+    #: Shapes of arrays that compiled code reads.
+    shapes: ClassVar[Mapping[str, tuple[str | int, ...]]] = {'indices': ('i', 'n')}
     #: True if it changes the way in which joints follow the command before: both take effect.
     adds: ClassVar[bool] = False
 
@@ -140,6 +142,8 @@ class JointSetpoint(Command):
     :ivar values: at the joints, in SI units, shape of ``indices``
     """
 
+    shapes = {'values': ('f', 'n')}
+
     modes: tuple[str, ...]
     values: FloatArray
 
@@ -163,6 +167,7 @@ class JointImpedance(JointSetpoint):
     """
 
     adds: ClassVar[bool] = True
+    shapes = {'pulls': ('f', 4, 'n')}
 
     pulls: FloatArray
 
@@ -229,6 +234,8 @@ class JointTrajectory(Command):
     :ivar slowed: factor by which it was slowed down to keep to velocity limits; 1 if it was not
     """
 
+    shapes = {'columns': ('i', 'n')}
+
     trajectory: Trajectory
     columns: IntArray
     start_ns: int = 0
@@ -280,6 +287,8 @@ class BaseTwist(Command):
     :ivar joints: the joints x, y and yaw of the base, shape (3,)
     :ivar columns: which of these each of ``indices`` is
     """
+
+    shapes = {'twist': ('f', 3), 'joints': ('i', 3), 'columns': ('i', 'n')}
 
     twist: FloatArray
     joints: IntArray

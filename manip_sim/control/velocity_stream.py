@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.commands import BaseTwist
-from manip_sim.control.law.joint_records import blank_state, records
+from manip_sim.control.law.joint_records import blank_state, FIELDS, records
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
 
@@ -27,8 +27,12 @@ class VelocityStream:
     :param jump: acceleration that the stream itself has not [1/s^2], shape (n,)
     """
 
+    #: Of arrays that compiled code reads.
+    shapes = {'_state': ('f', 'n', len(FIELDS)), '_velocity': ('f', 'n'), '_slope': ('f', 'n'),
+              '_own': ('f', 'n')}
+
     def __init__(self, jump: FloatArray) -> None:
-        self._state, self._all = blank_state(jump), np.arange(len(jump))
+        self._state = blank_state(jump)
         #: Velocity that is come to, how fast, until when, and how much of that is the stream's.
         self._velocity, self._slope, self._own = np.zeros((3, len(jump)))
         self._ramp_end_s, self._duration_s = -np.inf, 0.0
@@ -62,7 +66,7 @@ class VelocityStream:
             # Of two messages at one instant the newer counts, and the schedule knows of one.
             before, self._own = self.at(now_s), np.zeros(len(velocity))
         else:
-            wait(joints, self._all, np.ascontiguousarray(velocity, dtype=np.float64),
+            wait(joints, np.arange(len(joints)), np.ascontiguousarray(velocity, dtype=np.float64),
                  float(period_s), float(messages), float(sent_s), True)
             taken = take_alone(joints, now_s)
             if not taken:

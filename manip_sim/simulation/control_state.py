@@ -93,6 +93,11 @@ class ControlState:
         """The index of each fixed object, by its ``id``."""
         return self._index_of
 
+    @property
+    def count(self) -> int:
+        """Number of objects of this package with a state, the first in :meth:`content`."""
+        return len(self._owners)
+
     @cached_property
     def layout(self) -> str:
         """The objects with a state, what they remember, and the models that it refers to."""

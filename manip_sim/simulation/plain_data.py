@@ -34,6 +34,9 @@ _ROOMS = ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.sensing.',
           'manip_sim.simulation.')
 #: Kinds of numbers that an array may have.
 KINDS = 'biuf'
+#: Kind of an array's numbers, then its shape, in which equal letters are equal lengths. A class
+#: declares them in ``shapes`` for arrays that compiled code reads, which checks nothing.
+Shape = tuple[str | int, ...]
 _AS_IT_IS = frozenset((type(None), bool, int, float, str, bytes))
 _CONTAINERS: Mapping[str, type] = {
     'l': list, 't': tuple, 'q': deque, 's': set, 'f': frozenset}
@@ -190,7 +193,7 @@ class Decoder:
         return self._made(self.values, name, members)
 
     def _made(self, made: list[Any], name: str, members: dict[str, Any]) -> Any:
-        cls, fields = _class(name)
+        cls, fields, shapes = _class(name)
         value: Any = object.__new__(cls)
         made.append(value)
         if members.keys() != fields:
@@ -201,7 +204,13 @@ class Decoder:
             if not fields <= members.keys():
                 raise ModelError(f'{quoted(name)} lacks attributes')
         restore = getattr(value, '__setstate__', vars(value).update)
-        restore(self._read(members))
+        found = self._read(members)
+        sizes: dict[Any, int] = {}
+        for key, shape in shapes.items():
+            if found[key] is not None and not _fits(found[key], shape, sizes):
+                raise ModelError(f'{quoted(key)} of {quoted(name)} has another shape, or '
+                                 'numbers of another kind')
+        restore(found)
         return value
 
 
@@ -218,12 +227,22 @@ def _as_json(item: Any) -> Any:
     raise TypeError(f'{type(item).__name__} is no plain data')
 
 
-def check_like(new: Any, old: Any) -> None:
+def _fits(array: Any, shape: Shape, sizes: dict[Any, int]) -> bool:
+    """Return whether an array has a shape, and note the lengths that letters stand for."""
+    return (type(array) is np.ndarray and array.dtype.kind == shape[0]
+            and array.dtype.itemsize == (1 if shape[0] == 'b' else 8)
+            and array.ndim == len(shape) - 1
+            and all([length == (sizes.setdefault(size, length) if type(size) is str else size)
+                     for size, length in zip(shape[1:], array.shape)]))
+
+
+def check_like(new: Any, old: Any, shapes: bool = False) -> None:
     """
     Check that attributes that came from outside are such as objects have now.
 
     :param new: attributes by name
     :param old: the present attributes
+    :param shapes: whether arrays must have the same shapes, as compiled code reads them
     :raises ModelError: if one is missing, unknown or of another kind
     """
     if not isinstance(new, dict) or new.keys() != old.keys():
@@ -233,12 +252,15 @@ def check_like(new: Any, old: Any) -> None:
         kind = type(value)
         if kind is type(now):
             alike = kind is not np.ndarray or (
-                value.dtype == now.dtype and value.ndim == now.ndim)
+                value.dtype == now.dtype and value.ndim == now.ndim
+                and (not shapes or value.shape == now.shape))
         else:
             numbers = (bool, int, float, np.generic)
             alike = (now is None or value is None
                      or isinstance(value, numbers) and isinstance(now, numbers)
                      or kind.__module__ == type(now).__module__)
+        if not alike and kind is type(now):
+            raise ModelError(f'{quoted(name)} has another shape, or numbers of another kind')
         if not alike:
             raise ModelError(f'{quoted(name)} is a {kind.__name__} and should be a '
                              f'{type(now).__name__}')
@@ -270,13 +292,15 @@ def _found(name: str) -> Any:
 
 
 @lru_cache
-def _class(name: str) -> tuple[type, frozenset[str]]:
-    """Return a class by its name, and the attributes that its objects must have."""
+def _class(name: str) -> tuple[type, frozenset[str], Mapping[str, Shape]]:
+    """Return a class by its name, and the attributes and shapes that its objects must have."""
     cls: type = _found(name)
     if not _is_data(cls):
         raise ModelError(f'{quoted(name)} holds no data')
     fields = dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ()
-    return cls, frozenset(field.name for field in fields)
+    shapes = [vars(base).get('shapes', {}) for base in reversed(cls.__mro__)]
+    return cls, frozenset(field.name for field in fields), {
+        key: shape for of_class in shapes for key, shape in of_class.items()}
 
 
 def _law(name: str) -> Law:

@@ -3,6 +3,7 @@
 
 """States as plain data: the same object again, and nothing else from untrusted input."""
 
+from base64 import b64decode
 from collections import deque
 from dataclasses import replace
 import enum
@@ -188,6 +189,47 @@ def places(content, path=()):
         enumerate(content) if isinstance(content, list) else ())
     for key, item in items:
         yield from places(item, (*path, key))
+
+
+STREAM = 'manip_sim.control.velocity_stream:VelocityStream'
+POSE = 'manip_sim.control.cartesian.cartesian_commands:CartesianPose'
+
+
+def arrays(content):
+    """Yield the arrays in JSON, with the name of the attribute and the class that have them."""
+    left = [('', '', content)]
+    while left:
+        name, owner, item = left.pop()
+        if isinstance(item, dict):
+            left += ((key, owner, value) for key, value in item.items())
+        elif isinstance(item, list) and item[:1] == ['a']:
+            yield name, owner, item
+        elif isinstance(item, list):
+            owner = item[1] if item[:1] == ['o'] else owner
+            left += ((name, owner, value) for value in item)
+
+
+@pytest.mark.parametrize('change', ['fewer', 'more', 'bytes'])
+@pytest.mark.parametrize('wanted', [
+    ('_state', ''), ('_stiffness', ''), ('integrals', ''), ('_state', STREAM), ('_slope', STREAM),
+    ('position', POSE), ('rotation', POSE)], ids=' '.join)
+def test_arrays_that_compiled_code_reads_have_the_shapes_and_numbers_that_it_expects(
+        simulation, wanted, change):
+    robot, state = simulation.robot, simulation.save()
+    robot.apply(robot.parse_cartesian.twist('right', [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]))
+    simulation.advance(5)
+    plain = plain_state(simulation)[0]
+    robot.apply(robot.parse_cartesian.pose('right', [0.1, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]))
+    simulation.advance(5)
+    plain = plain_state(simulation)[0] if wanted[1] == POSE else plain
+    array = next(item for *place, item in arrays(plain) if tuple(place) == wanted)
+    numbers = np.frombuffer(b64decode(array[3]), array[1]).reshape(array[2])
+    numbers = {'fewer': numbers[1:], 'more': np.concatenate([numbers, numbers]),
+               'bytes': numbers.astype(bool)}[change]
+    array[:] = json.loads(to_json(numbers))
+    with pytest.raises(ModelError, match='has another shape'):
+        restore_plain(simulation, plain)
+    simulation.restore(state)
 
 
 @given(data=st.data())

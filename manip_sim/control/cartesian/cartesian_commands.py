@@ -41,6 +41,8 @@ class CartesianPose(CartesianCommand):
     :ivar rotation: rotation matrix, shape (3, 3)
     """
 
+    shapes = {'position': ('f', 3), 'rotation': ('f', 3, 3)}
+
     frame: Frame
     position: FloatArray
     rotation: FloatArray
@@ -59,6 +61,8 @@ class CartesianTwist(CartesianCommand):
     :ivar frame: whose axes the twist is in; the linear velocity is that of ``grip_site``
     :ivar twist: linear [m/s] and angular [rad/s], shape (6,)
     """
+
+    shapes = {'twist': ('f', 6)}
 
     frame: Frame
     twist: FloatArray
@@ -93,6 +97,8 @@ class PoseAction(CartesianCommand):
     :ivar action: in [-1, 1], shape (6,)
     """
 
+    shapes = {'action': ('f', 6)}
+
     action: FloatArray
 
 
@@ -109,6 +115,7 @@ class CartesianWrench(CartesianCommand):
     """
 
     adds: ClassVar[bool] = True
+    shapes = {'wrench': ('f', 6)}
 
     frame: Frame
     wrench: FloatArray
@@ -122,6 +129,8 @@ class ForceMode(CartesianWrench):
     :ivar selection: true for the axes of the springs that are chosen, shape (6,)
     :ivar limits: velocities along and about these [m/s, rad/s], shape (6,)
     """
+
+    shapes = {'selection': ('b', 6), 'limits': ('f', 6)}
 
     selection: BoolArray
     limits: FloatArray

@@ -11,7 +11,7 @@ import numpy as np
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
-from manip_sim.control.law.joint_records import blank_state, records
+from manip_sim.control.law.joint_records import blank_state, FIELDS, records
 from manip_sim.control.servos import SPEED_UP_S
 from manip_sim.quaternion import matrix_of_vector, rotation_vector
 
@@ -32,6 +32,10 @@ class PoseStream:
         0 after a jump, where messages are late, and where poses are faster than the end effector
         may be
     """
+
+    #: Of arrays that compiled code reads.
+    shapes = {'_state': ('f', 6, len(FIELDS)), '_position': ('f', 3), '_rotation': ('f', 3, 3),
+              '_velocity': ('f', 6), '_slope': ('f', 6)}
 
     def __init__(self) -> None:
         #: The coordinates are sums of translations and of rotation vectors from pose to pose.

@@ -61,6 +61,9 @@ class Target:
     :ivar guard: of a motion until contact, or None
     """
 
+    #: Of arrays that compiled code reads.
+    shapes = {'position': ('f', 3), 'rotation': ('f', 3, 3), 'start': ('f', 3)}
+
     anchor: Frame
     position: FloatArray
     rotation: FloatArray
