@@ -92,7 +92,7 @@ class Command:
     #: Times by clocks that a reset does not restart.
     undigested: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
     #: Shapes of arrays that compiled code reads.
-    shapes: ClassVar[Mapping[str, tuple[str | int, ...]]] = {'indices': ('i', 'n')}
+    shapes: ClassVar[Mapping[str, tuple[str | int, ...]]] = {'indices': ('l', 'n')}
     #: True if it changes the way in which joints follow the command before: both take effect.
     adds: ClassVar[bool] = False
 
@@ -142,7 +142,7 @@ class JointSetpoint(Command):
     :ivar values: at the joints, in SI units, shape of ``indices``
     """
 
-    shapes = {'values': ('f', 'n')}
+    shapes = {'values': ('d', 'n')}
 
     modes: tuple[str, ...]
     values: FloatArray
@@ -167,7 +167,7 @@ class JointImpedance(JointSetpoint):
     """
 
     adds: ClassVar[bool] = True
-    shapes = {'pulls': ('f', 4, 'n')}
+    shapes = {'pulls': ('d', 4, 'n')}
 
     pulls: FloatArray
 
@@ -234,7 +234,7 @@ class JointTrajectory(Command):
     :ivar slowed: factor by which it was slowed down to keep to velocity limits; 1 if it was not
     """
 
-    shapes = {'columns': ('i', 'n')}
+    shapes = {'columns': ('l', 'n')}
 
     trajectory: Trajectory
     columns: IntArray
@@ -288,7 +288,7 @@ class BaseTwist(Command):
     :ivar columns: which of these each of ``indices`` is
     """
 
-    shapes = {'twist': ('f', 3), 'joints': ('i', 3), 'columns': ('i', 'n')}
+    shapes = {'twist': ('d', 3), 'joints': ('l', 3), 'columns': ('l', 'n')}
 
     twist: FloatArray
     joints: IntArray

@@ -28,8 +28,8 @@ class VelocityStream:
     """
 
     #: Of arrays that compiled code reads.
-    shapes = {'_state': ('f', 'n', len(FIELDS)), '_velocity': ('f', 'n'), '_slope': ('f', 'n'),
-              '_own': ('f', 'n')}
+    shapes = {'_state': ('d', 'n', len(FIELDS)), '_velocity': ('d', 'n'), '_slope': ('d', 'n'),
+              '_own': ('d', 'n')}
 
     def __init__(self, jump: FloatArray) -> None:
         self._state = blank_state(jump)

@@ -34,7 +34,7 @@ _ROOMS = ('manip_sim.control.', 'manip_sim.physics.', 'manip_sim.sensing.',
           'manip_sim.simulation.')
 #: Kinds of numbers that an array may have.
 KINDS = 'biuf'
-#: Kind of an array's numbers, then its shape, in which equal letters are equal lengths. A class
+#: Character of an array's type, then its shape, in which equal letters are equal lengths. A class
 #: declares them in ``shapes`` for arrays that compiled code reads, which checks nothing.
 Shape = tuple[str | int, ...]
 _AS_IT_IS = frozenset((type(None), bool, int, float, str, bytes))
@@ -161,7 +161,8 @@ class Decoder:
         if kind is np.ndarray:
             return content.copy()
         if kind is dict:
-            return {name: item if type(item) in _AS_IT_IS else read(item)
+            return {name: item if (of := type(item)) in _AS_IT_IS else
+                    item.copy() if of is np.ndarray else read(item)
                     for name, item in content.items()}
         if kind in _AS_IT_IS:
             return content
@@ -229,11 +230,14 @@ def _as_json(item: Any) -> Any:
 
 def _fits(array: Any, shape: Shape, sizes: dict[Any, int]) -> bool:
     """Return whether an array has a shape, and note the lengths that letters stand for."""
-    return (type(array) is np.ndarray and array.dtype.kind == shape[0]
-            and array.dtype.itemsize == (1 if shape[0] == 'b' else 8)
-            and array.ndim == len(shape) - 1
-            and all([length == (sizes.setdefault(size, length) if type(size) is str else size)
-                     for size, length in zip(shape[1:], array.shape)]))
+    if type(array) is not np.ndarray or array.dtype.char != shape[0] or (
+            array.ndim != len(shape) - 1):
+        return False
+    for length, size in zip(array.shape, shape[1:]):
+        if length != size and (
+                type(size) is int or sizes.setdefault(size, length) != length):
+            return False
+    return True
 
 
 def check_like(new: Any, old: Any, shapes: bool = False) -> None:

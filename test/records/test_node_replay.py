@@ -501,8 +501,9 @@ def test_frames_of_no_bodies_are_rejected(changes, session, verify, tmp_path):
             for one in value:
                 turn(one)
         elif isinstance(value, dict):
-            if 'body' in value:
-                value.update({'site': 0, **changes})
+            if 'frame' in value:
+                value['frame'] = ['v', 'manip_sim.physics.robot_frames:Frame',
+                                  {'name': 'world', 'body': 0, 'site': None, **changes}]
             turn(list(value.values()))
         return value
     code, lines = verify(changed(tmp_path, turn))

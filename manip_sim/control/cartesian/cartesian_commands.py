@@ -41,7 +41,7 @@ class CartesianPose(CartesianCommand):
     :ivar rotation: rotation matrix, shape (3, 3)
     """
 
-    shapes = {'position': ('f', 3), 'rotation': ('f', 3, 3)}
+    shapes = {'position': ('d', 3), 'rotation': ('d', 3, 3)}
 
     frame: Frame
     position: FloatArray
@@ -62,7 +62,7 @@ class CartesianTwist(CartesianCommand):
     :ivar twist: linear [m/s] and angular [rad/s], shape (6,)
     """
 
-    shapes = {'twist': ('f', 6)}
+    shapes = {'twist': ('d', 6)}
 
     frame: Frame
     twist: FloatArray
@@ -97,7 +97,7 @@ class PoseAction(CartesianCommand):
     :ivar action: in [-1, 1], shape (6,)
     """
 
-    shapes = {'action': ('f', 6)}
+    shapes = {'action': ('d', 6)}
 
     action: FloatArray
 
@@ -115,7 +115,7 @@ class CartesianWrench(CartesianCommand):
     """
 
     adds: ClassVar[bool] = True
-    shapes = {'wrench': ('f', 6)}
+    shapes = {'wrench': ('d', 6)}
 
     frame: Frame
     wrench: FloatArray
@@ -130,7 +130,7 @@ class ForceMode(CartesianWrench):
     :ivar limits: velocities along and about these [m/s, rad/s], shape (6,)
     """
 
-    shapes = {'selection': ('b', 6), 'limits': ('f', 6)}
+    shapes = {'selection': ('?', 6), 'limits': ('d', 6)}
 
     selection: BoolArray
     limits: FloatArray

@@ -34,8 +34,8 @@ class PoseStream:
     """
 
     #: Of arrays that compiled code reads.
-    shapes = {'_state': ('f', 6, len(FIELDS)), '_position': ('f', 3), '_rotation': ('f', 3, 3),
-              '_velocity': ('f', 6), '_slope': ('f', 6)}
+    shapes = {'_state': ('d', 6, len(FIELDS)), '_position': ('d', 3), '_rotation': ('d', 3, 3),
+              '_velocity': ('d', 6), '_slope': ('d', 6)}
 
     def __init__(self) -> None:
         #: The coordinates are sums of translations and of rotation vectors from pose to pose.

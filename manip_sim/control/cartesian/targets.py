@@ -62,7 +62,7 @@ class Target:
     """
 
     #: Of arrays that compiled code reads.
-    shapes = {'position': ('f', 3), 'rotation': ('f', 3, 3), 'start': ('f', 3)}
+    shapes = {'position': ('d', 3), 'rotation': ('d', 3, 3), 'start': ('d', 3)}
 
     anchor: Frame
     position: FloatArray
