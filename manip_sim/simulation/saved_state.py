@@ -56,7 +56,7 @@ class SimulationState:
     :ivar seed: that the episode was drawn from
     :ivar layout: of what :attr:`control` refers to
     :ivar keyframe: that joints start from, and whether the next reset is the first to use it
-    :ivar layout_version: :data:`LAYOUT_VERSION` of the version that has saved it
+    :ivar layout_version: version of this layout; 1 were those whose control was pickled
     """
 
     versions: str
