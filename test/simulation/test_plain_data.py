@@ -105,7 +105,7 @@ def test_a_state_that_was_restored_can_be_restored_again(simulation):
 
 
 @pytest.mark.parametrize('value', [object(), lambda: 0, np.array(['a']), np.array([None]), 1j,
-                                   {'a': [print]}, Simulation, ModelError('x')], ids=repr)
+                                   {'a': [print]}, Simulation, ModelError('x')])
 def test_a_value_that_cannot_be_read_again_is_rejected_when_it_is_written(value):
     with pytest.raises(ModelError, match='cannot be a part of a state'):
         Encoder({}).encode(value)
