@@ -9,11 +9,10 @@ Shapes whose files are missing or cannot be read are left out, and reported.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 import os
 from pathlib import Path, PurePosixPath
-import struct
 from typing import Any
 
 import mujoco
@@ -22,21 +21,11 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.regular_files import check_file, Files, read_file
-from manip_sim.models.xml_check import AssetFolders, XmlModel
+from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, pluralize, quoted
 
-#: Greatest size of a file [bytes].
-MAX_FILE_BYTES = 20_000_000
-#: Greatest number of faces of a mesh, and of pixels of an image.
-MAX_FACES, MAX_PIXELS = 100_000, 4096**2
-_PNG_SIGNATURE = b'\x89PNG\r\n\x1a\n'
-_STL_HEADER_BYTES, _STL_FACE_BYTES = 84, 50
-_OBJ_WORDS = (b'v', b'vt', b'vn', b'vp', b'f', b'g', b'o', b's', b'l', b'p', b'mtllib', b'usemtl')
-_MAX_CORNERS = 100
-#: Largest file [bytes]; a mesh of this size takes MuJoCo half a minute and 1.5 GB.
-MAX_ASSET_BYTES = 50_000_000
-#: Largest image [pixels]; a pixel of a height field takes 16 bytes, one of a texture 6.
-_MAX_PIXELS = {'texture': 120_000_000, 'height field': 16_000_000}
+#: Types of files that a request may name.
+SPAWNED_SUFFIXES = {'mesh': ('.obj', '.stl'), 'texture': ('.png',)}
 #: First line of a file in a clone of a repository whose large files were not fetched.
 _POINTER = b'version https://git-lfs'
 
@@ -230,79 +219,16 @@ def _take_off(spec: mujoco.MjSpec, texture: str) -> None:
                 material.textures[role] = ''
 
 
-def check_content(kind: str, suffix: str, content: bytes, name: str) -> None:
+def check_suffix(kind: str, file: Path) -> None:
     """
-    Check that a file is what its suffix says, and not too much work.
+    Check that a file is of a type that can be spawned.
 
     :param kind: ``mesh`` or ``texture``
-    :param suffix: of the file, in lower case
-    :raises ModelError: if there is anything else in it, or too many faces or pixels
     """
-    checks = _CHECKS.get(kind, {})
-    where = f'{kind} file {one_line(name)}'
-    if suffix not in checks:
-        raise ModelError(f'{where} has a type that cannot be spawned; these types can: '
-                         + ', '.join(known for each in _CHECKS.values() for known in each))
-    problem = checks[suffix](content)
-    if problem:
-        raise ModelError(f'{where} {problem}')
-
-
-def png_pixels(head: bytes) -> tuple[int, int] | None:
-    """
-    Return width and height of a PNG image; None if it is something else.
-
-    :param head: its first 24 bytes or more
-    """
-    if not head.startswith(_PNG_SIGNATURE) or head[12:16] != b'IHDR' or len(head) < 24:
-        return None
-    width, height = struct.unpack('>II', head[16:24])
-    return width, height
-
-
-def _png(content: bytes) -> str:
-    size = png_pixels(content)
-    if size is None:
-        return 'is not a PNG image'
-    if size[0] * size[1] > MAX_PIXELS:
-        return f'has {size[0]} times {size[1]} pixels, and at most {MAX_PIXELS} can be spawned'
-    return ''
-
-
-def _stl(content: bytes) -> str:
-    faces = int.from_bytes(content[80:_STL_HEADER_BYTES], 'little')
-    if faces > MAX_FACES:
-        return _too_many_faces(faces)
-    if len(content) != _STL_HEADER_BYTES + faces * _STL_FACE_BYTES or not faces:
-        return 'is not a binary STL: its size does not fit the number of faces in its header'
-    return ''
-
-
-def _obj(content: bytes) -> str:
-    faces = 0
-    for number, line in enumerate(content.splitlines(), start=1):
-        words = line.split(maxsplit=1)
-        if not words or words[0].startswith(b'#'):
-            continue
-        if words[0] not in _OBJ_WORDS or not line.isascii():
-            return f'is not an OBJ: line {number} is none of that format'
-        if words[0] == b'f':
-            corners = len(line.split()) - 1
-            if corners > _MAX_CORNERS:
-                return (f'has a face of {corners} corners in line {number}, and at most '
-                        f'{_MAX_CORNERS} can be spawned')
-            faces += max(corners - 2, 1)
-            if faces > MAX_FACES:
-                return _too_many_faces(faces)
-    return ''
-
-
-def _too_many_faces(faces: int) -> str:
-    return f'has {faces} faces or more, and at most {MAX_FACES} can be spawned'
-
-
-_CHECKS: dict[str, dict[str, Callable[[bytes], str]]] = {
-    'mesh': {'.stl': _stl, '.obj': _obj}, 'texture': {'.png': _png}}
+    if file.suffix.lower() not in SPAWNED_SUFFIXES.get(kind, ()):
+        raise ModelError(
+            f'{kind} file {one_line(str(file))} has a type that cannot be spawned; these types '
+            f'can: {", ".join(sum(SPAWNED_SUFFIXES.values(), ()))}')
 
 
 @dataclass
@@ -358,10 +284,10 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, model: XmlModel | None = None
     Files that :attr:`spec.assets` holds stay as they are.
 
     :param file: the file that the spec was loaded from
-    :param model: what ``check_xml`` read of it; None: the spec has been resolved before
+    :param model: its tree; None: the spec has been resolved before
     :param missing: is given why files are missing, by their kind and the name of the element;
         None: that is an error
-    :raises ModelError: if a file is missing, not regular, too large or not readable
+    :raises ModelError: if a file is missing, not regular or not readable
     """
     folders = [AssetFolders(file.parent, spec.meshdir, spec.texturedir)]
     if model is not None:
@@ -379,8 +305,7 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, model: XmlModel | None = None
             except MissingMeshError as error:
                 missing[reference.kind, reference.element_name] = error
                 continue
-        check_file(path, f'{reference.kind} file', MAX_ASSET_BYTES)
-        check_image(path, reference.kind)
+        check_file(path, f'{reference.kind} file')
         reference.set_file(path.as_posix())
     spec.strippath = False
     if model is None and spec.assets:
@@ -392,8 +317,7 @@ def _hold_all(spec: mujoco.MjSpec) -> None:
     held = dict(spec.assets)
     for reference in references(spec):
         if not _is_held(spec, reference):
-            kind = f'{reference.kind} file'
-            held[reference.file] = read_file(Path(reference.file), kind, MAX_ASSET_BYTES)
+            held[reference.file] = read_file(Path(reference.file), f'{reference.kind} file')
     spec.assets = held
 
 
@@ -447,20 +371,3 @@ def _places_of_package(root: Path, name: str) -> Iterator[Path]:
             yield parent / rest
         if (parent / package).is_dir():
             yield parent / package / rest
-
-
-def check_image(path: Path, kind: str) -> None:
-    """
-    Check that an image is not too large to be loaded.
-
-    :param kind: ``texture`` or ``height field``; others are not looked at
-    """
-    most = _MAX_PIXELS.get(kind)
-    if most is None:
-        return
-    with path.open('rb') as stream:
-        header = stream.read(24)
-    size = png_pixels(header)
-    if size is not None and size[0] * size[1] > most:
-        raise ModelError(f'{kind} file {one_line(str(path))} has {size[0]} times {size[1]} '
-                         f'pixels, and at most {most} are loaded')

@@ -18,7 +18,7 @@ import numpy as np
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MissingMeshError, resolve_files, skip_missing
 from manip_sim.models.mjcf_versions import ERRORS, Origins, read_mjcf, read_mjcf_text, with_remedy
-from manip_sim.models.xml_check import check_xml
+from manip_sim.models.xml_model import XmlModel
 from manip_sim.quoting import one_line, quoted
 
 #: Numbers that MuJoCo accepts from a file even if nan or inf, by the prefix of the field's name.
@@ -191,7 +191,7 @@ def load_spec(file: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
         elements left out as their files are missing; None: a missing file is an error
     :raises ModelError: if a file is missing, is not MJCF or URDF, or could crash the process
     """
-    model = check_xml(file)
+    model = XmlModel(file)
     if file.suffix.lower() == '.mjcf':  # MuJoCo chooses a reader by the suffix.
         spec, dropped = read_mjcf(file)
     else:

@@ -21,7 +21,7 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import LostShape, places
-from manip_sim.models.xml_check import check_xml, XmlModel
+from manip_sim.models.xml_model import XmlModel
 from manip_sim.quoting import one_line, quoted
 
 #: MuJoCo raises the first for errors in a file, the others if there is not enough memory.
@@ -105,7 +105,7 @@ def read_mjcf(file: Path) -> tuple[mujoco.MjSpec, list[str]]:
     :raises ModelError: naming file, line and element
     """
     documents: list[_Document] = []
-    _add(check_xml(file, traced=True), documents)
+    _add(XmlModel(file), documents)
     return _read(documents, {}, file)
 
 

@@ -18,13 +18,13 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.asset_files import check_image, MAX_ASSET_BYTES
+from manip_sim.models.asset_files import SPAWNED_SUFFIXES
 from manip_sim.models.loading import compile_spec, load_spec, spec_from_string
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
 from manip_sim.models.regular_files import check_file, Files, InMemoryFile
 from manip_sim.models.sources import find_source, is_of_others
-from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
-from manip_sim.models.untrusted_models import LIMITS, load_self_contained, SelfContainedModel
+from manip_sim.models.strict_yaml import parse_requested, read_yaml
+from manip_sim.models.untrusted_models import load_self_contained, SelfContainedModel
 from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.resources import cache_folder, keep_in_cache
 
@@ -125,8 +125,8 @@ def load_objects(file: ObjectFile, files: Files | None = None) -> list[ObjectMod
     :raises ModelError: on one line, with file, object, key and the nearest valid names
     """
     path = Path(file)
-    values = read_yaml(file) if files is None else parse_yaml(
-        files.read(path, 'YAML file', LIMITS.bytes), str(path))
+    values = read_yaml(file) if files is None else parse_requested(
+        files.read(path, 'YAML file'), str(path))
     for key in values:
         if key != 'objects':
             raise ModelError(f"{path}: unknown key {quoted(key)}: the only one here is 'objects'")
@@ -236,7 +236,7 @@ def object_from_text(text: InMemoryFile) -> tuple[bool, Callable[[], ObjectModel
     :param text: MJCF, or a description in YAML
     """
     if not text.content.startswith(b'<'):
-        values = parse_yaml(text.read(text.file, 'YAML', MAX_REQUESTED), str(text.file))
+        values = parse_requested(text.content, str(text.file))
         return True, lambda: create_object({'name': UNNAMED, **values}, text)
     model = load_self_contained(text.file, text)
     return model.is_light, lambda: named_by_itself(object_from_model(model, UNNAMED))
@@ -248,7 +248,6 @@ def named_by_itself(item: ObjectModel) -> ObjectModel:
     return item
 
 
-_SUFFIXES = {'mesh': ('.obj', '.stl'), 'texture': ('.png',)}
 #: As visual shapes and collision shapes have in the catalogue.
 _SEEN, _TOUCHED = 2, 3
 #: Of coacd: the allowed distance of the surface from the parts, in the unit of the whole, and the
@@ -320,12 +319,11 @@ def _read_mesh(description: MeshDescription, folder: Path, where: str, files: Fi
 
 def _file(kind: str, file: Path, where: str, files: Files | None, held: SelfContainedModel) -> str:
     """Return the name of a file in MJCF, after checks."""
-    if file.suffix.lower() not in _SUFFIXES[kind]:
+    if file.suffix.lower() not in SPAWNED_SUFFIXES[kind]:
         raise ModelError(f'{where}: the {kind} {quoted(str(file), 200)} must be '
-                         f'{" or ".join(_SUFFIXES[kind])}')
+                         f'{" or ".join(SPAWNED_SUFFIXES[kind])}')
     if files is None:
-        check_file(file, f'{kind} file', MAX_ASSET_BYTES)
-        check_image(file, kind)
+        check_file(file, f'{kind} file')
         return file.resolve().as_posix()
     return held.hold_file(kind, file, files)
 

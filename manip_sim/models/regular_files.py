@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read files that users name: no devices, pipes or folders, none that is too large or private."""
+"""Read files that users name: no devices, pipes or folders, by request none that is private."""
 
 from __future__ import annotations
 
@@ -10,60 +10,60 @@ from contextlib import contextmanager
 import os
 from pathlib import Path
 import stat
-import sys
 from typing import Any
 
 from manip_sim.errors import ModelError
 from manip_sim.quoting import one_line, quoted
 
+#: Limits of what one request reads: files, bytes of text, and tags in it; what is read twice
+#: counts twice.
+_MAX_FILES, _MAX_TEXT_BYTES, _MAX_TAGS = 100, 3_000_000, 60_000
+#: Largest file that a request reads [bytes]; its meshes and images have at most twice as many.
+_MAX_FILE_BYTES = 20_000_000
 
-def read_file(file: Path, kind: str, max_bytes: int) -> bytes:
+
+def read_file(file: Path, kind: str) -> bytes:
     """
     Return the content of a file.
 
-    :raises ModelError: if it is missing, not a regular file, too large or not readable
+    :raises ModelError: if it is missing, not a regular file or not readable
     """
-    with _explained(file, kind):
-        descriptor = opened(file, max_bytes)
-        with open(descriptor, 'rb') as stream:
-            return stream.read(max_bytes)
+    with _explained(file, kind), open(opened(file), 'rb') as stream:
+        return stream.read()
 
 
-def check_file(file: Path, kind: str, max_bytes: int) -> None:
+def check_file(file: Path, kind: str) -> None:
     """
     Check that a file can be read, without reading it.
 
-    :raises ModelError: if it is missing, not a regular file, too large or not readable
+    :raises ModelError: if it is missing, not a regular file or not readable
     """
     with _explained(file, kind):
-        os.close(opened(file, max_bytes))
+        os.close(opened(file))
 
 
-def opened(file: Path, max_bytes: int = sys.maxsize) -> int:
+def opened(file: Path) -> int:
     """
     Return the descriptor of a file that is open for reading.
 
-    :raises OSError: if it is missing, not a regular file, too large or not readable
+    :raises OSError: if it is missing, not a regular file or not readable
     """
     # Opening a device can change its state, so it is looked at before and after.
-    _check_status(os.stat(file), max_bytes)
+    _check_kind(os.stat(file).st_mode)
     descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        _check_status(os.fstat(descriptor), max_bytes)
+        _check_kind(os.fstat(descriptor).st_mode)
     except OSError:
         os.close(descriptor)
         raise
     return descriptor
 
 
-def _check_status(status: os.stat_result, max_bytes: int) -> None:
-    if stat.S_ISDIR(status.st_mode):
+def _check_kind(mode: int) -> None:
+    if stat.S_ISDIR(mode):
         raise IsADirectoryError(0, 'it is a folder')
-    if not stat.S_ISREG(status.st_mode):
+    if not stat.S_ISREG(mode):
         raise OSError(0, 'it is a device or a pipe')
-    if status.st_size > max_bytes:
-        raise OSError(0, f'it has {status.st_size / 1e6:.0f} MB, and at most '
-                         f'{max_bytes / 1e6:.0f} MB are loaded')
 
 
 @contextmanager
@@ -87,9 +87,9 @@ class Files:
     #: Message on a file that is not found.
     rule = ''
 
-    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
+    def read(self, file: Path, kind: str) -> bytes:
         """Return the content of a file, as :func:`read_file` does."""
-        return read_file(file, kind, max_bytes)
+        return read_file(file, kind)
 
     def first(self, places: Sequence[Path]) -> Path:
         """Return the first place where there is a file, or the first place if there is none."""
@@ -131,20 +131,22 @@ class AllowedRoots(Files):
         """Return where a path may lead: relative ones begin in each of the folders."""
         return [folder / path for folder in self._folders]
 
-    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
+    def read(self, file: Path, kind: str) -> bytes:
         """
-        Return the content of a file, as :func:`read_file` does.
+        Return the content of a file, as :func:`read_file` does, which must not be large.
 
         A file outside the folders is treated as one that does not exist.
         """
         with _explained(file, kind):
             self.check(file, kind)
-            descriptor = opened(file, max_bytes)
-            with open(descriptor, 'rb') as stream:
+            with open(opened(file), 'rb') as stream:
                 # A link may have changed since; this is the file that is open.
-                if not self._has(Path(f'/proc/self/fd/{descriptor}')):
+                if not self._has(Path(f'/proc/self/fd/{stream.fileno()}')):
                     raise OSError(0, 'it has been moved')
-                return stream.read(max_bytes)
+                content = stream.read(_MAX_FILE_BYTES + 1)
+            if len(content) > _MAX_FILE_BYTES:
+                raise OSError(0, f'it has more than {_MAX_FILE_BYTES / 1e6:.0f} MB')
+            return content
 
     def check(self, path: Path, kind: str) -> None:
         """Check that a path is below the folders, whether there is a file or not."""
@@ -194,7 +196,7 @@ class AllowedRoots(Files):
 
 class CachedFiles(Files):
     """
-    Files that are read once, so that nobody can change them in between.
+    Files of one request, which are read once, so that nobody can change them in between.
 
     A copy, also in another process, has the contents read before, and reads nothing more.
 
@@ -204,6 +206,8 @@ class CachedFiles(Files):
     def __init__(self, files: Files | None) -> None:
         self.rule = files.rule if files else ''
         self._files = files
+        #: Files, bytes of text and of shapes and images, and tags that may yet be read.
+        self._left = [_MAX_FILES, _MAX_TEXT_BYTES, 2 * _MAX_FILE_BYTES, _MAX_TAGS]
         self._contents: dict[Path, bytes] = {}
         self._answers: dict[tuple[str, Path], Any] = {}
 
@@ -211,13 +215,31 @@ class CachedFiles(Files):
         """Return what a copy needs."""
         return {**self.__dict__, '_files': None}
 
-    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
-        """Return the content of a file, as at the first time."""
-        if file not in self._contents:
-            if self._files is None:
-                raise ModelError(f'{kind} {quoted(str(file), 200)} was not read before')
-            self._contents[file] = self._files.read(file, kind, max_bytes)
+    def read(self, file: Path, kind: str) -> bytes:
+        """
+        Return the content of a file, as at the first time.
+
+        :raises ModelError: if it cannot be read, or a request needs too much
+        """
+        if self._files is not None:
+            if file not in self._contents:
+                self._contents[file] = self._files.read(file, kind)
+            self._count(self._contents[file], kind)
+        elif file not in self._contents:
+            raise ModelError(f'{kind} {quoted(str(file), 200)} was not read before')
         return self._contents[file]
+
+    def _count(self, content: bytes, kind: str) -> None:
+        """Count what takes memory and time where Python reads it."""
+        is_text = kind not in ('mesh file', 'texture file')
+        needed = (1, is_text * len(content), (not is_text) * len(content),
+                  content.count(b'<') if is_text else 0)
+        self._left = [left - number for left, number in zip(self._left, needed)]
+        if min(self._left) < 0:
+            raise ModelError(
+                f'a request may read at most {_MAX_FILES} files, {_MAX_TEXT_BYTES / 1e6:.0f} MB '
+                f'of text with {_MAX_TAGS} tags, and {2 * _MAX_FILE_BYTES / 1e6:.0f} MB of meshes '
+                'and images')
 
     def first(self, places: Sequence[Path]) -> Path:
         """Return the first place with a file that may be read, or else the first place."""
@@ -255,31 +277,42 @@ class CachedFiles(Files):
         return self._answers[what, path]
 
 
-class InMemoryFile(CachedFiles):
+class InMemoryFile(Files):
     """
     No file but a text that somebody sent in place of one.
 
-    :param rule: message on a file that it names
     :ivar file: what to read it as
     """
 
-    def __init__(self, text: str | bytes, name: str, rule: str = (
-            '; a text must not name files, only a file below spawn_roots may')) -> None:
-        super().__init__(None)
-        self.content = text if isinstance(text, bytes) else text.encode(errors='replace')
-        self.file, self.rule = Path(name), rule
-        self._answers['is_file', self.file] = True
+    rule = '; a text must not name files, only a file below spawn_roots may'
 
-    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
+    def __init__(self, text: str | bytes, name: str) -> None:
+        self.content = text if isinstance(text, bytes) else text.encode(errors='replace')
+        self.file = Path(name)
+
+    def read(self, file: Path, kind: str) -> bytes:
         """
         Return the text.
 
-        :raises ModelError: if it is too large, or a file is asked for
+        :raises ModelError: if a file is asked for
         """
         if file is not self.file:
             raise ModelError(f'{self.file} names the {kind} {quoted(str(file), 200)}'
                              + self.rule.replace(';', ':', 1))
-        if len(self.content) > max_bytes:
-            raise ModelError(f'{self.file} has {len(self.content)} bytes, and at most {max_bytes} '
-                             'are read')
         return self.content
+
+    def first(self, places: Sequence[Path]) -> Path:
+        """Return the first place."""
+        return places[0]
+
+    def is_file(self, path: Path) -> bool:
+        """Return whether a path stands for the text."""
+        return path == self.file
+
+    def is_folder(self, path: Path) -> bool:
+        """Return False: there is none."""
+        return False
+
+    def listed(self, folder: Path) -> list[Path]:
+        """Return no entries."""
+        return []

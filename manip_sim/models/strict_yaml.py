@@ -17,7 +17,7 @@ from manip_sim.quoting import format_value, one_line, quoted
 
 _MAX_BYTES = 1_000_000
 #: Longest YAML of a request, which is slow to read.
-MAX_REQUESTED = 50_000
+_MAX_REQUESTED = 50_000
 
 
 class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
@@ -100,6 +100,14 @@ def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = St
     if not isinstance(values, dict):
         raise ModelError(f'{where} must hold keys and values, got {format_value(values)}')
     return values
+
+
+def parse_requested(content: bytes, where: str) -> dict[str, Any]:
+    """Return the mapping that a text of a request holds, which must be short."""
+    if len(content) > _MAX_REQUESTED:
+        raise ModelError(f'{where} has {len(content)} bytes, and at most {_MAX_REQUESTED} are '
+                         'read')
+    return parse_yaml(content, where)
 
 
 def _on_one_line(error: Exception) -> str:

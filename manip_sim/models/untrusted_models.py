@@ -13,7 +13,7 @@ file, and can be given up.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import gc
 import hashlib
 import os
@@ -30,25 +30,26 @@ from xml.etree import ElementTree
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES, places, references
+from manip_sim.models.asset_files import check_suffix, places, references
 from manip_sim.models.loading import compile_spec, spec_from_string
 from manip_sim.models.mjcf_versions import Origins
-from manip_sim.models.regular_files import Files
-from manip_sim.models.xml_check import AssetFolders, Budget, Limits, XmlModel
+from manip_sim.models.regular_files import CachedFiles, Files
+from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, quoted
 from manip_sim.startup import spare_garbage
 
 #: Limits of the process: CPU time [s], wall time [s] and address space [bytes].
-MAX_CPU_S, MAX_WALL_S, MAX_MEMORY_BYTES = 3, 60.0, 4 * 1024**3
+MAX_CPU_S, MAX_WALL_S, MAX_MEMORY_BYTES = 3, 60.0, 2 * 1024**3
+#: Stack of the process [bytes], half of that of a thread here, and its exit code after an error.
+_STACK_BYTES, _FAILED = 4 * 1024**2, 3
 _REMEMBERED = 1000
 
 _passed: dict[bytes, None] = {}
 _running: set[subprocess.Popen[bytes]] = set()
-#: Limits of a model; all its files together have at most so many bytes.
-LIMITS = Limits(bytes=1_000_000, files=50, depth=10, made=1000, elements=1000, nested=100)
-#: Limits of a robot.
-ROBOT_LIMITS = replace(LIMITS, elements=5000, keys=100)
-_MAX_ASSET_BYTES = 2 * MAX_FILE_BYTES
+#: Limits of a compiled model: bytes, and bodies, joints, shapes and so on of objects and robots.
+_MAX_MODEL_BYTES, MAX_OBJECT, MAX_ROBOT = 200_000_000, 1000, 5000
+_COUNTED = ('nbody', 'njnt', 'ngeom', 'nsite', 'ncam', 'nlight', 'nmat', 'nmesh', 'ntex', 'npair',
+            'nexclude', 'neq', 'ntendon', 'nwrap', 'nu', 'nsensor', 'ntuple', 'nkey')
 _NAMES_A_FILE = re.compile(r'file.*', re.IGNORECASE)
 #: A NaN among numbers: MuJoCo takes it for no value, and prints a line for each.
 _NAN = re.compile(r'(?:.*\s)?[+-]?nan(?:[\s(].*)?', re.IGNORECASE | re.DOTALL)
@@ -93,7 +94,7 @@ class SelfContainedModel:
         :raises ModelError: if it is not a model, or compiling it takes too long or too much memory
         """
         if not self.is_light:
-            try_to_do(self.name, compile_held, self.xml, self.models, self.assets)
+            run_limited(self.name, compile_held, self.xml, self.models, self.assets)
         return self.load_tried(notes)
 
     def load_tried(self, notes: list[str] | None = None) -> mujoco.MjSpec:
@@ -150,20 +151,16 @@ class SelfContainedModel:
                              f'{quoted(name, 200)}, which what is spawned cannot have')
         names = [name, PurePosixPath(name).name] if is_urdf else [name]
         file = files.first([place for each in names for place in places(tag, each, folders)])
-        held = self.hold_file(tag, file, files)
-        if sum(map(len, self.assets.values())) > _MAX_ASSET_BYTES:
-            raise ModelError(f'{one_line(self.name)} names files of more than '
-                             f'{_MAX_ASSET_BYTES / 1e6:.0f} MB')
-        return held
+        return self.hold_file(tag, file, files)
 
     def hold_file(self, kind: str, file: Path, files: Files) -> str:
         """
         Read a mesh or texture, and return its name in the model.
 
-        :raises ModelError: if it is not what its suffix says, or too large
+        :raises ModelError: if it cannot be read, or is of a type that cannot be spawned
         """
-        content = files.read(file, f'{kind} file', MAX_FILE_BYTES)
-        check_content(kind, file.suffix.lower(), content, str(file))
+        content = files.read(file, f'{kind} file')
+        check_suffix(kind, file)
         name = held_name(file, content)
         self.assets[name] = content
         return name
@@ -174,15 +171,19 @@ def load_self_contained(file: Path, files: Files, as_robot: bool = False) -> Sel
     Read a model and the files that it names.
 
     :param file: MJCF or URDF
-    :param as_robot: keep the keyframes, and take more elements
-    :raises ModelError: if a file must not be or cannot be read, is not what its suffix says, or
-        something is too large
+    :param as_robot: keep the keyframes
+    :raises ModelError: if a file must not be or cannot be read, or there is too much to read
     """
-    model = XmlModel(file, Budget(ROBOT_LIMITS if as_robot else LIMITS), files=files, traced=True)
+    files = files if isinstance(files, CachedFiles) else CachedFiles(files)
     held = SelfContainedModel(str(file), is_light=not as_robot)
-    held.xml = held.hold(model, files, as_robot)
+    try:
+        model = XmlModel(file, files=files)
+        held.xml = held.hold(model, files, as_robot)
+    except RecursionError as error:
+        raise ModelError(f'{one_line(str(file))} is nested too deeply') from error
     held.origins[''] = model.origins_in_order
-    held.is_light = held.is_light and not held.assets and model.elements <= _MAX_LIGHT_ELEMENTS
+    held.is_light = (held.is_light and not held.assets
+                     and len(held.origins['']) <= _MAX_LIGHT_ELEMENTS)
     return held
 
 
@@ -197,35 +198,59 @@ def _digest(content: bytes) -> str:
 
 
 def compile_held(xml: str, models: Mapping[str, bytes], assets: Mapping[str, bytes]) -> None:
-    """Compile a model."""
-    compile_spec(spec_from_string(xml, Path('it'), models, assets), 'it')
+    """Compile a model of an object."""
+    check_size(compile_spec(spec_from_string(xml, Path('it'), models, assets), 'it'), MAX_OBJECT,
+               'it')
 
 
-def try_to_do(name: str, function: Callable[..., Any], *arguments: Any,
-              max_cpu_s: int | None = None) -> None:
+def check_size(model: mujoco.MjModel, most: int, name: str) -> None:
     """
-    Call a function in another process; return if that can be done here, too.
+    Check that a world with a model remains fast and small.
 
-    Work that passed once is not tried again.
+    :param most: bodies, joints, shapes and so on
+    """
+    count = sum(getattr(model, field) for field in _COUNTED)
+    size = mujoco.mj_sizeModel(model)
+    if count > most or size > _MAX_MODEL_BYTES:
+        raise ModelError(f'{name} has {count} bodies, joints, shapes and so on in '
+                         f'{size / 1e6:.0f} MB, and at most {most} in '
+                         f'{_MAX_MODEL_BYTES / 1e6:.0f} MB can be spawned')
+
+
+def run_limited(name: str, function: Callable[..., bytes | None], *arguments: Any,
+                max_cpu_s: int | None = None) -> bytes:
+    """
+    Call a function in another process, which has little time and memory and can open no file.
+
+    A function that returned nothing is not called again with the same arguments.
 
     :param function: of a module; imports nothing when it is called
     :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`
+    :returns: what the function returns
     :raises ModelError: if the function does, or does not end within the limits
     """
     cpu_s = max_cpu_s or MAX_CPU_S
     work = pickle.dumps((cpu_s, MAX_MEMORY_BYTES, function, arguments))
     digest = hashlib.sha256(work).digest()
     if digest in _passed:
-        return
-    problem = _tried(work, cpu_s)
-    if problem:
-        raise ModelError(f'{one_line(name)} {problem}')
-    if len(_passed) >= _REMEMBERED:
-        del _passed[next(iter(_passed))]
-    _passed[digest] = None
+        return b''
+    code, output = _answer(work)
+    if code == _FAILED:
+        raise ModelError(f'{one_line(name)} {output.decode()}')
+    if code in (-signal.SIGXCPU, -signal.SIGKILL):
+        raise ModelError(f'{one_line(name)} takes more than {cpu_s} s to load, which is the limit')
+    if code:
+        raise ModelError(f'{one_line(name)} cannot be compiled: MuJoCo crashes, or needs more '
+                         f'than {MAX_MEMORY_BYTES / 1e9:.0f} GB')
+    if not output:
+        if len(_passed) >= _REMEMBERED:
+            del _passed[next(iter(_passed))]
+        _passed[digest] = None
+    return output
 
 
-def _tried(work: bytes, cpu_s: int) -> str:
+def _answer(work: bytes) -> tuple[int, bytes]:
+    """Return the exit code of the process and its output, a result or an error."""
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path)),
                    'OPENBLAS_NUM_THREADS': '1', 'MUJOCO_GL': 'disable'}  # It renders nothing.
     program = f'from {__name__} import main; main()'
@@ -233,18 +258,14 @@ def _tried(work: bytes, cpu_s: int) -> str:
                           stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                           stderr=subprocess.DEVNULL) as process:
         _running.add(process)
+        output = b''
         try:
-            problem, _ = process.communicate(work, timeout=MAX_WALL_S)
+            output, _ = process.communicate(work, timeout=MAX_WALL_S)
         except subprocess.TimeoutExpired:
             process.kill()
         finally:
             _running.discard(process)
-    if process.returncode == 0:
-        return problem.decode()
-    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f'takes more than {cpu_s} s to load, which is the limit'
-    return (f'cannot be compiled: MuJoCo crashes, or needs more than '
-            f'{MAX_MEMORY_BYTES / 1e9:.0f} GB')
+    return process.returncode, output
 
 
 def give_up() -> None:
@@ -254,7 +275,7 @@ def give_up() -> None:
 
 
 def main() -> None:
-    """Do the task read from standard input, and write its error to standard output."""
+    """Do the task read from standard input, and write its result or error to standard output."""
     gc.disable()  # It is too short for it.
     # No file can be opened later, and numpy imports this only when it is used.
     import numpy.random  # noqa: F401
@@ -265,13 +286,19 @@ def main() -> None:
         descriptions.compile_descriptions()
     os.nice(5)
     for limit, value in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0),
-                         (resource.RLIMIT_FSIZE, 0), (resource.RLIMIT_NOFILE, 0)):
+                         (resource.RLIMIT_STACK, _STACK_BYTES), (resource.RLIMIT_FSIZE, 0),
+                         (resource.RLIMIT_NOFILE, 0)):
         resource.setrlimit(limit, (value, value))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
+    code = 0
     try:
-        function(*arguments)
+        output = function(*arguments) or b''
     except ModelError as error:
-        sys.stdout.write(str(error).removeprefix('it '))
-    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
-        sys.stdout.write(f'cannot be loaded: {type(error).__name__}: {one_line(str(error), 200)}')
+        code, output = _FAILED, str(error).removeprefix('it ').encode(errors='replace')
+    except (ArithmeticError, AttributeError, LookupError, MemoryError, OSError, RecursionError,
+            TypeError, ValueError) as error:
+        code, output = _FAILED, (f'cannot be loaded: {type(error).__name__}: '
+                                 f'{one_line(str(error), 200)}').encode(errors='replace')
+    sys.stdout.buffer.write(output)
     spare_garbage()
+    sys.exit(code)

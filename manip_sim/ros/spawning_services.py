@@ -31,7 +31,7 @@ from manip_sim.models.object_model import check_object_name
 from manip_sim.models.regular_files import AllowedRoots, InMemoryFile
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.sources import is_path
-from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml
+from manip_sim.models.strict_yaml import parse_requested
 from manip_sim.models.untrusted_models import load_self_contained
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
@@ -394,7 +394,7 @@ def _from_text(text: InMemoryFile, files: AllowedRoots) -> tuple[bool, Callable[
     if is_moving_urdf(text.content):
         return False, lambda: RequestedRobot.from_text(text, files)
     if not text.content.startswith(b'<'):
-        values = parse_yaml(text.read(text.file, 'YAML', MAX_REQUESTED), str(text.file))
+        values = parse_requested(text.content, str(text.file))
         if RequestedRobot.KEY in values:
             return False, lambda: RequestedRobot(values, str(text.file), files)
     return object_from_text(text)
@@ -403,7 +403,7 @@ def _from_text(text: InMemoryFile, files: AllowedRoots) -> tuple[bool, Callable[
 def _from_file(path: str, files: AllowedRoots) -> _Item:
     file = files.first(files.places(path))
     if file.suffix in _YAML:
-        values = parse_yaml(files.read(file, 'YAML file', MAX_REQUESTED), str(file))
+        values = parse_requested(files.read(file, 'YAML file'), str(file))
         if RequestedRobot.KEY in values:
             return RequestedRobot(values, str(file), files, file.parent)
         return create_object(file, files)

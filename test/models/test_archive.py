@@ -22,7 +22,7 @@ from manip_sim.models.arenas import Arena, TableArena
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.xml_check import check_xml
+from manip_sim.models.xml_model import XmlModel
 
 MENAGERIE = Path(os.environ.get('MENAGERIE_ROOT') or 'no_menagerie')
 
@@ -255,7 +255,7 @@ def test_files_are_named_by_absolute_paths_whatever_is_before_them(is_new, tmp_p
     for file in before:
         spec.add_mesh(name=Path(file).stem, file=str(file))
     resolve_files(spec, tmp_path / 'model.xml',
-                  check_xml(tmp_path / 'model.xml') if is_new else None)
+                  XmlModel(tmp_path / 'model.xml') if is_new else None)
     assert [mesh.file for mesh in spec.meshes][-2:] == [
         str(tmp_path / 'a.obj'), str(tmp_path / 'b.obj')]
 

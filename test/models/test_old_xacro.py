@@ -13,7 +13,7 @@ from files_rig import write
 from manip_sim.errors import ModelError
 from manip_sim.models import load_robot
 from manip_sim.models.files.package_folders import PackageFolders
-from manip_sim.models.xml_check import declared_first
+from manip_sim.models.xml_model import declared_first
 
 xacro = pytest.importorskip('xacro', reason='xacro is not installed')
 

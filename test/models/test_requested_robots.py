@@ -59,7 +59,7 @@ def opened(roots):
 @pytest.fixture
 def here(monkeypatch):
     """Load in this process alone, where nothing else keeps MuJoCo from opening files."""
-    monkeypatch.setattr(requested_robot, 'try_to_do', lambda *_, **__: None)
+    monkeypatch.setattr(requested_robot, 'run_limited', lambda *_, **__: None)
 
 
 def requested(file, folder, **arguments):
@@ -153,12 +153,11 @@ def test_xacro_is_not_expanded_and_the_message_leads_to_the_fix(roots, name):
     ('package://private/link.stl', "package 'private'"),
     ('package://../private/link.stl', 'package'),
     ('package://lab_arm/../../private/link.stl', 'is no file'),
-    ('lab_arm/out.stl', 'is no file'), ('fake.stl', 'is not a binary STL'),
+    ('lab_arm/out.stl', 'is no file'),
     ('other.dae', 'a type that cannot be spawned')])
 def test_a_mesh_that_may_not_be_read_is_left_out_and_told(mesh, problem, roots, opened, here):
     (roots / 'lab_arm/out.stl').symlink_to(roots.parent / 'private/link.stl')
-    for name in ('fake.stl', 'other.dae'):
-        (roots / name).write_text('solid x')
+    (roots / 'other.dae').write_text('solid x')
     (roots / 'try.urdf').write_text(urdf(mesh.replace('PRIVATE', str(roots.parent / 'private'))))
     robot = requested(roots / 'try.urdf', roots)
     (lost,) = [said for said in robot.inferred if isinstance(said, LostShape)]
@@ -190,6 +189,20 @@ def test_nothing_outside_is_read_and_the_message_says_what_may_be(
     assert problem in rejection(file, roots)
 
 
+@pytest.mark.full
+def test_a_mesh_that_is_none_is_rejected_in_another_process(roots):
+    (roots / 'fake.stl').write_text('solid x')
+    (roots / 'try.urdf').write_text(urdf('fake.stl'))
+    assert 'does not compile' in rejection(roots / 'try.urdf', roots)
+
+
+@pytest.mark.full
+def test_a_robot_of_many_bodies_is_rejected(roots, here):
+    (roots / 'many.xml').write_text(ARM.replace(
+        '</body>', '<replicate count="5000"><geom size="0.01" mass="1"/></replicate></body>', 1))
+    assert 'bodies, joints, shapes and so on' in rejection(roots / 'many.xml', roots)
+
+
 def test_what_lies_beside_a_robot_is_not_read_through_a_link(roots, opened, here):
     private = roots.parent / 'private'
     (roots / 'lab_arm/arm.srdf').unlink()
@@ -199,24 +212,14 @@ def test_what_lies_beside_a_robot_is_not_read_through_a_link(roots, opened, here
         roots / 'lab_arm/arm.urdf', roots).inferred)
 
 
-def chain(links):
-    """Return a URDF of links that are fixed to each other, and one joint that moves."""
-    names = ''.join(f'<link name="l{i}"/>' for i in range(links))
-    joints = ''.join(
-        f'<joint name="j{i}" type="{"fixed" if i else "revolute"}"><parent link="l{i}"/>'
-        f'<child link="l{i + 1}"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
-        for i in range(links - 1))
-    return f'<robot name="r">{names}{joints}</robot>'
-
-
 @pytest.mark.full
 @pytest.mark.parametrize(('text', 'problem'), [
-    (chain(1500), ''), (urdf(more='<gazebo/>' * 6000), 'at most 5000 elements'),
-    (urdf(more='<a>' * 200 + '</a>' * 200), 'in each other'),
+    (urdf(more='<gazebo/>' * 60_000), 'of text with 60000 tags'),
+    (urdf(more=f'<link name="x">{"<a>" * 2000}{"</a>" * 2000}</link>'), 'nested too deeply'),
     ('<!DOCTYPE r [<!ENTITY b "bb">]><robot name="r">&b;</robot>', 'the entity'),
     ('<robot name="r"><link name="l"/></robot>', 'is not a robot'),
     ('<robot', 'not well-formed'), (urdf().replace('"1"', '"nan"'), ''),
-    (urdf(more=' ' * 1_100_000), 'are loaded'),
+    (urdf(more=' ' * 3_000_000), 'at most 100 files, 3 MB of text'),
     (urdf(more=''.join(
         f'<link name="c{i}"/><joint name="n{i}" type="revolute"><parent link="base"/>'
         f'<child link="c{i}"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>'
@@ -235,7 +238,7 @@ def test_a_robot_passes_in_another_process_which_opens_no_file(name, tmp_path):
 
 @pytest.mark.full
 def test_an_error_of_another_kind_is_told_too(roots, monkeypatch):
-    monkeypatch.setattr(requested_robot, 'load_held', open)
+    monkeypatch.setattr(requested_robot, '_try', open)
     reason = rejection(roots / 'hand.xml', roots)
     assert 'cannot be loaded: TypeError' in reason
 
@@ -249,7 +252,7 @@ def load_for_ever(*held):
 @pytest.mark.full
 def test_a_robot_that_takes_too_long_is_given_up_in_another_process(roots, monkeypatch):
     monkeypatch.setattr(requested_robot, 'MAX_CPU_S', 1)
-    monkeypatch.setattr(requested_robot, 'load_held', load_for_ever)
+    monkeypatch.setattr(requested_robot, '_try', load_for_ever)
     assert 'takes more than 1 s to load' in rejection(roots / 'lab_arm/arm.urdf', roots)
 
 
@@ -258,7 +261,7 @@ def test_a_file_that_changes_after_it_was_read_makes_no_difference(roots, monkey
         (roots / 'hand.xml').write_text('<mujoco/>')
         (roots / 'hand.yaml').write_text('{start: nowhere}')
         load(*held)
-    monkeypatch.setattr(requested_robot, 'try_to_do', tried)
+    monkeypatch.setattr(requested_robot, 'run_limited', tried)
     assert list(requested(roots / 'hand.xml', roots).grippers) == ['right']
 
 
@@ -266,15 +269,15 @@ def test_kept_files_ask_once_and_a_copy_asks_nothing(tmp_path):
     file = tmp_path / 'a'
     file.write_text('first')
     kept = CachedFiles(AllowedRoots([tmp_path], 'spawn_roots'))
-    assert kept.read(file, 'file', 10) == b'first' and not kept.is_file(tmp_path / 'b')
+    assert kept.read(file, 'file') == b'first' and not kept.is_file(tmp_path / 'b')
     file.write_text('second')
     (tmp_path / 'b').write_text('')
     held = copy.copy(kept)
-    assert held.read(file, 'file', 10) == kept.read(file, 'file', 10) == b'first'
+    assert held.read(file, 'file') == kept.read(file, 'file') == b'first'
     assert not held.is_file(tmp_path / 'b') and not held.is_folder(tmp_path)
     assert held.first([tmp_path / 'b', file]) == file
     with pytest.raises(ModelError, match='was not read before'):
-        held.read(tmp_path / 'b', 'file', 10)
+        held.read(tmp_path / 'b', 'file')
 
 
 # ---------------------------------------------------------------------- random robots
@@ -343,11 +346,11 @@ def test_no_robot_reads_what_is_private_or_ends_in_anything_but_one_line(
     file.write_text(text, errors='replace')
     if description is not None:
         file.with_suffix('.yaml').write_text(yaml.safe_dump(description))
-    before, requested_robot.try_to_do = requested_robot.try_to_do, lambda *_, **__: None
+    before, requested_robot.run_limited = requested_robot.run_limited, lambda *_, **__: None
     try:
         load_requested(file, AllowedRoots([folder], 'spawn_roots'))
     except ManipSimError as error:
         assert str(error) and '\n' not in str(error) and len(str(error)) < 3000
     finally:
-        requested_robot.try_to_do = before
+        requested_robot.run_limited = before
     assert opened.take() == set()

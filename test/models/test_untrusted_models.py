@@ -16,11 +16,11 @@ from opened_files import OpenedFiles
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import untrusted_models, World
-from manip_sim.models.asset_files import check_content
+from manip_sim.models import regular_files, untrusted_models, World
 from manip_sim.models.object_creation import create_object, object_from_model
-from manip_sim.models.regular_files import AllowedRoots, Files, InMemoryFile, read_file
-from manip_sim.models.untrusted_models import LIMITS, load_self_contained
+from manip_sim.models.regular_files import (
+    AllowedRoots, CachedFiles, Files, InMemoryFile, read_file)
+from manip_sim.models.untrusted_models import load_self_contained
 
 pytestmark = pytest.mark.full
 
@@ -121,7 +121,7 @@ def below(tmp_path):
 @pytest.fixture
 def tried_here(monkeypatch):
     """Compile in this process, where nothing else keeps MuJoCo from opening files."""
-    monkeypatch.setattr(untrusted_models, 'try_to_do', lambda *_: None)
+    monkeypatch.setattr(untrusted_models, 'run_limited', lambda *_: None)
 
 
 def doors(text, below):
@@ -293,7 +293,7 @@ def test_what_is_outside_is_told_alike_whether_it_is_there_or_not(secret, below)
 
     def told(path):
         with pytest.raises(ModelError) as error:
-            below[1].read(path, 'MJCF file', 10)
+            below[1].read(path, 'MJCF file')
         return str(error.value).replace(path.name, 'NAME')
     assert told(file) == told(file.with_name('nothing'))
 
@@ -310,7 +310,7 @@ def test_a_link_that_is_changed_after_the_check_is_noticed(secret, below, monkey
         return plain(path, *arguments, **named)
     monkeypatch.setattr(os, 'open', change_then_open)
     with pytest.raises(ModelError, match='it has been moved'):
-        below[1].read(below[0] / 'object.xml', 'MJCF file', 1000)
+        below[1].read(below[0] / 'object.xml', 'MJCF file')
 
 
 @pytest.mark.parametrize('read', [read_file, lambda *arguments: Files().read(*arguments)])
@@ -325,7 +325,7 @@ def test_a_file_that_becomes_a_pipe_does_not_stop_the_reader(read, tmp_path, mon
         return plain(path, *arguments, **named)
     monkeypatch.setattr(os, 'open', change_then_open)
     with pytest.raises(ModelError, match='it is a device or a pipe'):
-        read(file, 'MJCF file', 1000)
+        read(file, 'MJCF file')
 
 
 def test_a_folder_that_is_missing_is_told():
@@ -336,50 +336,76 @@ def test_a_folder_that_is_missing_is_told():
 # ---------------------------------------------------------------------- what files hold
 
 
+def mesh_of(kind, name):
+    return mjcf(f'<asset><{kind} name="m" file="{name}"/></asset>', geom=(
+        '<geom type="mesh" mesh="m"/>' if kind == 'mesh' else ''))
+
+
+def sphere(faces):
+    """Return an STL of random points on a sphere, all of them on its convex hull."""
+    points = np.random.default_rng(1).normal(size=(faces, 3, 3))
+    return stl(points / np.linalg.norm(points, axis=-1, keepdims=True))
+
+
 CUBE_OBJ = b'# a cube\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n'
 
 
-@pytest.mark.parametrize(('kind', 'suffix', 'content'), [
-    ('mesh', '.stl', tetrahedron()), ('mesh', '.obj', CUBE_OBJ), ('texture', '.png', png()),
-    ('texture', '.png', png(told=(4096, 4096))),
-    ('mesh', '.stl', bytes(80) + struct.pack('<I', 100_000) + bytes(5_000_000)),
-    ('mesh', '.obj', b'f 1 2 3\n' * 100_000), ('mesh', '.obj', b'f' + b' 1' * 100)])
-def test_a_file_of_a_known_type_passes(kind, suffix, content):
-    check_content(kind, suffix, content, 'a')
+@pytest.mark.parametrize(('kind', 'name', 'content'), [
+    ('mesh', 'a.stl', tetrahedron()), ('mesh', 'a.obj', CUBE_OBJ), ('texture', 'a.png', png()),
+    ('mesh', 'a.STL', sphere(1000)), ('texture', 'a.png', png(1024, 1024))])
+def test_a_file_of_a_known_type_passes(kind, name, content, below):
+    (below[0] / name).write_bytes(content)
+    (below[0] / 'o.xml').write_text(mesh_of(kind, name))
+    object_from_model(load_self_contained(below[0] / 'o.xml', below[1]))
 
 
-@pytest.mark.parametrize(('kind', 'suffix', 'content', 'problem'), [
-    ('mesh', '.png', png(),
-     'has a type that cannot be spawned; these types can: .stl, .obj, .png'),
-    ('texture', '.stl', tetrahedron(), 'has a type'), ('mesh', '', b'', 'has a type'),
-    ('texture', '.ktx', b'\xabKTX 11\xbb', 'has a type'),
-    ('mesh', '.stl', b'solid cube', 'is not a binary STL'), ('mesh', '.stl', b'', 'is not a'),
-    ('mesh', '.stl', bytes(84), 'is not a binary STL'),
-    ('mesh', '.stl', tetrahedron()[:-1], 'is not a binary STL'),
-    ('mesh', '.stl', tetrahedron() + b'\0', 'is not a binary STL'),
-    ('mesh', '.stl', bytes(80) + b'\xff' * 4 + bytes(200), 'has 4294967295 faces or more, and'),
-    ('mesh', '.stl', bytes(80) + struct.pack('<I', 100_001) + bytes(5_000_050), 'has 100001'),
-    ('mesh', '.obj', b'f 1 2 3\n' * 100_001, 'has 100001 faces or more'),
-    ('mesh', '.obj', b'f' + b' 1' * 101, 'has a face of 101 corners in line 1'),
-    ('mesh', '.obj', b'v 0 0 0\n-----BEGIN', 'is not an OBJ: line 2 is none'),
-    ('mesh', '.obj', b'v 0 0 \xff', 'is not an OBJ: line 1'),
-    ('texture', '.png', b'-----BEGIN PRIVATE KEY-----', 'is not a PNG image'),
-    ('texture', '.png', png()[:20], 'is not a PNG image'),
-    ('texture', '.png', png(told=(65535, 65535)), 'has 65535 times 65535 pixels, and'),
-    ('texture', '.png', png(told=(4096, 4097)), 'has 4096 times 4097 pixels, and')])
-def test_a_file_that_is_not_what_it_says_or_too_much_is_rejected(kind, suffix, content, problem):
-    with pytest.raises(ModelError, match=f'^{kind} file a.x {re.escape(problem)}'):
-        check_content(kind, suffix, content, 'a.x')
+@pytest.mark.parametrize(('kind', 'name'), [
+    ('mesh', 'a.png'), ('texture', 'a.stl'), ('mesh', 'a'), ('texture', 'a.ktx')])
+def test_a_file_of_another_type_is_rejected(kind, name, below):
+    (below[0] / name).write_bytes(b'')
+    (below[0] / 'o.xml').write_text(mesh_of(kind, name))
+    with pytest.raises(ModelError, match=f'{kind} file .*{name} has a type that cannot be spawned;'
+                                         ' these types can: .obj, .stl, .png$'):
+        load_self_contained(below[0] / 'o.xml', below[1])
+
+
+@pytest.mark.parametrize(('kind', 'name', 'content'), [
+    ('mesh', 'a.stl', b'solid cube'), ('mesh', 'a.stl', b''), ('mesh', 'a.stl', bytes(84)),
+    ('mesh', 'a.stl', tetrahedron()[:-1]), ('mesh', 'a.stl', sphere(100_000)),
+    ('mesh', 'a.stl', bytes(80) + b'\xff' * 4 + bytes(200)),
+    ('mesh', 'a.obj', b'v 0 0 0\n-----BEGIN'), ('mesh', 'a.obj', b'f 1 2 3\n' * 100_001),
+    ('mesh', 'a.obj', b'v 0 0 \xff'),
+    ('texture', 'a.png', b'-----BEGIN PRIVATE KEY-----'), ('texture', 'a.png', png()[:20]),
+    ('texture', 'a.png', png(told=(65535, 65535))), ('texture', 'a.png', png(told=(4096, 4097)))],
+    ids=lambda value: value[:20] if isinstance(value, bytes) else value)
+def test_a_file_that_is_not_what_it_says_or_too_much_ends_in_one_line(kind, name, content, below):
+    (below[0] / name).write_bytes(content)
+    (below[0] / 'o.xml').write_text(mesh_of(kind, name))
+    with pytest.raises(ModelError, match='^[^\n]*(does not compile|cannot be|to load)[^\n]*$'):
+        object_from_model(load_self_contained(below[0] / 'o.xml', below[1]))
+
+
+def test_an_image_of_many_pixels_is_not_unpacked_here(below):
+    (below[0] / 'a.png').write_bytes(png(9000, 9000))
+    (below[0] / 'o.xml').write_text(mesh_of('texture', 'a.png'))
+    with pytest.raises(ModelError, match='243 MB, and at most|takes more than'):
+        object_from_model(load_self_contained(below[0] / 'o.xml', below[1]))
 
 
 def test_files_together_are_bounded(below, monkeypatch):
-    monkeypatch.setattr(untrusted_models, '_MAX_ASSET_BYTES', 2 * len(tetrahedron()) - 1)
-    for name in 'ab':
+    monkeypatch.setattr(regular_files, '_MAX_FILE_BYTES', len(tetrahedron()))
+    text = InMemoryFile(mjcf(), 'text')
+    kept = CachedFiles(below[1])
+    for name in 'abc':
         (below[0] / f'{name}.stl').write_bytes(tetrahedron(0.1 + ord(name)))
-    (below[0] / 'o.xml').write_text(mjcf(
-        '<asset><mesh file="a.stl"/><mesh file="b.stl"/></asset>'))
-    with pytest.raises(ModelError, match='names files of more than 0 MB$'):
-        load_self_contained(below[0] / 'o.xml', below[1])
+    for name in 'ab':
+        kept.read(below[0] / f'{name}.stl', 'mesh file')
+    with pytest.raises(ModelError, match='and 0 MB of meshes and images$'):
+        kept.read(below[0] / 'c.stl', 'mesh file')
+    assert load_self_contained(text.file, text).is_light
+    monkeypatch.setattr(regular_files, '_MAX_FILE_BYTES', len(tetrahedron()) - 1)
+    with pytest.raises(ModelError, match='a.stl: it has more than 0 MB'):
+        below[1].read(below[0] / 'a.stl', 'mesh file')
 
 
 # ---------------------------------------------------------------------- what models ask for
@@ -391,19 +417,42 @@ def text_model(text):
 
 
 @pytest.mark.parametrize(('text', 'problem'), [
-    (mjcf(geom='<geom size="1"/>' * LIMITS.elements), 'a model may have at most 1000 elements'),
-    (mjcf(body='<body>' * 100 + '</body>' * 100), 'at most 1000 elements, 100 in each other'),
-    (mjcf(body='<replicate count="1001"><geom size="1"/></replicate>'), 'would make more than'),
-    (mjcf(body=f'<!-- {"x" * LIMITS.bytes} -->'), 'bytes, and at most 1000000 are read'),
+    (mjcf(geom='<geom size="1"/>' * 60_000), 'of text with 60000 tags'),
+    (mjcf(body='<body>' * 2000 + '</body>' * 2000), 'text is nested too deeply'),
+    (mjcf(body=f'<!-- {"x" * 3_000_000} -->'), 'a request may read at most 100 files, 3 MB'),
     (mjcf('<extension><plugin plugin="mujoco.sdf.bolt"/></extension>'), 'cannot have plugins'),
-    (mjcf('<asset><texture type="2d" builtin="flat" width="99999" height="99999"/></asset>'),
-     'the number of pixels of a texture'),
     ('<!DOCTYPE mujoco [<!ENTITY a SYSTEM "/etc/passwd">]><mujoco>&a;</mujoco>', 'the entity'),
     (mjcf('<asset><model name="m"/></asset>'), '<model> needs a file'),
     ('<sdf/>', 'is not a model'), ('<mujoco', 'is not well-formed XML')])
 def test_a_model_that_asks_for_too_much_is_rejected(text, problem):
     with pytest.raises(ModelError, match=f'^[^\n]*{re.escape(problem)}[^\n]*$'):
         text_model(text)
+
+
+@pytest.mark.parametrize(('text', 'problem'), [
+    (mjcf(geom='<geom size="1"/>' * 1000), '1004 .* shapes and so on in .* at most 1000 in'),
+    (mjcf(body='<body><geom size="1"/>' * 900 + '</body>' * 900), 'nesting is too deep'),
+    (mjcf(body='<replicate count="1001"><geom size="1"/></replicate>'), 'at most 1000 in'),
+    (mjcf(body='<replicate count="1000000000"><geom size="1"/></replicate>'), ''),
+    (mjcf('<asset><texture name="t" type="2d" builtin="flat" width="99999" height="99999"/>'
+          '</asset>'), ''),
+    (mjcf('<asset><texture name="t" type="2d" builtin="flat" width="9000" height="9000"/>'
+          '</asset>'), 'in 243 MB, and at most 1000 in 200 MB'),
+    (mjcf('<asset><hfield name="h" nrow="9999" ncol="9999" size="1 1 1 1"/></asset>'), ''),
+    (mjcf('<custom><numeric name="n" size="2000000000"/></custom>'), ''),
+    (mjcf(body='<flexcomp name="f" type="grid" count="60 60 60" spacing="1 1 1" dim="3"/>'), '')])
+def test_a_model_that_becomes_too_much_is_rejected_in_another_process(text, problem):
+    with pytest.raises(ModelError, match=f'^text [^\n]*{problem}[^\n]*$'):
+        text_model(text).load()
+
+
+def test_files_that_load_each_other_again_and_again_are_given_up(below):
+    for number in range(30):
+        (below[0] / f'{number}.xml').write_text(
+            f'<mujoco>{f"""<include file="{number + 1}.xml"/>""" * 2}</mujoco>')
+    (below[0] / '30.xml').write_text('<mujoco/>')
+    with pytest.raises(ModelError, match='a request may read at most 100 files'):
+        load_self_contained(below[0] / '0.xml', below[1])
 
 
 @pytest.mark.parametrize('value', ['nan', '-NaN', '1 0 0 nan(12)', '1\tNan 0'])
@@ -434,7 +483,7 @@ def test_memory_that_an_object_asks_for_is_left_out():
     (mjcf('<asset><texture type="2d" builtin="flat" width="9" height="9"/></asset>'), False)])
 def test_what_compiles_quickly_for_sure_is_not_tried_before(text, light, monkeypatch):
     tried = []
-    monkeypatch.setattr(untrusted_models, 'try_to_do', lambda *work: tried.append(work))
+    monkeypatch.setattr(untrusted_models, 'run_limited', lambda *work: tried.append(work))
     text_model(text).load()
     assert bool(tried) != light
 
@@ -443,7 +492,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.2))
     (below[0] / 'o.xml').write_text(mjcf('<asset><mesh file="m.stl"/></asset>'))
     load_self_contained(below[0] / 'o.xml', below[1]).load()
-    monkeypatch.setattr(untrusted_models, '_tried', lambda *_: 'was tried again')
+    monkeypatch.setattr(untrusted_models, '_answer', lambda *_: (3, b'was tried again'))
     load_self_contained(below[0] / 'o.xml', below[1]).load()
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.3))
     with pytest.raises(ModelError, match='o.xml was tried again'):
@@ -451,7 +500,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
 
 
 def try_it(text):
-    untrusted_models.try_to_do('it', untrusted_models.compile_held, text, {}, {})
+    untrusted_models.run_limited('it', untrusted_models.compile_held, text, {}, {})
 
 
 def test_a_trial_tells_what_mujoco_says():

@@ -142,13 +142,13 @@ def test_what_may_not_be_read_is_told_and_changes_nothing(spawning, client):
 def test_the_physics_and_other_services_go_on_while_a_robot_is_loaded(
         spawning, client, monkeypatch):
     begun, seen = threading.Event(), threading.Event()
-    tried = requested_robot.try_to_do
+    tried = requested_robot.run_limited
 
     def wait(*work, **limits):
         begun.set()
         assert seen.wait(START_S)
         tried(*work, **limits)
-    monkeypatch.setattr(requested_robot, 'try_to_do', wait)
+    monkeypatch.setattr(requested_robot, 'run_limited', wait)
     node = spawning()
     states = client.listen(JointState, 'joint_states')
     client.spin_until(lambda: states)

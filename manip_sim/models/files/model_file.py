@@ -49,7 +49,6 @@ _TOUCHES_FLOOR_M, _ABOVE_FLOOR_M = 1e-6, 1e-3
 _TOUCHING_M = 1e-4
 #: Links of a URDF that overlap by more than this at the start are drawn so [m].
 _OVERLAPPING_M = 1e-3
-_MAX_SRDF_BYTES = 10_000_000
 
 
 def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
@@ -470,7 +469,7 @@ def disabled_pairs(file: Path, files: Files) -> tuple[set[tuple[str, str]], list
     if not files.is_file(srdf):
         return set(), []
     try:
-        text = files.read(srdf, 'SRDF', _MAX_SRDF_BYTES).decode('utf-8')
+        text = files.read(srdf, 'SRDF').decode('utf-8')
         if '<!ENTITY' in text:
             raise OSError('it declares entities')
         root = ElementTree.fromstring(text)

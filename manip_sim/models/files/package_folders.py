@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import (
-    check_content, check_fetched, Lost, LostShape, MAX_FILE_BYTES, MissingMeshError, warnings_of)
+    check_fetched, check_suffix, Lost, LostShape, MissingMeshError, warnings_of)
 from manip_sim.models.regular_files import Files
 from manip_sim.quoting import one_line, quoted
 from manip_sim.resources import cache_folder, keep_in_cache, PACKAGE, share_directory
@@ -28,8 +28,6 @@ from manip_sim.resources import cache_folder, keep_in_cache, PACKAGE, share_dire
 _LEVELS, _DEPTH, _MAX_FOLDERS = 6, 5, 3000
 #: Files that keep a folder and all below it out of a workspace.
 _IGNORED = ('COLCON_IGNORE', 'AMENT_IGNORE', 'CATKIN_IGNORE', 'rospack_nosubdirs')
-#: Largest ``package.xml`` that is read.
-_MAX_BYTES = 1_000_000
 _NAME = re.compile(r'<name>\s*(\S+?)\s*</name>')
 
 
@@ -170,7 +168,7 @@ def _own_name(folder: Path, files: Files) -> str | None:
         if not files.is_file(manifest):
             return folder.name if files.is_file(folder / 'manifest.xml') else None
         match = _NAME.search(
-            files.read(manifest, 'package manifest', _MAX_BYTES).decode('utf-8'))
+            files.read(manifest, 'package manifest').decode('utf-8'))
     except (ModelError, UnicodeDecodeError):
         return None
     return match[1] if match else None
@@ -225,8 +223,8 @@ def _read(mesh: Path, files: Files | None) -> Path:
     file = _readable(mesh, files or Files()) or mesh
     if files is not None:
         try:
-            content = files.read(file, 'mesh file', MAX_FILE_BYTES)
-            check_content('mesh', file.suffix.lower(), content, str(file))
+            files.read(file, 'mesh file')
+            check_suffix('mesh', file)
         except ModelError as error:
             raise MissingMeshError(str(error)) from error
         return file

@@ -16,7 +16,7 @@ from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUF
 from manip_sim.models.regular_files import Files
 from manip_sim.models.sources import find_source, is_of_others, is_path
 from manip_sim.models.strict_descriptions import AfterValidator, Field, Strict, ValidationError
-from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
+from manip_sim.models.strict_yaml import parse_requested, read_yaml
 from manip_sim.quoting import one_line, quoted
 
 #: A key of the outermost mapping of a YAML file, and how similar a misspelled one is at least.
@@ -189,7 +189,7 @@ def describes_model(file: Path, kind: type[Description], files: Files | None = N
     It is, if it has a key of a description or one that is nearly spelled so, or no key at all.
     """
     try:
-        content = (files or Files()).read(file, 'YAML file', MAX_REQUESTED)
+        content = (files or Files()).read(file, 'YAML file')
     except ModelError:
         return True  # Reading it tells why.
     keys = [key.decode(errors='replace') for key in _KEY.findall(content)]
@@ -205,8 +205,8 @@ def read_description(file: Path, kind: type[DescriptionT], files: Files | None =
     :raises UnknownNameError: if it has an unknown key, naming the nearest ones
     """
     try:
-        return kind.model_validate(read_yaml(file) if files is None else parse_yaml(
-            files.read(file, 'YAML file', MAX_REQUESTED), str(file)))
+        return kind.model_validate(read_yaml(file) if files is None else parse_requested(
+            files.read(file, 'YAML file'), str(file)))
     except ValidationError as error:
         # A union has errors of all its members; the best fitting one has the deepest.
         deepest = max(error.errors(), key=lambda found: len(found['loc']))

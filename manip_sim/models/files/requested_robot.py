@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import copy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,8 @@ from manip_sim.models.files.urdf import hold_urdf, is_urdf
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_model import NOT_SPAWNED
 from manip_sim.models.regular_files import CachedFiles, Files, InMemoryFile
-from manip_sim.models.untrusted_models import held_name, load_self_contained, try_to_do
+from manip_sim.models.untrusted_models import (
+    check_size, held_name, load_self_contained, MAX_ROBOT, run_limited)
 from manip_sim.quoting import one_line
 
 #: Greatest number of degrees of freedom.
@@ -62,8 +64,13 @@ def load_requested(given: Path | InMemoryFile, files: Files, idn: int | str = 0)
         else:
             load_self_contained(file, kept, as_robot=True)
     held = file, description, where, copy.copy(kept), idn
-    try_to_do(one_line(str(file), 200), load_held, *held, max_cpu_s=MAX_CPU_S)
+    run_limited(one_line(str(file), 200), _try, *held, max_cpu_s=MAX_CPU_S)
     return load_held(*held)
+
+
+def _try(*held: Any) -> None:
+    """Load a robot, which is not taken out of the process."""
+    load_held(*held)
 
 
 def load_held(file: Path, description: RobotDescription, where: str, files: CachedFiles,
@@ -74,6 +81,7 @@ def load_held(file: Path, description: RobotDescription, where: str, files: Cach
         robot = (FileManipulator if plan.ends else FileRobot)(plan, idn)
         robot.held_files = files.named(held_name)
         model = robot.compile()
+    check_size(model, MAX_ROBOT, one_line(str(file), 200))
     if model.nv > MAX_DOF:
         raise ModelError(f'{one_line(str(file), 200)} has {model.nv} degrees of freedom, and at '
                          f'most {MAX_DOF} can be spawned')

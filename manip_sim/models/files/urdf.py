@@ -23,8 +23,8 @@ from manip_sim.models.files.urdf_joints import check_joints, complete_joints
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.mjcf_versions import Place, read_tree
 from manip_sim.models.regular_files import Files, InMemoryFile
-from manip_sim.models.untrusted_models import ROBOT_LIMITS, SelfContainedModel
-from manip_sim.models.xml_check import AssetFolders, Budget, XmlModel
+from manip_sim.models.untrusted_models import SelfContainedModel
+from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
@@ -67,7 +67,7 @@ def is_urdf(file: Path, files: Files | None = None) -> bool:
     if file.suffix.lower() in ('.urdf', XACRO):
         return True
     if files is not None:
-        return _begins_urdf(files.read(file, 'model file', ROBOT_LIMITS.bytes))
+        return _begins_urdf(files.read(file, 'model file'))
     if not file.is_file():  # Reading a device or a pipe may never end.
         return False
     try:
@@ -189,7 +189,7 @@ def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
 
     :raises ModelError: if it is not URDF, cannot be read, or is xacro by request, which runs code
     """
-    is_xacro, budget = file.suffix.lower() == XACRO, Budget()
+    is_xacro = file.suffix.lower() == XACRO
     if files is not None:
         if is_xacro or xacro_args:
             raise ModelError(
@@ -197,16 +197,15 @@ def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
                 "is not expanded by request: spawn the URDF that 'xacro "
                 f"{one_line(file.name, 60)} > robot.urdf' writes below spawn_roots, or add the "
                 'file to a folder of model_path')
-        budget = Budget(ROBOT_LIMITS)
     elif is_xacro:
         text = InMemoryFile(expanded(file, xacro_args), str(file))
         file, files = text.file, text
     elif xacro_args:
         raise ModelError(f"'xacro_args' are for a {XACRO} file, not for {file}")
-    model = XmlModel(file, budget, files=files, traced=not is_xacro)
+    model = XmlModel(file, files=files)
     if not model.is_urdf:
         raise ModelError(f"{file} is not URDF: its root is {quoted(model.root)}, not 'robot'")
-    return model.tree, model.origins
+    return model.tree, {} if is_xacro else model.origins
 
 
 def _compiler(robot: ElementTree.Element) -> ElementTree.Element:

@@ -19,7 +19,7 @@ from xml.parsers.expat import ExpatError
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.package_folders import PackageFolders
-from manip_sim.models.xml_check import declared_first
+from manip_sim.models.xml_model import declared_first
 from manip_sim.quoting import one_line, quoted
 from manip_sim.ros_environment import apt_names
 
