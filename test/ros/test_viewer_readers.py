@@ -63,10 +63,10 @@ MALFORMED = {
     'wrench': ('/right/external_wrench', wrench_of(1e300), r'wrench: 1e\+300 cannot'),
     'statuses': ('/diagnostics', DiagnosticArray(
         status=[DiagnosticStatus(name=f'{NAME}: x')] * 200), '200 statuses'),
-    'garbage': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=b'garbage'), 'not a zip archive'),
+    'garbage': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=b'garbage'), 'the archive cannot be unpacked'),
     'a file of the host': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=archive(
         '<mujoco><asset><texture name="t" file="/etc/passwd"/></asset></mujoco>')),
-        "names the file '/etc/passwd', which is not in the archive"),
+        'the archive (does not compile|is not MJCF)'),
     'not serialized': ('/right/eef_pose', b'\0\1\0\0abc', 'cannot be read as a message'),
     'large': ('/diagnostics', DiagnosticArray(status=[DiagnosticStatus(message='x' * 2**20)]),
               'what is shown has 1048576 at most')}
