@@ -19,7 +19,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
-from manip_sim.models.loading import compile_spec, spec_from_string
+from manip_sim.models.loading import compile_spec, spec_from_documents
+from manip_sim.models.mjcf_versions import Document
 from manip_sim.models.regular_files import read_file
 from manip_sim.models.untrusted_models import run_limited
 from manip_sim.quoting import one_line, quoted
@@ -185,24 +186,8 @@ def _compiled(data: bytes) -> bytes:
         raise ModelError(f'cannot be unpacked: {one_line(str(error))}') from error
     if _MODEL not in contents:
         raise ModelError(f'has no {_MODEL}')
-    xml = contents.pop(_MODEL).decode()
-    return to_binary(compile_spec(spec_from_string(xml, Path('it'), {}, contents), 'it'))
-
-
-def unpacked_file(data: bytes, name: str, max_bytes: int) -> bytes:
-    """
-    Return a file of an archive from anywhere.
-
-    :raises ModelError: if the file is missing, larger, or cannot be unpacked
-    """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive, archive.open(name) as file:
-            content = file.read(max_bytes + 1)
-    except KeyError as error:
-        raise ModelError(f'the archive has no {name}') from error
-    # RuntimeError: it is encrypted.
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, OSError) as error:
-        raise ModelError(f'the archive cannot be unpacked: {one_line(str(error))}') from error
-    if len(content) > max_bytes:
-        raise ModelError(f'at most {max_bytes} bytes of {name} are unpacked')
-    return content
+        document = Document(ElementTree.fromstring(contents.pop(_MODEL)), {})
+    except (ElementTree.ParseError, LookupError) as error:
+        raise ModelError(f'is not well-formed XML: {error}') from error
+    return to_binary(compile_spec(spec_from_documents([document], Path('it'), contents), 'it'))

@@ -17,7 +17,8 @@ import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MissingMeshError, resolve_files, skip_missing
-from manip_sim.models.mjcf_versions import ERRORS, Origins, read_mjcf, read_mjcf_text, with_remedy
+from manip_sim.models.mjcf_versions import (
+    Document, ERRORS, read_documents, read_mjcf, with_remedy)
 from manip_sim.models.xml_model import XmlModel
 from manip_sim.quoting import one_line, quoted
 
@@ -245,24 +246,16 @@ def _apply_total_mass(spec: mujoco.MjSpec, file: Path) -> None:
     compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
-def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None = None,
-                     assets: Mapping[str, bytes] | None = None,
-                     notes: list[str] | None = None, origins: Mapping[str, Origins] | None = None
-                     ) -> Any:
+def spec_from_documents(documents: Sequence[Document], file: Path,
+                        assets: Mapping[str, bytes] | None = None,
+                        notes: list[str] | None = None) -> mujoco.MjSpec:
     """
-    Read a spec from the text of a file, in which all paths are absolute.
+    Read a spec from documents in which all paths are absolute, or names of assets.
 
-    :param models: contents of model files that are not on the disk, by the names in the text
-    :param assets: likewise of meshes and images
+    :param assets: contents of meshes and images that are not on the disk
     :param notes: is given sentences on what MuJoCo has dropped; None: they are logged
-    :param origins: as for :func:`read_mjcf_text`
     """
-    try:
-        return mujoco.MjSpec.from_string(text, include=models or None,
-                                         assets=dict(assets) if assets else None)
-    except ERRORS:
-        pass
-    spec, dropped = read_mjcf_text(text, file, models or {}, assets or {}, origins or {})
+    spec, dropped = read_documents(documents, file, assets)
     _report(dropped, notes)
     return spec
 

@@ -21,7 +21,7 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import LostShape, places
-from manip_sim.models.xml_model import XmlModel
+from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, quoted
 
 #: MuJoCo raises the first for errors in a file, the others if there is not enough memory.
@@ -91,65 +91,24 @@ _REMEDIES = {
     'transmission target': 'correct its name, or add what it acts on; if another file includes '
     'this one, load that',
     ' not found in ': 'correct its name, or add it'}
-#: File and line of an element, and of each of some, if they are known.
+#: File and line of an element.
 Place = tuple[Path, int]
-Origins = Sequence[Place | None]
 _ORIENTATIONS = ('quat', 'axisangle', 'xyaxes', 'zaxis', 'euler')
 
 
-def read_mjcf(file: Path) -> tuple[mujoco.MjSpec, list[str]]:
-    """
-    Read a spec from an MJCF file, without what MuJoCo has dropped.
-
-    :returns: the spec, and a sentence for each element that was changed
-    :raises ModelError: naming file, line and element
-    """
-    documents: list[_Document] = []
-    _add(XmlModel(file), documents)
-    return _read(documents, {}, file)
-
-
-def read_tree(root: ElementTree.Element, origins: Mapping[ElementTree.Element, Place], file: Path
-              ) -> tuple[mujoco.MjSpec, list[str]]:
-    """
-    Read a spec from the elements of an MJCF or URDF file, as :func:`read_mjcf` does.
-
-    :param root: its elements are changed in place
-    :param origins: file and line of them; of others no place is told
-    """
-    return _read([_Document(root, origins, '')], {}, file)
-
-
-def read_mjcf_text(text: str, file: Path, models: Mapping[str, bytes], assets: Mapping[str, bytes],
-                   origins: Mapping[str, Origins]) -> tuple[mujoco.MjSpec, list[str]]:
-    """
-    Read a spec from a text that has been checked, as :func:`read_mjcf` does.
-
-    :param models: contents of model files that are not on the disk, by the names in the text
-    :param assets: likewise of meshes and images
-    :param origins: file and line of the elements in their order, by the names of the models in the
-        text, that of the text itself being empty; of others no place is told
-    """
-    documents = []
-    for name, content in {'': text.encode(), **models}.items():
-        root = ElementTree.fromstring(content)  # noqa: S314
-        known = {element: place for element, place in zip(root.iter(), origins.get(name, ()))
-                 if place is not None}
-        documents.append(_Document(root, known, name))
-    return _read(documents, assets, file)
-
-
-class _Document:
+class Document:
     """
     The XML of a model or of one that it attaches.
 
-    :param origins: file and line of its elements
+    :param origins: file and line of its elements; of others no place is told
     :param name: by which another document names it; empty for the first
+    :param folders: where its files are
     """
 
-    def __init__(self, root: ElementTree.Element,
-                 origins: Mapping[ElementTree.Element, Place], name: str) -> None:
+    def __init__(self, root: ElementTree.Element, origins: Mapping[ElementTree.Element, Place],
+                 name: str = '', folders: AssetFolders | None = None) -> None:
         self.root, self.name = root, name
+        self.folders = folders or AssetFolders(Path())
         self._origins = origins
 
     def text(self) -> str:
@@ -158,7 +117,11 @@ class _Document:
             element.tail = '\n'
             if len(element):
                 element.text = '\n'
-        return ElementTree.tostring(self.root, encoding='unicode')
+        try:
+            return ElementTree.tostring(self.root, encoding='unicode')
+        except RecursionError as error:
+            raise ModelError(f'{self.place(self.root) or "it"} has elements that are nested too '
+                             'deeply') from error
 
     def at(self, line: int) -> ElementTree.Element | None:
         """Return the element that begins at a line of the text."""
@@ -182,15 +145,31 @@ class _Document:
                      if self.root.tag == 'robot' and element in set(part.iter())), '')
 
 
-def _add(model: XmlModel, documents: list[_Document]) -> str:
-    """Add the documents of a model and of those that it attaches, and return its name."""
-    name = f'model{len(documents)}.xml' if documents else ''
-    documents.append(_Document(model.tree, model.origins, name))
+def read_mjcf(file: Path) -> tuple[mujoco.MjSpec, list[str]]:
+    """
+    Read a spec from an MJCF file, without what MuJoCo has dropped.
+
+    :returns: the spec, and a sentence for each element that was changed
+    :raises ModelError: naming file, line and element
+    """
+    model = XmlModel(file)
     _resolve_included(model)
-    attached = {file: _add(inner, documents) for file, inner in model.models.items()}
-    for element in model.tree.iter('model'):
-        element.set('file', attached[element.get('file', '')])
-    return name
+    return read_documents(documents_of(model), file)
+
+
+def documents_of(model: XmlModel) -> list[Document]:
+    """Return the documents of a model and of those that it attaches, which name each other."""
+    documents: list[Document] = []
+
+    def add(model: XmlModel) -> str:
+        name = f'model{len(documents)}.xml' if documents else ''
+        documents.append(Document(model.tree, model.origins, name, model.folders[0]))
+        attached = {file: add(inner) for file, inner in model.models.items()}
+        for element in model.tree.iter('model'):
+            element.set('file', attached[element.get('file', '')])
+        return name
+    add(model)
+    return documents
 
 
 def _resolve_included(model: XmlModel) -> None:
@@ -205,10 +184,19 @@ def _resolve_included(model: XmlModel) -> None:
             if beside.is_file() and (element.tag == 'flexcomp' or not any(
                     place.is_file() for place in places(element.tag, name, folders))):
                 element.set(attribute, os.path.abspath(beside))
+    for attached in model.models.values():
+        _resolve_included(attached)
 
 
-def _read(documents: list[_Document], assets: Mapping[str, bytes], file: Path
-          ) -> tuple[mujoco.MjSpec, list[str]]:
+def read_documents(documents: Sequence[Document], file: Path,
+                   assets: Mapping[str, bytes] | None = None
+                   ) -> tuple[mujoco.MjSpec, list[str]]:
+    """
+    Read a spec from the documents of an MJCF or URDF file, as :func:`read_mjcf` does.
+
+    :param documents: that of the file first; they are changed in place
+    :param assets: contents of meshes and images that are not on the disk, by their names
+    """
     notes: list[str] = []
     while True:
         whole, *attached = (document.text() for document in documents)
@@ -216,7 +204,7 @@ def _read(documents: list[_Document], assets: Mapping[str, bytes], file: Path
                   for document, text in zip(documents[1:], attached)}
         try:
             return mujoco.MjSpec.from_string(whole, include=models or None,
-                                             assets=dict(assets) or None), notes
+                                             assets=dict(assets) if assets else None), notes
         except ERRORS as error:
             changed = list(_changed(documents, str(error)))
             if not changed:
@@ -224,7 +212,7 @@ def _read(documents: list[_Document], assets: Mapping[str, bytes], file: Path
             notes += changed
 
 
-def _changed(documents: list[_Document], message: str) -> Iterator[str]:
+def _changed(documents: Sequence[Document], message: str) -> Iterator[str]:
     """Change what a message of MuJoCo rejects, if an earlier version had it; yield sentences."""
     match = _MESSAGE.search(message)
     problem, tag = (match['what'], match['tag']) if match else (message, '')
@@ -247,7 +235,7 @@ def _changed(documents: list[_Document], message: str) -> Iterator[str]:
             yield from _drop_orientations(document)
 
 
-def _drop_attribute(document: _Document, tag: str, name: str) -> Iterator[str]:
+def _drop_attribute(document: Document, tag: str, name: str) -> Iterator[str]:
     later = _ATTRIBUTES[tag, name]
     for element in document.root.iter(tag):
         value = element.attrib.pop(name, None)
@@ -259,7 +247,7 @@ def _drop_attribute(document: _Document, tag: str, name: str) -> Iterator[str]:
                         f'read as {" and ".join(later)}' if later else '')
 
 
-def _drop_elements(document: _Document, tag: str) -> Iterator[str]:
+def _drop_elements(document: Document, tag: str) -> Iterator[str]:
     for parent in list(document.root.iter()):
         later = _ELEMENTS.get((parent.tag, tag), _ELEMENTS.get(('', tag)))
         for element in parent.findall(tag) if later is not None else ():
@@ -270,7 +258,7 @@ def _drop_elements(document: _Document, tag: str) -> Iterator[str]:
                 parent.remove(element)
 
 
-def _drop_plugin(document: _Document, name: str) -> Iterator[str]:
+def _drop_plugin(document: Document, name: str) -> Iterator[str]:
     """Leave out a plugin and what uses it or an instance of it."""
     instances = {instance.get('name') for element in document.root.iter('plugin')
                  if element.get('plugin') == name for instance in element.iter('instance')}
@@ -281,7 +269,7 @@ def _drop_plugin(document: _Document, name: str) -> Iterator[str]:
                 parent.remove(element)
 
 
-def _drop_flexes(document: _Document, name: str) -> Iterator[str]:
+def _drop_flexes(document: Document, name: str) -> Iterator[str]:
     """Leave out soft bodies of a file that is not there, which MuJoCo reads at once."""
     for parent in list(document.root.iter()):
         for element in parent.findall('flexcomp'):
@@ -294,7 +282,7 @@ def _drop_flexes(document: _Document, name: str) -> Iterator[str]:
                     'it there, or correct its name')
 
 
-def _rename_main(document: _Document) -> Iterator[str]:
+def _rename_main(document: Document) -> Iterator[str]:
     """Let the outermost default class be called main, as MuJoCo wants it."""
     for element in document.root.findall('default'):
         name = element.get('class')
@@ -308,7 +296,7 @@ def _rename_main(document: _Document) -> Iterator[str]:
                         "read as 'main'")
 
 
-def _drop_orientations(document: _Document) -> Iterator[str]:
+def _drop_orientations(document: Document) -> Iterator[str]:
     """Leave out what a full inertia matrix, which has axes of its own, took precedence over."""
     for element in document.root.iter('inertial'):
         others = [name for name in _ORIENTATIONS if name in element.attrib]
@@ -319,7 +307,7 @@ def _drop_orientations(document: _Document) -> Iterator[str]:
                             'has fullinertia', '')
 
 
-def _drop_commas(document: _Document, tag: str, name: str) -> Iterator[str]:
+def _drop_commas(document: Document, tag: str, name: str) -> Iterator[str]:
     """Let blanks separate numbers that commas separate."""
     for element in document.root.iter(tag):
         value = element.get(name, '')
@@ -329,13 +317,13 @@ def _drop_commas(document: _Document, tag: str, name: str) -> Iterator[str]:
                             '')
 
 
-def _sentence(document: _Document, element: ElementTree.Element, what: str, later: str) -> str:
+def _sentence(document: Document, element: ElementTree.Element, what: str, later: str) -> str:
     place = document.place(element)
     return (f'{later or "ignored"}: {what}{" in " if place else ""}{place}, which MuJoCo reads no '
             'longer')
 
 
-def _explained(documents: Sequence[_Document], error: Exception, file: Path) -> str:
+def _explained(documents: Sequence[Document], error: Exception, file: Path) -> str:
     """Return MuJoCo's message, with file, line, element and a remedy for an unknown element."""
     match = _MESSAGE.search(str(error))
     kind = 'URDF' if documents[0].root.tag == 'robot' else 'MJCF'

@@ -19,7 +19,8 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import SPAWNED_SUFFIXES
-from manip_sim.models.loading import compile_spec, load_spec, spec_from_string
+from manip_sim.models.loading import compile_spec, load_spec, spec_from_documents
+from manip_sim.models.mjcf_versions import Document
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
 from manip_sim.models.regular_files import check_file, Files, InMemoryFile
 from manip_sim.models.sources import find_source, is_of_others
@@ -289,7 +290,7 @@ def _read_mesh(description: MeshDescription, folder: Path, where: str, files: Fi
                ) -> mujoco.MjSpec:
     root = ElementTree.Element('mujoco')
     asset = ElementTree.SubElement(root, 'asset')
-    held = SelfContainedModel(where, is_light=False)
+    held = SelfContainedModel(where, [Document(root, {})], is_light=False)
     named = {'mesh': description.file}
     if description.texture is not None:
         named['texture'] = description.texture
@@ -313,8 +314,7 @@ def _read_mesh(description: MeshDescription, folder: Path, where: str, files: Fi
         geom.set('material', 'material')
         if 'rgba' not in description.model_fields_set:
             geom.set('rgba', '1 1 1 1')
-    held.xml = ElementTree.tostring(root, encoding='unicode')
-    return spec_from_string(held.xml, Path(where)) if files is None else held.load()
+    return spec_from_documents(held.documents, Path(where)) if files is None else held.load()
 
 
 def _file(kind: str, file: Path, where: str, files: Files | None, held: SelfContainedModel) -> str:

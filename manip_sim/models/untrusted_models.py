@@ -31,8 +31,8 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_suffix, places, references
-from manip_sim.models.loading import compile_spec, spec_from_string
-from manip_sim.models.mjcf_versions import Origins
+from manip_sim.models.loading import compile_spec, spec_from_documents
+from manip_sim.models.mjcf_versions import Document, documents_of
 from manip_sim.models.regular_files import CachedFiles, Files
 from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, quoted
@@ -56,7 +56,7 @@ _NAN = re.compile(r'(?:.*\s)?[+-]?nan(?:[\s(].*)?', re.IGNORECASE | re.DOTALL)
 #: Attributes of files; MuJoCo gets all files by names without a folder and with a known suffix.
 _OF_FILES = ('meshdir', 'texturedir', 'assetdir', 'strippath')
 #: Elements of a model that compiles so quickly that it need not be tried before.
-LIGHT = frozenset((
+_LIGHT = frozenset((
     'mujoco', 'compiler', 'option', 'flag', 'default', 'asset', 'material', 'worldbody', 'body',
     'frame', 'geom', 'joint', 'freejoint', 'inertial', 'site', 'camera', 'light', 'contact',
     'exclude'))
@@ -69,20 +69,15 @@ class SelfContainedModel:
     A model and the contents of all files that it names.
 
     :ivar name: what it was read from, for messages
-    :ivar xml: MJCF or URDF
-    :ivar models: MJCF that it attaches, by the names in it
-    :ivar assets: meshes and images, by their names in it
+    :ivar documents: its MJCF or URDF, then the MJCF that it attaches
     :ivar is_light: whether it compiles quickly for sure
-    :ivar origins: file and line of each element of MJCF, by the name of the model that it is in;
-        that of the first one is empty
+    :ivar assets: meshes and images, by their names in the documents
     """
 
     name: str
-    xml: str = ''
-    models: dict[str, bytes] = field(default_factory=dict)
+    documents: list[Document]
+    is_light: bool
     assets: dict[str, bytes] = field(default_factory=dict)
-    is_light: bool = True
-    origins: dict[str, Origins] = field(default_factory=dict)
 
     def load(self, notes: list[str] | None = None) -> mujoco.MjSpec:
         """
@@ -90,40 +85,36 @@ class SelfContainedModel:
 
         A model that may take long, or crash MuJoCo, is compiled in another process first.
 
-        :param notes: as for ``spec_from_string``
+        :param notes: as for ``spec_from_documents``
         :raises ModelError: if it is not a model, or compiling it takes too long or too much memory
         """
         if not self.is_light:
-            run_limited(self.name, compile_held, self.xml, self.models, self.assets)
+            run_limited(self.name, compile_held, {
+                document.name: document.text() for document in self.documents}, self.assets)
         return self.load_tried(notes)
 
     def load_tried(self, notes: list[str] | None = None) -> mujoco.MjSpec:
         """Return a new spec, of a model that is compiled elsewhere first."""
-        spec = spec_from_string(self.xml, Path(self.name), self.models, self.assets, notes,
-                                self.origins)
+        spec = spec_from_documents(self.documents, Path(self.name), self.assets, notes)
         for reference in references(spec):
             if reference.file not in self.assets:
                 raise ModelError(f'{one_line(self.name)}: {reference.kind} '
                                  f'{quoted(reference.element_name)} names a file')
         return spec
 
-    def hold(self, model: XmlModel, files: Files, as_robot: bool) -> str:
-        """Read the files that a model names, and return the model that names the held ones."""
-        return self.hold_tree(model.tree, model.models, model.folders[0], files, as_robot)
+    def hold(self, files: Files, as_robot: bool) -> None:
+        """Read the files that the documents name, and let them name what was read."""
+        for document in self.documents:
+            self._hold_document(document, files, as_robot)
 
-    def hold_tree(self, root: ElementTree.Element, models: Mapping[str, XmlModel],
-                  folders: AssetFolders, files: Files, as_robot: bool) -> str:
-        """
-        Read the files that the elements of a model name, as :meth:`hold` does.
-
-        :param root: changed in place
-        """
+    def _hold_document(self, document: Document, files: Files, as_robot: bool) -> None:
+        root, folders = document.root, document.folders
         # They have no meaning in a part of a world, but may ask for any amount of memory.
         left_out = ('size',) if as_robot else ('size', 'keyframe')
         for section in [child for child in root if child.tag in left_out]:
             root.remove(section)
         for element in root.iter():
-            self.is_light = self.is_light and element.tag in LIGHT
+            self.is_light = self.is_light and element.tag in _LIGHT
             if element.tag == 'plugin':
                 raise ModelError(f'{one_line(self.name)}: what is spawned cannot have plugins')
             for attribute in _OF_FILES if element.tag == 'compiler' else ('content_type',):
@@ -132,17 +123,9 @@ class SelfContainedModel:
                 if attribute != 'name' and _NAN.fullmatch(name):
                     raise ModelError(f'{one_line(self.name)}: {attribute[:60]} of '
                                      f'<{element.tag[:60]}> must be a number, got {quoted(name)}')
-                if _NAMES_A_FILE.fullmatch(attribute) and name:
-                    element.set(attribute, self._hold_attached(models[name], files, as_robot)
-                                if element.tag == 'model' else self._hold_asset(
-                                    element.tag, name, folders, root.tag == 'robot', files))
-        return ElementTree.tostring(root, encoding='unicode')
-
-    def _hold_attached(self, model: XmlModel, files: Files, as_robot: bool) -> str:
-        content = self.hold(model, files, as_robot).encode()
-        name = f'{_digest(content)}.xml'
-        self.models[name], self.origins[name] = content, model.origins_in_order
-        return name
+                if _NAMES_A_FILE.fullmatch(attribute) and name and element.tag != 'model':
+                    element.set(attribute, self._hold_asset(
+                        element.tag, name, folders, root.tag == 'robot', files))
 
     def _hold_asset(self, tag: str, name: str, folders: AssetFolders, is_urdf: bool, files: Files
                     ) -> str:
@@ -175,15 +158,12 @@ def load_self_contained(file: Path, files: Files, as_robot: bool = False) -> Sel
     :raises ModelError: if a file must not be or cannot be read, or there is too much to read
     """
     files = files if isinstance(files, CachedFiles) else CachedFiles(files)
-    held = SelfContainedModel(str(file), is_light=not as_robot)
-    try:
-        model = XmlModel(file, files=files)
-        held.xml = held.hold(model, files, as_robot)
-    except RecursionError as error:
-        raise ModelError(f'{one_line(str(file))} is nested too deeply') from error
-    held.origins[''] = model.origins_in_order
-    held.is_light = (held.is_light and not held.assets
-                     and len(held.origins['']) <= _MAX_LIGHT_ELEMENTS)
+    documents = documents_of(XmlModel(file, files=files))
+    elements = sum(1 for _ in documents[0].root.iter())
+    held = SelfContainedModel(
+        str(file), documents, not as_robot and elements <= _MAX_LIGHT_ELEMENTS)
+    held.hold(files, as_robot)
+    held.is_light = held.is_light and not held.assets
     return held
 
 
@@ -197,10 +177,11 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def compile_held(xml: str, models: Mapping[str, bytes], assets: Mapping[str, bytes]) -> None:
-    """Compile a model of an object."""
-    check_size(compile_spec(spec_from_string(xml, Path('it'), models, assets), 'it'), MAX_OBJECT,
-               'it')
+def compile_held(texts: Mapping[str, str], assets: Mapping[str, bytes]) -> None:
+    """Compile a model of an object from the texts of its documents by name."""
+    documents = [Document(ElementTree.fromstring(text), {}, name) for name, text in texts.items()]
+    spec = spec_from_documents(documents, Path('it'), assets)
+    check_size(compile_spec(spec, 'it'), MAX_OBJECT, 'it')
 
 
 def check_size(model: mujoco.MjModel, most: int, name: str) -> None:

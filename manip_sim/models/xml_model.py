@@ -89,11 +89,6 @@ class XmlModel:
                                  for f in self._by_name[name].folders]
 
     @property
-    def origins_in_order(self) -> list[tuple[Path, int]]:
-        """File and line of each element of the tree as it is now."""
-        return [self.origins[element] for element in self.tree.iter()]
-
-    @property
     def is_urdf(self) -> bool:
         """True for URDF, False for MJCF."""
         return self.root == 'robot'

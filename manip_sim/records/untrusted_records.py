@@ -16,13 +16,13 @@ import re
 from typing import Any, BinaryIO
 import warnings
 import zipfile
+import zlib
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import ModelError, RecordError
-from manip_sim.models.archive import unpacked_file
+from manip_sim.errors import RecordError
 from manip_sim.quoting import one_line, quoted
 from manip_sim.records.recorder import FORMAT
 
@@ -184,8 +184,14 @@ def model_xml(archive: bytes) -> str:
     :raises RecordError: if it cannot be read, or is too large; it is not unpacked then
     """
     try:
-        text = unpacked_file(archive, 'model.xml', _MAX_MODEL).decode()
-    except (ModelError, UnicodeDecodeError) as error:
+        with zipfile.ZipFile(io.BytesIO(archive)) as file:
+            if file.getinfo('model.xml').file_size > _MAX_MODEL:
+                raise RecordError('the model of the record cannot be read: at most '
+                                  f'{_MAX_MODEL} are unpacked')
+            text = file.read('model.xml').decode()
+    # RuntimeError: it is encrypted.
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, OSError, RuntimeError, ValueError
+            ) as error:
         raise RecordError(f'the model of the record cannot be read: {error}') from error
     if '\0' in text:
         raise RecordError('the model of the record cannot be read: it is no text')

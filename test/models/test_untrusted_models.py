@@ -418,7 +418,6 @@ def text_model(text):
 
 @pytest.mark.parametrize(('text', 'problem'), [
     (mjcf(geom='<geom size="1"/>' * 60_000), 'of text with 60000 tags'),
-    (mjcf(body='<body>' * 2000 + '</body>' * 2000), 'text is nested too deeply'),
     (mjcf(body=f'<!-- {"x" * 3_000_000} -->'), 'a request may read at most 100 files, 3 MB'),
     (mjcf('<extension><plugin plugin="mujoco.sdf.bolt"/></extension>'), 'cannot have plugins'),
     ('<!DOCTYPE mujoco [<!ENTITY a SYSTEM "/etc/passwd">]><mujoco>&a;</mujoco>', 'the entity'),
@@ -432,6 +431,7 @@ def test_a_model_that_asks_for_too_much_is_rejected(text, problem):
 @pytest.mark.parametrize(('text', 'problem'), [
     (mjcf(geom='<geom size="1"/>' * 1000), '1004 .* shapes and so on in .* at most 1000 in'),
     (mjcf(body='<body><geom size="1"/>' * 900 + '</body>' * 900), 'nesting is too deep'),
+    (mjcf(body='<body>' * 2000 + '</body>' * 2000), 'elements that are nested too deeply'),
     (mjcf(body='<replicate count="1001"><geom size="1"/></replicate>'), 'at most 1000 in'),
     (mjcf(body='<replicate count="1000000000"><geom size="1"/></replicate>'), ''),
     (mjcf('<asset><texture name="t" type="2d" builtin="flat" width="99999" height="99999"/>'
@@ -442,7 +442,7 @@ def test_a_model_that_asks_for_too_much_is_rejected(text, problem):
     (mjcf('<custom><numeric name="n" size="2000000000"/></custom>'), ''),
     (mjcf(body='<flexcomp name="f" type="grid" count="60 60 60" spacing="1 1 1" dim="3"/>'), '')])
 def test_a_model_that_becomes_too_much_is_rejected_in_another_process(text, problem):
-    with pytest.raises(ModelError, match=f'^text [^\n]*{problem}[^\n]*$'):
+    with pytest.raises(ModelError, match=f'^text[^\n]*{problem}[^\n]*$'):
         text_model(text).load()
 
 
@@ -500,7 +500,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
 
 
 def try_it(text):
-    untrusted_models.run_limited('it', untrusted_models.compile_held, text, {}, {})
+    untrusted_models.run_limited('it', untrusted_models.compile_held, {'': text}, {})
 
 
 def test_a_trial_tells_what_mujoco_says():

@@ -63,7 +63,8 @@ MALFORMED = {
     'wrench': ('/right/external_wrench', wrench_of(1e300), r'wrench: 1e\+300 cannot'),
     'statuses': ('/diagnostics', DiagnosticArray(
         status=[DiagnosticStatus(name=f'{NAME}: x')] * 200), '200 statuses'),
-    'garbage': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=b'garbage'), 'the archive cannot be unpacked'),
+    'garbage': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=b'garbage'),
+                'the archive cannot be unpacked'),
     'a file of the host': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=archive(
         '<mujoco><asset><texture name="t" file="/etc/passwd"/></asset></mujoco>')),
         'the archive (does not compile|is not MJCF)'),

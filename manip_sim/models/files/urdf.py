@@ -21,7 +21,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.files.package_folders import find_meshes
 from manip_sim.models.files.urdf_joints import check_joints, complete_joints
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
-from manip_sim.models.mjcf_versions import Place, read_tree
+from manip_sim.models.mjcf_versions import Document, Place, read_documents
 from manip_sim.models.regular_files import Files, InMemoryFile
 from manip_sim.models.untrusted_models import SelfContainedModel
 from manip_sim.models.xml_model import AssetFolders, XmlModel
@@ -102,7 +102,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     """
     robot, origins, fixed, notes = _read(file, xacro_args or {}, expects_meshes, files)
     if files is None:
-        spec, changed = read_tree(robot, origins, file)
+        spec, changed = read_documents([Document(robot, origins)], file)
         notes += changed
     else:
         spec = _hold(robot, origins, file, files).load_tried(notes)
@@ -128,9 +128,9 @@ def _hold(robot: ElementTree.Element, origins: Mapping[ElementTree.Element, Plac
     for material in read.iter('material'):  # Textures are not read.
         for texture in material.findall('texture'):
             material.remove(texture)
-    held = SelfContainedModel(str(file), is_light=False)
-    held.xml = held.hold_tree(read, {}, AssetFolders(file.parent), files, as_robot=True)
-    held.origins[''] = [*map(origins.get, read.iter())]
+    document = Document(read, origins, folders=AssetFolders(file.parent))
+    held = SelfContainedModel(str(file), [document], is_light=False)
+    held.hold(files, as_robot=True)
     return held
 
 
