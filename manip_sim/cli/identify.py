@@ -22,7 +22,7 @@ from manip_sim.identification.least_squares import (
 from manip_sim.identification.recorded_motion import (
     find_excitation, read_motion, record_excitation, RecordedMotion)
 from manip_sim.models.robots import ManipulatorModel
-from manip_sim.models.robots.subsystems import SUBSYSTEMS
+from manip_sim.models.robots.robot_model import SUBSYSTEMS
 from manip_sim.quoting import pluralize, quoted_names
 from manip_sim.simulation import Simulation
 

@@ -20,7 +20,7 @@ from manip_sim.control.modes import MODES, names_of_modes
 from manip_sim.control.trajectory import check_times, Trajectory
 from manip_sim.errors import CommandError
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.robots.subsystems import SUBSYSTEMS
+from manip_sim.models.robots.robot_model import SUBSYSTEMS
 from manip_sim.quoting import pluralize
 from manip_sim.validation import (
     action_example, clamp, clamped_example, command_numbers, finite_command_numbers)

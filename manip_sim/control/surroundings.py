@@ -16,7 +16,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.control.modes import EFFORT, POSITION
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.arenas import Arena
-from manip_sim.models.robots.subsystems import driven_joint
+from manip_sim.models.robots.robot_model import driven_joint
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose

@@ -16,7 +16,7 @@ from manip_sim.control.reflexes import ReflexLimits
 from manip_sim.errors import describe_choices, ModelError, ParameterError
 from manip_sim.interface.topics import Scope
 from manip_sim.models.composing import read_gripper
-from manip_sim.models.robots.subsystems import SUBSYSTEMS
+from manip_sim.models.robots.robot_model import SUBSYSTEMS
 from manip_sim.models.sources import find_source, is_path
 from manip_sim.models.strict_yaml import read_yaml, StrictLoader
 from manip_sim.physics.parts import Part

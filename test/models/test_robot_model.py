@@ -9,7 +9,7 @@ import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, RethinkMount
-from manip_sim.models.robots.subsystems import classify
+from manip_sim.models.robots.robot_model import classify
 
 HALF_TURN_Z = [0.0, 0.0, 0.0, 1.0]
 

@@ -15,7 +15,7 @@ from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.found_hands import (
     carries_arms, FoundHand, hand_below, LEAST_OF_ARM, lone_hands)
 from manip_sim.models.files.limbs import FINGERS, Limbs, MAX_FINGERS
-from manip_sim.models.robots.subsystems import classify
+from manip_sim.models.robots.robot_model import classify
 from manip_sim.quoting import quoted_names
 
 _END_WORDS = {'tool', 'flange', 'tcp', 'ee', 'eef', 'hand', 'gripper', 'attachment', 'pinch'}
