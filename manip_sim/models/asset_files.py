@@ -298,7 +298,7 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, model: XmlModel | None = None
             continue
         if _is_held(spec, reference):
             continue
-        path = _find(reference, folders, model, base_name_too)
+        path = _find(reference, folders, base_name_too)
         if missing is not None:
             try:
                 check_fetched(path)
@@ -329,13 +329,9 @@ def _is_held(spec: mujoco.MjSpec, reference: Reference) -> bool:
     return reference.file in held or str(PurePosixPath(folder, reference.file)) in held
 
 
-def _find(reference: Reference, folders: list[AssetFolders], model: XmlModel | None,
-          base_name_too: bool) -> Path:
+def _find(reference: Reference, folders: list[AssetFolders], base_name_too: bool) -> Path:
     """Return the first place where the file exists, or the first place if it is in none."""
     name = reference.file
-    if model is not None and model.is_urdf:
-        # Some versions of MuJoCo keep only the last part of the path.
-        name = model.mesh_files.get(name.rpartition('/')[2], name)
     names = [name, PurePosixPath(name).name] if base_name_too else [name]
     return Files().first([place for folder in _own_first(reference, folders) for each in names
                           for place in places(reference.kind, each, folder)])

@@ -16,7 +16,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
-from manip_sim.models.asset_files import MissingMeshError, resolve_files, skip_missing
+from manip_sim.models.asset_files import (
+    infer_inertias_once, MissingMeshError, resolve_files, skip_missing)
 from manip_sim.models.mjcf_versions import (
     Document, ERRORS, read_documents, read_mjcf, with_remedy)
 from manip_sim.models.xml_model import XmlModel
@@ -233,17 +234,11 @@ def _apply_total_mass(spec: mujoco.MjSpec, file: Path) -> None:
     total, compiler.settotalmass = compiler.settotalmass, -1.0
     if total <= 0.0:
         return
+    infer_inertias_once(spec)
     model = compile_spec(spec, str(file))
-    scale = total / max(model.body_mass.sum(), mujoco.mjMINVAL)
-    for body in spec.bodies[1:]:
-        if model.body_mass[body.id] > 0.0:
-            body.mass = scale * model.body_mass[body.id]
-            body.inertia = scale * model.body_inertia[body.id]
-            body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
-            body.fullinertia = [np.nan] + [0.0] * 5
-            body.explicitinertial = True
+    mujoco.mj_setTotalmass(model, total)
+    spec.copy_back(model)
     compiler.boundmass = compiler.boundinertia = 0.0  # They held before scaling.
-    compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
 def spec_from_documents(documents: Sequence[Document], file: Path,

@@ -253,17 +253,12 @@ def _yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
     """
     own.option, own.visual, own.stat = spec.option, spec.visual, spec.stat
     for size in _SIZES:
-        setattr(spec, size, max(getattr(own, size), getattr(spec, size), key=_signed))
+        setattr(spec, size, max(getattr(own, size), getattr(spec, size)))
         setattr(own, size, getattr(spec, size))
     for count in _OLD_SIZES:
         setattr(own, count, getattr(spec, count))
     for count in _USER_COUNTS:
         setattr(own, count, -1)
-
-
-def _signed(size: int) -> int:
-    # Some versions of MuJoCo return the -1 of a size that is not set as an unsigned number.
-    return size if size < 2**63 else size - 2**64
 
 
 def soften_contacts(spec: mujoco.MjSpec, timestep_s: float) -> None:

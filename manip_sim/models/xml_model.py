@@ -23,7 +23,7 @@ from manip_sim.models.regular_files import Files
 from manip_sim.quoting import one_line, quoted
 
 #: The elements that name files, or say where they are.
-_FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler', 'mesh'))
+_FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler'))
 #: Comments that some old files have before the XML declaration.
 _COMMENT, _BLANKS = re.compile(rb'<!--.*?-->', re.DOTALL), b' \t\r\n\xef\xbb\xbf'
 #: The encoding that a document declares, and those that the parser reads by itself.
@@ -63,7 +63,6 @@ class XmlModel:
     :ivar root: tag of its root element, ``mujoco`` or ``robot``
     :ivar tree: its root element, with what included files hold in place of the includes
     :ivar folders: of the model, then of the models that are attached to it
-    :ivar mesh_files: names of mesh files in a URDF, by the last part of the name
     :ivar models: the models that it loads, by the name of the file in the element ``model``
     :ivar origins: file and line of each element
     """
@@ -74,7 +73,6 @@ class XmlModel:
         self.origins: dict[ElementTree.Element, tuple[Path, int]] = {}
         self.models: dict[str, XmlModel] = {}
         self._files = files or Files()
-        self.mesh_files: dict[str, str] = {}
         self.folders = [AssetFolders(file.parent)]
         self._file = file
         #: Way to the current file: the files of models that are being loaded, the
@@ -189,9 +187,6 @@ class XmlModel:
             directory = attributes.get('assetdir')
             folders.meshdir = attributes.get('meshdir', directory or folders.meshdir)
             folders.texturedir = attributes.get('texturedir', directory or folders.texturedir)
-        elif tag == 'mesh' and 'filename' in attributes:
-            name = attributes['filename']
-            self.mesh_files[name.rpartition('/')[2]] = name
 
 
 def in_utf8(data: bytes) -> bytes:
