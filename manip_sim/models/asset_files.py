@@ -21,6 +21,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.regular_files import check_file, Files, read_file
+from manip_sim.models.spec_edits import delete_elements
 from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, pluralize, quoted
 
@@ -128,7 +129,7 @@ def skip_missing(spec: mujoco.MjSpec, missing: Missing, file: Path) -> list[str]
     lost = [Lost(f'{"collision" if geom.contype or geom.conaffinity else "visual"} shape',
                  geom.meshname or geom.hfieldname, f'body {quoted(geom.parent.name)}', error)
             for geom, error in geoms]
-    _delete_geoms(spec, [geom for geom, _ in geoms])
+    delete_elements(spec, [geom for geom, _ in geoms])
     for kind, elements in (('mesh', spec.meshes), ('height field', spec.hfields),
                            ('texture', spec.textures), ('skin', spec.skins)):
         for element in list(elements):
@@ -194,21 +195,6 @@ def _mass_notes(masses: list[tuple[str, float]], file: Path) -> list[str]:
         f'guessed: the mass of {pluralize(len(masses), "body")} of {file} from the distance to '
         f'the next one, as it followed from missing meshes: {named}{more}; put the meshes there, '
         'or give these bodies an <inertial>')]
-
-
-def _delete_geoms(spec: mujoco.MjSpec, geoms: list[Any]) -> None:
-    """Delete geoms, and the contact pairs and sensors that name them."""
-    names = {geom.name for geom in geoms if geom.name}
-    for pair in list(spec.pairs):
-        if names & {pair.geomname1, pair.geomname2}:
-            spec.delete(pair)
-    kind = int(mujoco.mjtObj.mjOBJ_GEOM)
-    for sensor in list(spec.sensors):
-        if ((int(sensor.objtype) == kind and sensor.objname in names)
-                or (int(sensor.reftype) == kind and sensor.refname in names)):
-            spec.delete(sensor)
-    for geom in geoms:
-        spec.delete(geom)
 
 
 def _take_off(spec: mujoco.MjSpec, texture: str) -> None:

@@ -112,6 +112,7 @@ _SHORT_S, _CONTACT_STEPS = 0.002, 4.0
 #: XArm7 and IIWA keep both arms swinging at 0.05 rad/s while they press at 5 ms; with 1.5, the
 #: joints of the Robotiq85Gripper are apart by 1.6 in place of 1.0 % of their range as it closes.
 _COUPLING_DAMPING = 1.5
+_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _EQ, _TRN = mujoco.mjtEq, mujoco.mjtTrn
 _OF_JOINTS = (int(_TRN.mjTRN_JOINT), int(_TRN.mjTRN_JOINTINPARENT))
 _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
@@ -310,13 +311,20 @@ def name_main_default(own: mujoco.MjSpec) -> None:
 
 def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
     """Delete elements other than bodies, and the sensors and contact pairs that refer to them."""
-    names = {element.name for element in elements if element.name}
-    for sensor in [s for s in spec.sensors if s.objname in names or s.refname in names]:
+    deleted = {(_kind_of(element), element.name) for element in elements if element.name}
+    for sensor in [sensor for sensor in spec.sensors if deleted.intersection((
+            (int(sensor.objtype), sensor.objname), (int(sensor.reftype), sensor.refname)))]:
         spec.delete(sensor)
-    for pair in [p for p in spec.pairs if names.intersection((p.geomname1, p.geomname2))]:
+    for pair in [pair for pair in spec.pairs if deleted.intersection((
+            (_GEOM, pair.geomname1), (_GEOM, pair.geomname2)))]:
         spec.delete(pair)
     for element in elements:
         spec.delete(element)
+
+
+def _kind_of(element: Any) -> int:
+    """Return the ``mujoco.mjtObj`` of an element such as an ``MjsJoint``."""
+    return int(getattr(mujoco.mjtObj, f'mjOBJ_{type(element).__name__[3:].upper()}'))
 
 
 def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:

@@ -6,7 +6,7 @@
 import mujoco
 import pytest
 
-from manip_sim.models.spec_edits import weld_joints
+from manip_sim.models.spec_edits import delete_elements, weld_joints
 
 
 @pytest.fixture
@@ -28,3 +28,21 @@ def test_what_refers_to_a_welded_joint_goes_with_it(tied_joints):
     weld_joints(tied_joints, {'j2'})
     model = tied_joints.compile()
     assert (model.nv, model.ntendon, model.neq, model.nu, model.nsensor) == (1, 1, 1, 2, 2)
+
+
+def test_what_refers_to_another_element_of_the_same_name_is_not_deleted():
+    spec = mujoco.MjSpec.from_string("""<mujoco><worldbody>
+        <body name="x"><joint name="x"/><geom name="x" size="1"/><site name="x"/></body>
+        <body name="y"><geom name="y" size="1"/></body></worldbody>
+        <contact><pair geom1="x" geom2="y"/></contact>
+        <sensor><framepos name="of_body" objtype="body" objname="x"/>
+        <framepos name="of_site" objtype="site" objname="x"/>
+        <jointpos name="of_joint" joint="x"/>
+        <framepos name="to_geom" objtype="body" objname="y" reftype="geom" refname="x"/></sensor>
+        </mujoco>""")
+    delete_elements(spec, [spec.joint('x')])
+    assert [sensor.name for sensor in spec.sensors] == ['of_body', 'of_site', 'to_geom']
+    assert len(spec.pairs) == 1
+    delete_elements(spec, [spec.geom('x')])
+    assert [sensor.name for sensor in spec.sensors] == ['of_body', 'of_site']
+    assert not spec.pairs
