@@ -15,10 +15,9 @@ from typing import Any
 from manip_sim.errors import ModelError
 from manip_sim.quoting import one_line, quoted
 
-#: Limits of what one request reads: files, bytes of text, and tags in it; what is read twice
-#: counts twice.
-_MAX_FILES, _MAX_TEXT_BYTES, _MAX_TAGS = 100, 3_000_000, 60_000
-#: Largest file that a request reads [bytes]; its meshes and images have at most twice as many.
+#: Limits of the texts that one request reads, such as XML; one that is read twice counts twice.
+_MAX_TEXTS, _MAX_TEXT_BYTES, _MAX_TAGS = 200, 3_000_000, 60_000
+#: Largest file that a request reads [bytes]; all of them have at most twice as many.
 _MAX_FILE_BYTES = 20_000_000
 
 
@@ -206,8 +205,9 @@ class CachedFiles(Files):
     def __init__(self, files: Files | None) -> None:
         self.rule = files.rule if files else ''
         self._files = files
-        #: Files, bytes of text and of shapes and images, and tags that may yet be read.
-        self._left = [_MAX_FILES, _MAX_TEXT_BYTES, 2 * _MAX_FILE_BYTES, _MAX_TAGS]
+        self._bytes = 0
+        #: Bytes and tags of each text, as often as it was read.
+        self._texts: list[tuple[int, int]] = []
         self._contents: dict[Path, bytes] = {}
         self._answers: dict[tuple[str, Path], Any] = {}
 
@@ -221,25 +221,22 @@ class CachedFiles(Files):
 
         :raises ModelError: if it cannot be read, or a request needs too much
         """
-        if self._files is not None:
-            if file not in self._contents:
-                self._contents[file] = self._files.read(file, kind)
-            self._count(self._contents[file], kind)
-        elif file not in self._contents:
-            raise ModelError(f'{kind} {quoted(str(file), 200)} was not read before')
-        return self._contents[file]
-
-    def _count(self, content: bytes, kind: str) -> None:
-        """Count what takes memory and time where Python reads it."""
-        is_text = kind not in ('mesh file', 'texture file')
-        needed = (1, is_text * len(content), (not is_text) * len(content),
-                  content.count(b'<') if is_text else 0)
-        self._left = [left - number for left, number in zip(self._left, needed)]
-        if min(self._left) < 0:
+        if file not in self._contents:
+            if self._files is None:
+                raise ModelError(f'{kind} {quoted(str(file), 200)} was not read before')
+            self._contents[file] = self._files.read(file, kind)
+            self._bytes += len(self._contents[file])
+        content = self._contents[file]
+        if self._files is not None and kind not in ('mesh file', 'texture file'):
+            # Python reads it once more, which takes time and memory.
+            self._texts.append((len(content), content.count(b'<')))
+        sizes, tags = map(sum, zip((0, 0), *self._texts))
+        if (len(self._texts) > _MAX_TEXTS or sizes > _MAX_TEXT_BYTES or tags > _MAX_TAGS
+                or self._bytes > 2 * _MAX_FILE_BYTES):
             raise ModelError(
-                f'a request may read at most {_MAX_FILES} files, {_MAX_TEXT_BYTES / 1e6:.0f} MB '
-                f'of text with {_MAX_TAGS} tags, and {2 * _MAX_FILE_BYTES / 1e6:.0f} MB of meshes '
-                'and images')
+                f'a request may read at most {_MAX_TEXTS} texts of {_MAX_TEXT_BYTES / 1e6:.0f} MB '
+                f'with {_MAX_TAGS} tags, and {2 * _MAX_FILE_BYTES / 1e6:.0f} MB of files')
+        return content
 
     def first(self, places: Sequence[Path]) -> Path:
         """Return the first place with a file that may be read, or else the first place."""

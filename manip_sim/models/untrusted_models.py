@@ -50,6 +50,10 @@ _running: set[subprocess.Popen[bytes]] = set()
 _MAX_MODEL_BYTES, MAX_OBJECT, MAX_ROBOT = 200_000_000, 1000, 5000
 _COUNTED = ('nbody', 'njnt', 'ngeom', 'nsite', 'ncam', 'nlight', 'nmat', 'nmesh', 'ntex', 'npair',
             'nexclude', 'neq', 'ntendon', 'nwrap', 'nu', 'nsensor', 'ntuple', 'nkey')
+#: Numbers in the attribute ``user`` of elements.
+_USER_DATA = tuple(f'nuser_{kind}' for kind in (
+    'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor'))
+_MAX_USER_DATA = 100
 _NAMES_A_FILE = re.compile(r'file.*', re.IGNORECASE)
 #: A NaN among numbers: MuJoCo takes it for no value, and prints a line for each.
 _NAN = re.compile(r'(?:.*\s)?[+-]?nan(?:[\s(].*)?', re.IGNORECASE | re.DOTALL)
@@ -60,7 +64,7 @@ _LIGHT = frozenset((
     'mujoco', 'compiler', 'option', 'flag', 'default', 'asset', 'material', 'worldbody', 'body',
     'frame', 'geom', 'joint', 'freejoint', 'inertial', 'site', 'camera', 'light', 'contact',
     'exclude'))
-_MAX_LIGHT_ELEMENTS = 100
+_MAX_LIGHT_ELEMENTS, _MAX_LIGHT_CHARACTERS = 100, 20_000
 
 
 @dataclass
@@ -159,9 +163,11 @@ def load_self_contained(file: Path, files: Files, as_robot: bool = False) -> Sel
     """
     files = files if isinstance(files, CachedFiles) else CachedFiles(files)
     documents = documents_of(XmlModel(file, files=files))
-    elements = sum(1 for _ in documents[0].root.iter())
+    elements = list(documents[0].root.iter())
+    characters = sum(len(value) for element in elements for value in element.attrib.values())
     held = SelfContainedModel(
-        str(file), documents, not as_robot and elements <= _MAX_LIGHT_ELEMENTS)
+        str(file), documents, not as_robot and len(elements) <= _MAX_LIGHT_ELEMENTS
+        and characters <= _MAX_LIGHT_CHARACTERS)
     held.hold(files, as_robot)
     held.is_light = held.is_light and not held.assets
     return held
@@ -190,6 +196,10 @@ def check_size(model: mujoco.MjModel, most: int, name: str) -> None:
 
     :param most: bodies, joints, shapes and so on
     """
+    for numbers in _USER_DATA:  # The whole world has as many for each of its bodies and so on.
+        if getattr(model, numbers) > _MAX_USER_DATA:
+            raise ModelError(f'{name} has {numbers} {getattr(model, numbers)}, and at most '
+                             f'{_MAX_USER_DATA} can be spawned')
     count = sum(getattr(model, field) for field in _COUNTED)
     size = mujoco.mj_sizeModel(model)
     if count > most or size > _MAX_MODEL_BYTES:

@@ -141,6 +141,7 @@ class XmlModel:
         parser.EndElementHandler = builder.end
         parser.CharacterDataHandler, parser.buffer_text = builder.data, True
         parser.EntityDeclHandler = reject_entities
+        parser.specified_attributes = True  # MuJoCo does not know defaults of a document type.
         parser.Parse(data, True)
         return builder.close()
 
@@ -204,10 +205,16 @@ def in_utf8(data: bytes) -> bytes:
 def declared_first(data: bytes) -> bytes:
     """Return a document whose XML declaration is blank if comments precede it; no line moves."""
     before, declaration, after = data.partition(b'<?xml ')
-    if not before or not declaration or _COMMENT.sub(b'', before).strip(_BLANKS):
+    if (not before or not declaration or _ends_in_comment(before)
+            or _COMMENT.sub(b'', before).strip(_BLANKS)):
         return data
     rest, end, after = after.partition(b'?>')
     return before + re.sub(rb'[^\n]', b' ', declaration + rest + end) + after
+
+
+def _ends_in_comment(data: bytes) -> bool:
+    """Return whether the last comment has no end, which would be looked for from each of them."""
+    return data.rfind(b'<!--') > data.rfind(b'-->')
 
 
 def mended_xml(data: bytes) -> bytes:
@@ -218,7 +225,7 @@ def mended_xml(data: bytes) -> bytes:
     attributes get a blank between them, values without quotes get these, and a lone ampersand is
     that character.
     """
-    if b'<![CDATA[' in data:
+    if b'<![CDATA[' in data or _ends_in_comment(data):
         return data
     parts = _COMMENT.split(data)
     comments = [b'<!--' + comment[4:-3].replace(b'-', b' ').decode(errors='replace').encode()

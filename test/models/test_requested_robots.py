@@ -108,6 +108,16 @@ def test_a_robot_of_a_package_brings_its_meshes_and_its_pairs(roots):
     assert f'file://{(roots / "lab_arm/meshes/link.stl").resolve()}' in urdf_of(world).xml
 
 
+def test_a_robot_may_have_many_meshes(roots, here):
+    for number in range(250):
+        shutil.copy(roots / 'lab_arm/meshes/link.stl', roots / f'lab_arm/meshes/m{number}.stl')
+    text = urdf().replace('<link name="base"/>', '<link name="base">' + ''.join(
+        f'<visual><geometry><mesh filename="package://lab_arm/meshes/m{number}.stl"/></geometry>'
+        '</visual>' for number in range(250)) + '</link>')
+    (roots / 'lab_arm/arm.urdf').write_text(text)
+    assert requested(roots / 'lab_arm/arm.urdf', roots).compile().nmesh == 251
+
+
 def test_textures_of_a_urdf_are_not_read(roots, here):
     text = urdf().replace('</geometry></visual>', '</geometry><material name="m">'
                           '<texture filename="missing.png"/></material></visual>')
@@ -214,12 +224,12 @@ def test_what_lies_beside_a_robot_is_not_read_through_a_link(roots, opened, here
 
 @pytest.mark.full
 @pytest.mark.parametrize(('text', 'problem'), [
-    (urdf(more='<gazebo/>' * 60_000), 'of text with 60000 tags'),
+    (urdf(more='<gazebo/>' * 60_000), 'with 60000 tags'),
     (urdf(more=f'<link name="x">{"<a>" * 2000}{"</a>" * 2000}</link>'), 'nested too deeply'),
     ('<!DOCTYPE r [<!ENTITY b "bb">]><robot name="r">&b;</robot>', 'the entity'),
     ('<robot name="r"><link name="l"/></robot>', 'is not a robot'),
     ('<robot', 'not well-formed'), (urdf().replace('"1"', '"nan"'), ''),
-    (urdf(more=' ' * 3_000_000), 'at most 100 files, 3 MB of text'),
+    (urdf(more=' ' * 3_000_000), 'at most 200 texts of 3 MB'),
     (urdf(more=''.join(
         f'<link name="c{i}"/><joint name="n{i}" type="revolute"><parent link="base"/>'
         f'<child link="c{i}"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>'

@@ -400,7 +400,8 @@ def test_files_together_are_bounded(below, monkeypatch):
         (below[0] / f'{name}.stl').write_bytes(tetrahedron(0.1 + ord(name)))
     for name in 'ab':
         kept.read(below[0] / f'{name}.stl', 'mesh file')
-    with pytest.raises(ModelError, match='and 0 MB of meshes and images$'):
+    assert kept.read(below[0] / 'a.stl', 'mesh file') == tetrahedron(0.1 + ord('a'))
+    with pytest.raises(ModelError, match='and 0 MB of files$'):
         kept.read(below[0] / 'c.stl', 'mesh file')
     assert load_self_contained(text.file, text).is_light
     monkeypatch.setattr(regular_files, '_MAX_FILE_BYTES', len(tetrahedron()) - 1)
@@ -417,8 +418,8 @@ def text_model(text):
 
 
 @pytest.mark.parametrize(('text', 'problem'), [
-    (mjcf(geom='<geom size="1"/>' * 60_000), 'of text with 60000 tags'),
-    (mjcf(body=f'<!-- {"x" * 3_000_000} -->'), 'a request may read at most 100 files, 3 MB'),
+    (mjcf(geom='<geom size="1"/>' * 60_000), 'with 60000 tags'),
+    (mjcf(body=f'<!-- {"x" * 3_000_000} -->'), 'a request may read at most 200 texts of 3 MB'),
     (mjcf('<extension><plugin plugin="mujoco.sdf.bolt"/></extension>'), 'cannot have plugins'),
     ('<!DOCTYPE mujoco [<!ENTITY a SYSTEM "/etc/passwd">]><mujoco>&a;</mujoco>', 'the entity'),
     (mjcf('<asset><model name="m"/></asset>'), '<model> needs a file'),
@@ -446,12 +447,25 @@ def test_a_model_that_becomes_too_much_is_rejected_in_another_process(text, prob
         text_model(text).load()
 
 
+@pytest.mark.parametrize('kind', ['geom', 'body', 'joint', 'site', 'camera'])
+def test_user_data_that_a_whole_world_would_have_is_rejected(kind):
+    # A megabyte in each element of the world for half a megabyte of text.
+    held = text_model(mjcf(body='<body><geom size="1"/>{}</body>'.format(
+        {'geom': '<geom size="1" user="{}"/>', 'body': '<body user="{}"/>',
+         'joint': '<joint user="{}"/>', 'site': '<site user="{}"/>',
+         'camera': '<camera user="{}"/>'}[kind].format('1 ' * 200_000))))
+    with pytest.raises(ModelError, match='^text has nuser_.* 200000, and at most 100'):
+        object_from_model(held)
+    few = text_model(mjcf(body=f'<geom size="1" user="{"1 " * 100}"/>'))
+    assert object_from_model(few).compile().nuser_geom == 100
+
+
 def test_files_that_load_each_other_again_and_again_are_given_up(below):
     for number in range(30):
         (below[0] / f'{number}.xml').write_text(
             f'<mujoco>{f"""<include file="{number + 1}.xml"/>""" * 2}</mujoco>')
     (below[0] / '30.xml').write_text('<mujoco/>')
-    with pytest.raises(ModelError, match='a request may read at most 100 files'):
+    with pytest.raises(ModelError, match='a request may read at most 200 texts'):
         load_self_contained(below[0] / '0.xml', below[1])
 
 

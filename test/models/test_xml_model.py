@@ -3,10 +3,12 @@
 
 """Included files take the place of their includes, and errors name the line of the file."""
 
+import time
+
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models.xml_model import XmlModel
+from manip_sim.models.xml_model import declared_first, mended_xml, XmlModel
 
 
 def tree(tmp_path, **files):
@@ -31,3 +33,20 @@ def test_the_line_behind_an_include_is_that_of_its_own_file(tmp_path):
     with pytest.raises(ModelError, match=r'main\.xml, line 4: <model> needs a file$'):
         tree(tmp_path, a='<any>\n\n\n<b/>\n<b/></any>',
              main='<mujoco>\n<include file="a.xml"/>\n<b/>\n<model/></mujoco>')
+
+
+def test_defaults_of_a_document_type_are_not_added_to_each_element(tmp_path):
+    found = tree(tmp_path, main='<!DOCTYPE m [<!ATTLIST a b CDATA "c">]><mujoco><a d="e"/></mujoco>')
+    assert found[0].attrib == {'d': 'e'}
+
+
+@pytest.mark.parametrize('text', [
+    *(begin + unit * (200_000 // len(unit)) + end for unit in (
+        b'<!--', b'<!-- ', b'-->', b'<a ', b'<a "', b"<a '\"", b'<a b=', b'<a b=c ', b'="', b'= ',
+        b'&', b'&a', b'"', b' a') for begin in (b'', b'<a ', b'<!--') for end in (b'', b'<?xml '))],
+    ids=lambda text: f'{text[:10].decode()}..{text[-6:].decode()}')
+def test_no_text_takes_time_that_grows_with_its_square(text):
+    begin = time.process_time()
+    declared_first(text)
+    mended_xml(text)
+    assert time.process_time() - begin < 2.0
