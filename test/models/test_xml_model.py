@@ -36,14 +36,15 @@ def test_the_line_behind_an_include_is_that_of_its_own_file(tmp_path):
 
 
 def test_defaults_of_a_document_type_are_not_added_to_each_element(tmp_path):
-    found = tree(tmp_path, main='<!DOCTYPE m [<!ATTLIST a b CDATA "c">]><mujoco><a d="e"/></mujoco>')
+    found = tree(tmp_path, main='<!DOCTYPE m [<!ATTLIST a b CDATA "c">]>'
+                 '<mujoco><a d="e"/></mujoco>')
     assert found[0].attrib == {'d': 'e'}
 
 
 @pytest.mark.parametrize('text', [
     *(begin + unit * (200_000 // len(unit)) + end for unit in (
-        b'<!--', b'<!-- ', b'-->', b'<a ', b'<a "', b"<a '\"", b'<a b=', b'<a b=c ', b'="', b'= ',
-        b'&', b'&a', b'"', b' a') for begin in (b'', b'<a ', b'<!--') for end in (b'', b'<?xml '))],
+        b'<!--', b'<!-- ', b'-->', b'<a ', b'<a "', b"<a '\"", b'<a b=', b'<a b=c ', b'="',
+        b'= ', b'&', b'&a', b'"', b' a') for begin in (b'', b'<a ', b'<!--') for end in (b'', b'<?xml '))],
     ids=lambda text: f'{text[:10].decode()}..{text[-6:].decode()}')
 def test_no_text_takes_time_that_grows_with_its_square(text):
     begin = time.process_time()
