@@ -4,10 +4,11 @@
 """
 The door for models that somebody names or sends who must not read every file of the user.
 
-All files are read here, through a :class:`Files` that says which ones may be, and checked. MuJoCo
-gets their contents under other names, so it opens no file by itself. As it cannot be interrupted,
-a model is first loaded in a process of its own, which has little time and memory, can open no
-file, and can be given up.
+Files are read here, through a :class:`Files` that says which ones may be, as far as is needed to
+know which files a model names. MuJoCo gets their contents under other names, so it opens no file
+by itself. As it cannot be interrupted, models are first made in a process that has little time,
+memory and stack, can open no file, and can be given up. What passes there is small, and is loaded
+here.
 """
 
 from __future__ import annotations
@@ -276,6 +277,8 @@ def main() -> None:
     if descriptions is not None:  # The function may read some.
         descriptions.compile_descriptions()
     os.nice(5)
+    result = os.dup(1)
+    os.dup2(2, 1)  # What libraries print is no part of the result.
     for limit, value in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0),
                          (resource.RLIMIT_STACK, _STACK_BYTES), (resource.RLIMIT_FSIZE, 0),
                          (resource.RLIMIT_NOFILE, 0)):
@@ -290,6 +293,7 @@ def main() -> None:
             TypeError, ValueError) as error:
         code, output = _FAILED, (f'cannot be loaded: {type(error).__name__}: '
                                  f'{one_line(str(error), 200)}').encode(errors='replace')
-    sys.stdout.buffer.write(output)
+    with os.fdopen(result, 'wb') as stream:
+        stream.write(output)
     spare_garbage()
     sys.exit(code)

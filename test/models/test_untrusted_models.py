@@ -522,6 +522,17 @@ def test_a_trial_tells_what_mujoco_says():
         try_it('<mujoco><worldbody><geom type="box" size="0 0 0"/></worldbody></mujoco>')
 
 
+def print_and_return():
+    """Print as a library would."""
+    os.write(1, b'printed')
+    print('printed')
+    return b'result'
+
+
+def test_what_is_printed_is_no_part_of_a_result():
+    assert untrusted_models.run_limited('it', print_and_return) == b'result'
+
+
 def test_a_trial_opens_no_file(secret):
     file, opened = secret
     with pytest.raises(ModelError, match='^it does not compile'):

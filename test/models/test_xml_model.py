@@ -44,7 +44,8 @@ def test_defaults_of_a_document_type_are_not_added_to_each_element(tmp_path):
 @pytest.mark.parametrize('text', [
     *(begin + unit * (200_000 // len(unit)) + end for unit in (
         b'<!--', b'<!-- ', b'-->', b'<a ', b'<a "', b"<a '\"", b'<a b=', b'<a b=c ', b'="',
-        b'= ', b'&', b'&a', b'"', b' a') for begin in (b'', b'<a ', b'<!--') for end in (b'', b'<?xml '))],
+        b'= ', b'&', b'&a', b'"', b' a')
+        for begin in (b'', b'<a ', b'<!--') for end in (b'', b'<?xml '))],
     ids=lambda text: f'{text[:10].decode()}..{text[-6:].decode()}')
 def test_no_text_takes_time_that_grows_with_its_square(text):
     begin = time.process_time()
