@@ -171,6 +171,8 @@ def load_archive(data: bytes) -> mujoco.MjModel:
     if len(data) > MAX_ARCHIVE_BYTES:
         raise ModelError(f'the archive has {len(data)} bytes, and at most {MAX_ARCHIVE_BYTES} '
                          'are unpacked')
+    if not zipfile.is_zipfile(io.BytesIO(data)):
+        raise ModelError('the archive cannot be unpacked: it is no zip file')
     binary = run_limited('the archive', _compiled, data, max_cpu_s=_MAX_CPU_S)
     return mujoco.MjModel.from_binary_path('it.mjb', {'it.mjb': binary})
 
