@@ -92,8 +92,7 @@ def inlined(function: F) -> F:
     """
     Compile a function into each of the few compiled functions that call it.
 
-    A function is optimized once for itself, and again with each caller up to
-    the outermost one: the end of a chain of five long functions would be compiled five times. And
-    a call with all arrays of a robot takes up to 1.8 us.
+    Others are optimized once for themselves, and again with each caller up to the outermost one:
+    the end of a chain of five long functions would be compiled five times.
     """
     return compiled(function, 'always')

@@ -403,7 +403,7 @@ def _move_reference(kinematics: Kinematics, targets: Targets, number: int, goal:
         here, turned = pose_of(kinematics, task.tip, task.tip_is_site)
         _turn_back(goal.origin, goal.axes, here, turned, place, attitude)
         task.refers = 1
-    way, turn, rest = np.empty(6), np.empty((3, 3)), np.empty((3, 3))
+    way, turn, turned_on = np.empty(6), np.empty((3, 3)), np.empty((3, 3))
     for i in range(3):
         way[i] = goal.position[i] - place[i]
         for j in range(3):
@@ -419,7 +419,7 @@ def _move_reference(kinematics: Kinematics, targets: Targets, number: int, goal:
         place[i] = goal.position[i] if share >= 1.0 else place[i] + share * way[i]
     if turned_share < 1.0:
         rotation_matrix(way, 3, turned_share, turn)
-        multiply_matrices(turn, attitude, rest)
-    else:
-        rest[:] = goal.rotation
-    attitude[:] = rest
+        multiply_matrices(turn, attitude, turned_on)
+    for i in range(3):
+        for j in range(3):
+            attitude[i, j] = turned_on[i, j] if turned_share < 1.0 else goal.rotation[i, j]

@@ -309,5 +309,5 @@ def wait_in_worlds(rows: IntArray, indices: IntArray, goals: FloatArray, periods
     :param periods: of control [s], shape (worlds,)
     """
     for world in range(len(rows)):
-        joints, = _read_joints(rows[world])
+        joints = _read_joints(rows[world])[0]
         wait(joints, indices, goals[world], periods[world], messages, stamp, velocities)
