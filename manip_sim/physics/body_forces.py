@@ -51,14 +51,16 @@ class BodyForces:
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
+        #: No force, in the shape of a sum.
+        self._zero = ZERO
         #: Sum over the steps that are no longer in the rows.
-        self._sum = ZERO
+        self._sum = self._zero
         #: Forces on the bodies in each step, and the centre of mass of the tree, as bytes.
         self._rows: list[bytes] = []
         self._centres: list[bytes] = []
         self._steps = 1
         #: Force and torque about the origin in world axes; None until somebody needs them.
-        self._mean: FloatArray | None = ZERO
+        self._mean: FloatArray | None = self._zero
 
     def _find_bodies(self) -> slice:
         """Return the bodies in the present model, and find their uncollected forces."""
@@ -80,7 +82,7 @@ class BodyForces:
 
     def begin_period(self) -> None:
         """Begin a control period in which each step may be recorded."""
-        self._sum = ZERO
+        self._sum = self._zero
         if self._rows:
             self._rows, self._centres = [], []
 
@@ -157,7 +159,7 @@ class BodyForces:
         if self._rows:
             self._sum_up()
         mean = self._sum / self._steps
-        self._mean = mean if np.abs(mean).max() > _ROUNDING else ZERO
+        self._mean = mean if np.abs(mean).max(initial=0.0) > _ROUNDING else self._zero
         return self._mean
 
     def restart(self, data: mujoco.MjData) -> None:
@@ -178,7 +180,7 @@ class BodyForces:
     @property
     def is_quiet(self) -> bool:
         """True if nothing was recorded in the last period."""
-        return self._sum is ZERO and not self._rows
+        return self._sum is self._zero and not self._rows
 
 
 class RobotForces(BodyForces):
@@ -208,6 +210,8 @@ class RobotForces(BodyForces):
 
     def _find_tool(self) -> None:
         super()._find_tool()
+        if self._zero.shape != self.forces.shape:
+            self._sum = self._mean = self._zero = np.zeros(self.forces.shape)
         if not self._is_collected:
             self.is_only_touched, self.no_forces = False, b''
 
@@ -227,7 +231,7 @@ class RobotForces(BodyForces):
     @property
     def mean(self) -> FloatArray:
         """Mean force and torque about the origin of ``world`` on each body, shape (m, 6)."""
-        return np.broadcast_to(super().mean, self.forces.shape)
+        return super().mean
 
 
 def subtree_size(model: mujoco.MjModel, root: int) -> int:

@@ -42,7 +42,7 @@ read = LAYOUT.reader()
 def law(row):
     """Write what is read into the arrays."""
     given = read(row)
-    first, second = given.pair
+    first, second = given.pair[0], given.pair[1]
     for k in range(len(first.records)):
         first.records[k].number = given.numbers[k] * given.count
         first.records[k].value = given.scale * first.matrix[-1, k]
