@@ -103,6 +103,7 @@ def test_a_mesh_beside_the_archive_is_not_read_though_it_is_there(folder, tmp_pa
     opened.close()
 
 
+@pytest.mark.full
 def test_what_takes_much_memory_takes_none_here():
     data = archive({'model.xml': '<mujoco>' + 2_000_000 * '<a/>' + '</mujoco>',
                     'zeros': bytes(2**26)})
@@ -146,6 +147,7 @@ def test_what_is_no_archive_is_rejected():
     rejected(bytes(lying), 'cannot be unpacked')
 
 
+@pytest.mark.full
 def test_spoiled_archives_are_rejected_or_read():
     rng, good = np.random.default_rng(1), compose('Panda').to_archive()
     for _ in range(30):
