@@ -87,6 +87,7 @@ class NodeRobot:
         self._node = rclpy.create_node('lerobot_robot', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self._ending = False
         self._thread = threading.Thread(target=self._spin, name='lerobot_robot', daemon=True)
         self._thread.start()
         try:
@@ -122,8 +123,10 @@ class NodeRobot:
         self.scales = self._make_scales({
             joint: ranges[joint] for part in self._parts
             for joint in self._seen[part][1].name if joint in ranges})
-        for key in ('urdf', *self._parts):
-            self._node.destroy_subscription(subscriptions[key])
+        # In the thread that waits for them: rclpy fails if they go meanwhile.
+        ended = self._executor.create_task(lambda: [
+            self._node.destroy_subscription(subscriptions[key]) for key in ('urdf', *self._parts)])
+        self._wait(ended.done, lambda: 'subscriptions were not ended')
 
     def set_position_mode(self) -> None:
         """
@@ -143,7 +146,8 @@ class NodeRobot:
     def _spin(self) -> None:
         # The context may end meanwhile.
         with contextlib.suppress(ExternalShutdownException, RCLError):
-            self._executor.spin()
+            while self._executor.context.ok() and not self._ending:
+                self._executor.spin_once(timeout_sec=0.1)
 
     def _see(self, key: str, message: Any) -> None:
         with self._changed:
@@ -212,8 +216,10 @@ class NodeRobot:
     def close(self) -> None:
         """End the connection; nothing happens the second time."""
         if self._context is not None and self._context.ok():
-            self._executor.shutdown()
+            # First the thread: what a callback triggers at its end goes with the executor.
+            self._ending = True
             self._thread.join()
+            self._executor.shutdown()
             self._context.shutdown()
             self._node.destroy_node()
 
