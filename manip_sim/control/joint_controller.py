@@ -449,11 +449,8 @@ class JointController(ControlledJoints):
         if type(command) is not JointSetpoint or len(set(command.modes)) != 1 or (
                 command.modes[0] not in _STREAMED):
             return False
-        for older in self.commands.running:
-            if (type(older) is JointSetpoint and older.indices is command.indices
-                    and older.modes is command.modes and older.handle.is_active):
-                break
-        else:
+        older = self._alike(command)
+        if older is None or older.modes is not command.modes:
             return False
         exerts = command.modes[0] == EFFORT.name
         if exerts and not self._servos.gives_effort(command.indices).all():
@@ -465,6 +462,29 @@ class JointController(ControlledJoints):
         flags[MOVES], flags[DUE] = not exerts or self._setpoints.moving, exerts or flags[DUE]
         goals[command.indices], renewed_s[command.indices] = command.values, now_s
         return True
+
+    def go_on_acting(self, command: PoseAction) -> bool:
+        """
+        Let an action replace one that differs in its numbers alone while compiled code goes on.
+
+        The caller gives compiled code the numbers.
+
+        :returns: False, and nothing has changed, where it has to be applied instead
+        """
+        older = self._alike(command)
+        if older is None:
+            return False
+        self.commands.replace(older, command)
+        command.handle.status = Status.RUNNING
+        return True
+
+    def _alike(self, command: C) -> C | None:
+        """Return another command of the same kind that runs for the same joints, or None."""
+        for older in self.commands.running:
+            if (type(older) is type(command) and older.indices is command.indices
+                    and older.handle.is_active and older is not command):
+                return older
+        return None
 
     def _of_present_mode(self, command: C) -> C | None:
         if isinstance(command, (TrajectoryStop, CartesianCommand)):

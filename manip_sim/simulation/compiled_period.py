@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.control.cartesian.cartesian_commands import PoseAction
 from manip_sim.control.commands import GripperAction
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
@@ -186,6 +187,11 @@ class RobotRuns:
         goes_on = self.standing is not None and any(
             [other is controller for other, _ in self.standing.moving])
         return self.address if goes_on and controller.renews(command) else 0
+
+    def renew_action(self, command: PoseAction) -> None:
+        """Give an action that compiled code goes on with the numbers of a command."""
+        renew_actions(self._physics.standing[None], np.array([self.address]), _ALONE,
+                      command.indices, command.action[None])
 
     def catch_up(self, run: RobotRun | None, begin_s: float | None) -> None:
         """

@@ -189,6 +189,11 @@ class SimulatedRobot:
                 or self.reflexes.tripped):
             return False
         self.check_own(command)
+        if type(command) is PoseAction:
+            goes_on = self.joints.go_on_acting(command)
+            if goes_on:
+                self.runs.renew_action(command)
+            return goes_on
         return self.joints.go_on(command, run.room.goals, run.room.renewed_s,
                                  self._clock.control_s, self._period_s)
 
