@@ -673,7 +673,7 @@ class JointController(ControlledJoints):
         :param targets: with them
         :param owners: for the law, shape (n,)
         :param acts: for the law, shape (1,)
-        :returns: when a command times out [s], or None
+        :returns: when a command times out or ends to push [s], or None
         """
         commands = self.commands
         if commands.waiting or len(joints.path) or len(joints.base) or self.resting:
@@ -686,11 +686,12 @@ class JointController(ControlledJoints):
                 return None
             if all([MODES[mode].ends for mode in dict.fromkeys(command.modes)]):
                 owners[command.indices] = number
-        if not self.cartesian.stand(self._cartesian_commands(), targets):
+        until_s = self.cartesian.stand(self._cartesian_commands(), targets)
+        if until_s is None:
             return None
         acts[0] = bool(commands.running or self._timeouts.pending or self.seats.of
                        or self._acts)
-        return self._timeouts.first_s
+        return min(self._timeouts.first_s, until_s)
 
     def catch_up(self, targets: Targets, moved_s: float, goals: FloatArray,
                  renewed_s: FloatArray, now_s: float) -> None:

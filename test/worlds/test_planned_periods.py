@@ -240,21 +240,49 @@ def _same_digest(one, other):
     assert own == others
 
 
-def _act(first, alone, period, period_s):
-    """Let the end effectors of two simulations follow the next action of a stream."""
-    actions = 0.3 * np.sin(0.15 * period + np.arange(6)) * (1.0 if period % 9 else 4.0)
-    sent = [simulation.robot.parse_cartesian.action('right', actions)
-            for simulation in (first, alone)]
+def _send(first, alone, parse, times, period_s):
+    """Let a robot in each of two simulations take a command, some times."""
+    sent = [parse(simulation.robot) for simulation in (first, alone)]
     for simulation, command in zip((first, alone), sent):
-        for _ in range(1 + (period % 7 == 0)):  # Some are sent twice.
+        for _ in range(times):
             simulation.robot.apply(command, period_s=period_s)
     SENT[alone] = [*SENT.get(alone, [])[-2:], sent]
     for one, other in SENT[alone]:
         assert one.handle.status is other.handle.status
 
 
+def _lead(kind, first, alone, period, period_s):
+    """Let the end effectors of two simulations follow actions, or go to poses now and then."""
+    if kind == 'acted':
+        actions = 0.3 * np.sin(0.15 * period + np.arange(6)) * (1.0 if period % 9 else 4.0)
+        _send(first, alone, lambda robot: robot.parse_cartesian.action('right', actions),
+              1 + (period % 7 == 0), period_s)
+    elif period % 30 == 0:
+        place = np.array([0.55, 0.1 * np.sin(period), 1.0 + 0.05 * (period % 60 == 0)])
+        _send(first, alone, lambda robot: robot.parse_cartesian.pose(
+            'right', place, [1.0, 0.0, 0.0, 0.0]), 1, period_s)
+    elif kind == 'sprung' and period % 50 == 5 and alone.robot.joints.impedes('right'):
+        _send(first, alone, lambda robot: robot.parse_cartesian.wrench(
+            'right', [8.0, 0.0, -5.0], [0.0, 0.5, 0.0]), 1, period_s)
+    elif kind == 'sprung' and period % 50 == 40 and alone.robot.joints.impedes('right'):
+        _send(first, alone, lambda robot: robot.parse_cartesian.force_mode(
+            'right', [0, 0, 1, 0, 0, 0], [0.0, 0.0, -4.0, 0.0, 0.0, 0.0], [0.1] * 6), 1, period_s)
+
+
 #: By simulation: the last messages to the first world and to it.
 SENT = {}
+#: Kinds of commands for an end effector of a simulation, and all kinds.
+LED = ('acted', 'posed', 'sprung')
+ALL_KINDS = ('rest', 'stream', 'sent', 'exert', 'osc', 'lead', *LED)
+
+
+def _prepare(robot, kind):
+    """Let an arm have the control mode that commands of a kind need."""
+    robot.set_control_mode('arm', 'effort' if kind in (
+        'exert', 'osc', 'acted', 'sprung') else 'velocity' if kind == 'sent' else 'position')
+    if kind == 'sprung':
+        robot.joints.cartesian.set('right', 'cartesian_stiffness', [400.0] * 3 + [20.0] * 3)
+        robot.set_command_timeout('arm', 0.3, ends_targets=False)
 
 
 def _command(kind, worlds, alone, period, steps):
@@ -275,18 +303,12 @@ def _command(kind, worlds, alone, period, steps):
             alone.robot.joints.cartesian.posture[:7] if field == 'position' else 0.0)
         if field == 'velocity' and 20 <= period < 40:
             goals[:] = 0.0  # All rests, while the stream goes on.
-        messages = []
-        for simulation in (worlds.simulations[0], alone):
-            command, = simulation.robot.parse.joint_command(names, **{field: goals})
-            messages.append(replace(
-                command, sent_ns=(period + 1) * 20_000_000, messages=1 + (period % 7 == 0)))
-            for _ in range(1 + (period % 11 == 0)):  # Some are sent twice.
-                simulation.robot.apply(messages[-1], period_s=period_s)
-        SENT[alone] = [*SENT.get(alone, [])[-2:], messages]
-        for one, other in SENT[alone]:
-            assert one.handle.status is other.handle.status
-    elif kind == 'acted':
-        _act(worlds.simulations[0], alone, period, period_s)
+        _send(worlds.simulations[0], alone, lambda robot: replace(
+            robot.parse.joint_command(names, **{field: goals})[0],
+            sent_ns=(period + 1) * 20_000_000, messages=1 + (period % 7 == 0)),
+            1 + (period % 11 == 0), period_s)
+    elif kind in LED:
+        _lead(kind, worlds.simulations[0], alone, period, period_s)
     elif kind in ('osc', 'lead'):
         if period // 20 % 2 or period % 60 > 52:  # It closes, turns back, and may stay open.
             grip = [np.sign(np.sin(0.4 * period)) if period // 40 % 2 else (
@@ -304,16 +326,14 @@ def _command(kind, worlds, alone, period, steps):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('kind', ['rest', 'stream', 'sent', 'exert', 'osc', 'lead', 'acted'])
+@pytest.mark.parametrize('kind', ALL_KINDS)
 def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_once):
     world = compose('Panda', arena=create_arena('table', cube=True))
     worlds, alone = Worlds(world, 1, 1), Simulation(world)
     BY_PYTHON.append(alone.periods)
     first = worlds.simulations[0]
     for simulation in (alone, first):
-        simulation.robot.set_control_mode('arm', {
-            'exert': 'effort', 'osc': 'effort', 'acted': 'effort', 'sent': 'velocity'}.get(
-                kind, 'position'))
+        _prepare(simulation.robot, kind)
     saved = [alone.save(), first.save()]
     options = alone.model.opt.wind.copy(), alone.model.opt.density
     for acts in _BETWEEN:
@@ -338,6 +358,26 @@ def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_on
             alone.advance(STEPS)
         _same(first, alone)
         _same_digest(first, alone)
+
+
+@pytest.mark.full
+def test_an_arm_that_has_come_to_a_pose_follows_it_when_its_base_is_pushed(at_once):
+    world = compose('PandaOmron')
+    worlds, alone = Worlds(world, 1, 1), Simulation(world)
+    BY_PYTHON.append(alone.periods)
+    first = worlds.simulations[0]
+    pose = alone.robot.state().end_effectors['right'].pose
+    for simulation in (alone, first):
+        simulation.robot.apply(simulation.robot.parse_cartesian.pose(
+            'right', pose.position, pose.quat_xyzw))
+    for period in range(160):
+        for simulation in (alone, first):
+            base = simulation.model.body(simulation.robot.frame_body).id
+            simulation.data.xfrc_applied[base, 1] = 2e4 if 80 <= period < 120 else 0.0
+        worlds.advance(STEPS)
+        alone.advance(STEPS)
+        _same(first, alone)
+    _same_digest(first, alone)
 
 
 @pytest.mark.full
@@ -414,8 +454,7 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                     simulation.reset(period)
                     simulation.model.opt.density = 0.0
                     simulation.data.xfrc_applied[:] = 0.0
-                    simulation.robot.set_control_mode(
-                        'arm', 'effort' if kind in ('exert', 'osc', 'acted') else 'position')
+                    _prepare(simulation.robot, kind)
                     simulation.robot.set_reflex('arm', 'velocity', 0.0)
                     simulation.robot.sensing.set('latency.state', 0.0)
             if draw.random() < 0.03:
@@ -424,7 +463,7 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                 alone.restore(saved[0])
                 first.restore(saved[1])
             if draw.random() < 0.05:
-                kind = draw.choice(['rest', 'stream', 'sent', 'exert', 'osc', 'lead', 'acted'])
+                kind = draw.choice(ALL_KINDS)
                 steps = int(draw.choice([STEPS, 4]))
             _command(kind, worlds, alone, period, steps)
             worlds.advance(steps)

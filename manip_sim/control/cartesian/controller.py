@@ -356,6 +356,12 @@ class CartesianController:
         return np.concatenate([data.xpos[bodies].ravel(), data.xmat[bodies].ravel(),
                                data.qpos[taken]])
 
+    def _is_mounted(self, command: CartesianCommand, target: Target) -> bool:
+        """Return whether nothing can move the arm's mount, and the frame of a target."""
+        chain, fixed_to = self._chains[command.arm], self._physics.model.body_weldid
+        return (fixed_to[chain.origin.body] == fixed_to[target.anchor.body] == 0
+                and bool(np.isin(chain.qpos, self._servos.qpos[command.indices]).all()))
+
     def begin_run(self, commands: Sequence[CartesianCommand], now_s: float,
                   durations_s: FloatArray, begins_s: Callable[[], FloatArray]
                   ) -> tuple[Targets, int]:
@@ -535,24 +541,28 @@ class CartesianController:
                 scratch = self._physics.scratch.data
                 target.settled_in = self._place(command, target, scratch)
 
-    def stand(self, commands: Sequence[CartesianCommand], targets: Targets) -> bool:
+    def stand(self, commands: Sequence[CartesianCommand], targets: Targets) -> float | None:
         """
-        Let compiled code go on with the targets of commands, and return whether it may.
+        Let compiled code go on with the targets of commands, if it may.
 
-        It may with arms that are on their way to a goal that rests.
+        It may with arms on their way to a goal that rests, or at it on a mount that cannot move.
 
         :param targets: as :meth:`begin_run` has returned them
+        :returns: simulation time until which it may [s], or None
         """
+        until_s = math.inf
         for number, command in enumerate(commands):
             task, report = targets.tasks[number], self.reports[command.arm]
-            streams = self._targets[command.arm].stream is not None
-            if (streams or task['settled'] or task['follows'] != RESTS or task['impedes']
-                    or not report.active.issubset(_KNOWN)):
-                return False
+            target = self._targets[command.arm]
+            if (task['follows'] != RESTS or not report.active.issubset(_KNOWN)
+                    or target.stream is not None and not target.stream.at_rest
+                    or task['settled'] and not self._is_mounted(command, target)):
+                return None
             task['awaited'], task['seen_s'] = command.handle.is_active, report.seen_s
             task['was_held'], task['was_singular'], task['was_aside'] = (
                 kind in report.active for kind in _KNOWN)
-        return True
+            until_s = min(until_s, target.push_until_s - 1e-9)
+        return until_s
 
     def catch_up(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:
         """
@@ -566,6 +576,8 @@ class CartesianController:
             self._keep(target, targets, number)
             target.position = targets.positions[number].copy()
             target.rotation = targets.rotations[number].copy()
+            if task['impedes']:
+                target.reference = targets.places[number].copy(), targets.attitudes[number].copy()
             self.reports[command.arm].keep_seen(float(task['seen_s']))
 
     @staticmethod

@@ -296,11 +296,12 @@ def _compare_targets(tasks: Any, facts_of: Any) -> None:
         task = tasks[number]
         if task.acts == IDLE:
             continue
-        task.usual = int(task.follows == RESTS and task.settled == 0)
+        # Joints that come to rest in the last solution are news, those that rested are none.
+        task.usual = int(task.follows == RESTS and (task.settled == 0 or task.solutions == 0))
         for k in range(task.solutions):
             facts = facts_of[number, k]
             if (facts.held != task.was_held or facts.singular != task.was_singular
-                    or (facts.aside > ASIDE) != (task.was_aside != 0)
+                    or not task.impedes and (facts.aside > ASIDE) != (task.was_aside != 0)
                     or facts.reached and task.awaited
                     or facts.progress <= NEARER and not facts.close):
                 task.usual = 0
