@@ -44,6 +44,9 @@ from manip_sim.validation import clamp
 C = TypeVar('C', bound=Command)
 #: Modes whose commands can take effect while compiled code goes on.
 _STREAMED = (EFFORT.name, POSITION.name, VELOCITY.name)
+#: Control periods for which the path of trajectories is computed at once: most of the cost of a
+#: call is that of any call.
+_AHEAD = 16
 #: No joint that a trajectory leads.
 _NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
 #: No base that follows a twist.
@@ -667,7 +670,7 @@ class JointController(ControlledJoints):
     def stand(self, joints: RobotJoints, targets: Targets, owners: IntArray, acts: IntArray
               ) -> float | None:
         """
-        Let compiled code go on, if nothing but setpoints and goals that rest has to be looked at.
+        Let compiled code go on, if it knows all that setpoints and end effectors follow.
 
         :param joints: as :meth:`begin_run` has returned them
         :param targets: with them
@@ -676,11 +679,11 @@ class JointController(ControlledJoints):
         :returns: when a command times out or ends to push [s], or None
         """
         commands = self.commands
-        if commands.waiting or len(joints.path) or len(joints.base) or self.resting:
+        if commands.waiting or len(joints.base) or self.resting:
             return None
         owners[:] = -1
         for number, command in enumerate(commands.running):
-            if isinstance(command, CartesianCommand):
+            if isinstance(command, (CartesianCommand, JointTrajectory)):
                 continue
             if type(command) is not JointSetpoint:
                 return None
@@ -692,6 +695,28 @@ class JointController(ControlledJoints):
         acts[0] = bool(commands.running or self._timeouts.pending or self.seats.of
                        or self._acts)
         return min(self._timeouts.first_s, until_s)
+
+    def look_ahead(self, joints: RobotJoints, intervals: IntArray, clock: Clock
+                   ) -> tuple[RobotJoints, float]:
+        """
+        Return the joints with the path of their trajectories in the next periods, if one runs.
+
+        :param joints: as :meth:`begin_run` has returned them
+        :param intervals: physics steps of those of a period, shape (k,)
+        :param clock: of the simulation
+        :returns: them, and when the first period begins in which a trajectory ends, or which is
+            farther ahead [s]
+        """
+        trajectories = [c for c in self.commands.running if isinstance(c, JointTrajectory)]
+        if not trajectories:
+            led, path = _NOT_LED  # The last one may just have ended.
+            return joints._replace(led=led, path=path) if len(joints.path) else joints, math.inf
+        indices, path = self._trajectories.path(trajectories, clock.ends_s(
+            np.tile(intervals, _AHEAD), self._servos.step_s))
+        periods = (len(path) - 1) // len(intervals)
+        steps = clock.control_steps + periods * int(intervals.sum())
+        return (joints._replace(led=indices, path=path),
+                (steps - 0.5) * clock.step_ns * 1e-9)
 
     def catch_up(self, targets: Targets, moved_s: float, goals: FloatArray,
                  renewed_s: FloatArray, now_s: float) -> None:

@@ -190,7 +190,7 @@ class TrajectoryFollowing:
         :param commands: those that run, after :meth:`start_due` for the first interval
         :param ends_s: of the intervals, simulation time since the last reset [s], shape (k,)
         :returns: the joints, shape (m,), and position, velocity and acceleration at the ends of
-            intervals, shape (j, m, 3) with 1 <= j <= k
+            intervals, shape (j, m, 3) with 1 <= j <= k, the last of which alone may end one
         """
         count = len(ends_s)
         for command in self._commands.waiting:

@@ -160,11 +160,17 @@ class RobotRuns:
         Let compiled code go on with a control period, if Python has nothing to look at.
 
         :param run: the last intervals
-        :returns: simulation time since the last reset at which a command times out [s], or None
+        :returns: simulation time since the last reset until which it may at most [s], or None
         """
         for controller, gripper in run.moving:
             controller.stand(gripper)
-        return self._joints.stand(run.joints, run.targets, run.room.owners, run.room.acts)
+        until_s = self._joints.stand(run.joints, run.targets, run.room.owners, run.room.acts)
+        if until_s is None:
+            return None
+        joints, known_s = self._joints.look_ahead(run.joints, run.intervals, self._clock)
+        if joints is not run.joints:
+            run.room.write(joints, run.targets, run.grippers)
+        return min(until_s, known_s)
 
     @property
     def standing(self) -> RobotRun | None:

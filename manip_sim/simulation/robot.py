@@ -611,6 +611,7 @@ class SimulatedRobot:
         share = positive_number(scaling, 'speed_scaling', CommandError, or_zero=True)
         if share > 1.0:
             raise CommandError(f'speed_scaling must be from 0 to 1, got {share:g}')
+        self._physics.interrupt()
         self.joints.set_speed_scaling(share, self._clock.control_s)
 
     @property

@@ -257,6 +257,14 @@ def _lead(kind, first, alone, period, period_s):
         actions = 0.3 * np.sin(0.15 * period + np.arange(6)) * (1.0 if period % 9 else 4.0)
         _send(first, alone, lambda robot: robot.parse_cartesian.action('right', actions),
               1 + (period % 7 == 0), period_s)
+    elif kind == 'led':
+        names, count = alone.robot.joints.names[:7], 3 + period % 3
+        if period % 25 == 0 and alone.robot.command_interfaces()[names[0]] == 'position':
+            goals = alone.robot.joints.cartesian.posture[:7] + 0.01 * np.sin(period + np.arange(7))
+            # They end within a control period, or with it.
+            _send(first, alone, lambda robot: robot.parse.trajectory(
+                'arm', names[:count], [0.1, 0.2 + 0.01 * count],
+                [goals[:count] + 0.01, goals[:count]]), 1, period_s)
     elif period % 30 == 0:
         place = np.array([0.55, 0.1 * np.sin(period), 1.0 + 0.05 * (period % 60 == 0)])
         _send(first, alone, lambda robot: robot.parse_cartesian.pose(
@@ -272,7 +280,7 @@ def _lead(kind, first, alone, period, period_s):
 #: By simulation: the last messages to the first world and to it.
 SENT = {}
 #: Kinds of commands for an end effector of a simulation, and all kinds.
-LED = ('acted', 'posed', 'sprung')
+LED = ('acted', 'posed', 'sprung', 'led')
 ALL_KINDS = ('rest', 'stream', 'sent', 'exert', 'osc', 'lead', *LED)
 
 

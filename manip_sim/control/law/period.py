@@ -191,9 +191,13 @@ def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, jo
 
 
 @inlined
-def _move_joints(world: WorldArrays, joints: RobotJoints, k: int, acts: bool, now: float,
+def _move_joints(world: WorldArrays, joints: RobotJoints, place: int, acts: bool, now: float,
                  duration: float) -> bool:
-    """Write the controls of joints in an interval; return whether they do not just rest."""
+    """
+    Write the controls of joints in an interval; return whether they do not just rest.
+
+    :param place: of the interval on the path along which trajectories lead joints
+    """
     flags, held = joints.flags, False
     if not (acts or len(joints.path) or flags[MOVES] or flags[DUE] or flags[ACTS]):
         if flags[WRITTEN]:
@@ -206,7 +210,7 @@ def _move_joints(world: WorldArrays, joints: RobotJoints, k: int, acts: bool, no
     if flags[MOVES] or held:
         flags[MOVES] = advance(joints.setpoints, joints.counts, now, duration)
     if len(joints.led):
-        follow(joints.setpoints, joints.led, joints.path[k])
+        follow(joints.setpoints, joints.led, joints.path[place])
         flags[MOVES] = True
     drive(world, joints.servos, joints.places, joints.setpoints, joints.loads,
           joints.integrals, joints.efforts, duration)
@@ -215,8 +219,8 @@ def _move_joints(world: WorldArrays, joints: RobotJoints, k: int, acts: bool, no
 
 
 @inlined
-def _act(addresses: Addresses, k: int, now: float, duration: float, world: WorldArrays,
-         scratch: Kinematics, joints: RobotJoints, targets: Targets,
+def _act(addresses: Addresses, k: int, place: int, now: float, duration: float,
+         world: WorldArrays, scratch: Kinematics, joints: RobotJoints, targets: Targets,
          grippers: tuple[Gripper, Gripper]) -> bool:
     """Write the controls of a robot for an interval; return whether joints do not just rest."""
     leads = _lead_arms(addresses, world, scratch, joints, targets, k, now, duration)
@@ -224,7 +228,7 @@ def _act(addresses: Addresses, k: int, now: float, duration: float, world: World
         drive_base(world, joints.servos, joints.setpoints, joints.base, joints.owned,
                    joints.twists[k], duration)
         joints.flags[MOVES] = True
-    moved = _move_joints(world, joints, k, leads, now, duration)
+    moved = _move_joints(world, joints, place, leads, now, duration)
     for number in range(2):
         flags, pressing = grippers[number].grip.flags, grippers[number].grip.pressing
         if flags[FINGERS_MOVE] or flags[PAIR] and pressing[0] and pressing[1]:
@@ -275,16 +279,16 @@ def _begin_robots(robots: IntArray) -> None:
 
 
 @inlined
-def _act_all(addresses: Addresses, period: Period, k: int, now: float, duration: float,
-             scratch: Kinematics) -> bool:
+def _act_all(addresses: Addresses, period: Period, k: int, place: int, now: float,
+             duration: float, scratch: Kinematics) -> bool:
     """Write the controls of all robots; return False, and write none, where one has to wait."""
     for row in period.robots:
         if _waits(_read_robot(row).targets.tasks, now):
             return False
     for row in period.robots:
         robot = _read_robot(row)
-        if _act(addresses, k, now, duration, period.world, scratch, robot.joints, robot.targets,
-                robot.grippers):
+        if _act(addresses, k, place, now, duration, period.world, scratch, robot.joints,
+                robot.targets, robot.grippers):
             robot.moved_s[0] = now + duration
     return True
 
@@ -310,8 +314,12 @@ def _compare_targets(tasks: Any, facts_of: Any) -> None:
 
 
 @inlined
-def _run(period: Period, scratch: ScratchArrays) -> None:
-    """Run intervals: control of robots at the beginning of each, and its steps."""
+def _run(period: Period, scratch: ScratchArrays, passed: int) -> None:
+    """
+    Run intervals: control of robots at the beginning of each, and its steps.
+
+    :param passed: intervals that have been run on the same rows before
+    """
     addresses = Addresses(period.place[0], period.place[1], scratch.address)
     time, orders = period.time, period.orders
     if orders[BEGINS]:
@@ -322,7 +330,8 @@ def _run(period: Period, scratch: ScratchArrays) -> None:
     for k in range(len(period.intervals)):
         steps, now = period.intervals[k], time.counts[1] * time.step_ns * 1e-9
         begin_all(period.seats)
-        if not _act_all(addresses, period, k, now, steps * time.step_s, scratch.kinematics):
+        if not _act_all(addresses, period, k, passed + k, now, steps * time.step_s,
+                        scratch.kinematics):
             ends = False
             break
         if not orders[STEPPING]:
@@ -465,8 +474,10 @@ def run_rows(rows: IntArray, table: IntArray, worlds: IntArray, steps: int, scra
     # Both kinds in one function: what it calls is compiled into it, which takes seconds.
     for k in range(len(rows)):
         if prepared or _stands(table[worlds[k]], steps):
-            period = _read_period(rows[k])
-            _run(period, room)
+            period, passed = _read_period(rows[k]), 0
+            if not prepared:
+                passed = (table[worlds[k], PERIODS] - 1) * len(period.intervals)
+            _run(period, room, passed)
             if not prepared:
                 table[worlds[k], BECAME] = _become(period)
 
