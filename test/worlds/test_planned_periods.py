@@ -290,7 +290,7 @@ def _prepare(robot, kind):
         'exert', 'osc', 'acted', 'sprung') else 'velocity' if kind == 'sent' else 'position')
     if kind == 'sprung':
         robot.joints.cartesian.set('right', 'cartesian_stiffness', [400.0] * 3 + [20.0] * 3)
-        robot.set_command_timeout('arm', 0.3, ends_targets=False)
+        robot.set_command_timeout('arm', 0.31, ends_targets=False)  # Ends within a period.
 
 
 def _command(kind, worlds, alone, period, steps):

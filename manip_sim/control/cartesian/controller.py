@@ -388,6 +388,9 @@ class CartesianController:
             follows = self._follows(target, exerts, now_s)
             self._fill(targets, number, command, exerts, follows, interval_s)
             self._fill_impedance(targets, number, command)
+            if target.push_until_s < math.inf:  # It may end within the period.
+                count = min(count, int(np.count_nonzero(
+                    begins_s() < target.push_until_s - 1e-9)))
             if follows in (STREAMS, TWISTS):
                 known = self._look_ahead(targets, number, target, begins_s(), durations_s)
                 count = min(count, known)
@@ -561,7 +564,7 @@ class CartesianController:
             task['awaited'], task['seen_s'] = command.handle.is_active, report.seen_s
             task['was_held'], task['was_singular'], task['was_aside'] = (
                 kind in report.active for kind in _KNOWN)
-            until_s = min(until_s, target.push_until_s - 1e-9)
+            until_s = min(until_s, target.push_until_s - self.period_s + 1e-9)
         return until_s
 
     def catch_up(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:
