@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future
 import contextlib
 import ctypes
 import gc
@@ -19,12 +20,13 @@ import warnings
 import rclpy
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
+from manip_sim.control.law.kept import all_are_kept
 from manip_sim.errors import ManipSimError, ParameterError
 from manip_sim.models import untrusted_models
 from manip_sim.ros.arguments import for_other_nodes, start_ros
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.executor import BACKGROUND_THREAD, GuardedExecutor
-from manip_sim.ros.sim_node import SimNode
+from manip_sim.ros.sim_node import LAWS_THREAD, SimNode
 from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals, leave
 
@@ -53,7 +55,7 @@ def run(arguments: Sequence[str]) -> int:
     finally:
         rclpy.try_shutdown()
     untrusted_models.give_up()
-    return leave(code, camera_thread.THREAD_NAME, BACKGROUND_THREAD)
+    return leave(code, camera_thread.THREAD_NAME, BACKGROUND_THREAD, LAWS_THREAD)
 
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
@@ -67,6 +69,8 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
     executor.add_node(node)
     spinner = threading.Thread(target=executor.spin, name='executor')
     try:
+        if not all_are_kept() and not _compile_laws(node, asked_to_end):
+            return 0
         node.start()
         spinner.start()
         run_in_real_time(node.declared, node.get_logger())
@@ -87,6 +91,24 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
         executor.shutdown()
         node.stop()
         node.destroy_node()
+
+
+def _compile_laws(node: SimNode, asked_to_end: EndSignals) -> bool:
+    """Compile control laws until a signal comes; return whether they are all there."""
+    compilation: Future[None] = Future()
+
+    def compile_laws() -> None:
+        try:
+            node.compile_laws()
+            compilation.set_result(None)
+        except BaseException as error:
+            compilation.set_exception(error)
+    threading.Thread(target=compile_laws, name=LAWS_THREAD).start()
+    while not compilation.done():
+        if asked_to_end.wait(_WATCH_S):
+            return False
+    compilation.result()
+    return True
 
 
 def _fail(message: str) -> int:

@@ -54,6 +54,8 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.compiled_period import load
 
 F = TypeVar('F', bound=Feature)
+#: Name of threads that load laws.
+LAWS_THREAD = 'laws'
 #: Number of publications that may wait, by stepping: states would become old in ``free``, else as
 #: many as there are states in a second, while a reader does not acknowledge.
 _MOST = {'free': 32, 'realtime': 20_000}
@@ -298,8 +300,7 @@ class SimNode(Node):
         """
         kept = all_are_kept()
         if not kept:
-            self.get_logger().info('Compiling control laws, once, which takes about a minute')
-            _load_laws()
+            self.compile_laws()
         for feature in self.shared.features:
             feature.start()
         self._live.show()
@@ -308,10 +309,19 @@ class SimNode(Node):
             self._command_thread.start()
         if kept:
             # The first command should not wait for them, and steps in Python cost more.
-            threading.Thread(target=_load_laws, name='laws').start()
+            threading.Thread(target=_load_laws, name=LAWS_THREAD).start()
         for feature in self.shared.features:
             feature.started()
         log_start(self.shared, self._world)
+
+    def compile_laws(self) -> None:
+        """
+        Compile the control laws, in any thread; :meth:`start` does so unless they are kept.
+
+        :raises ManipSimError: if they cannot be kept
+        """
+        self.get_logger().info('Compiling control laws, once, which takes about a minute')
+        _load_laws()
 
     def destroy_node(self) -> None:
         """End the simulation and destroy the node."""

@@ -49,6 +49,20 @@ def test_a_signal_ends_the_process_cleanly_at_any_moment(number, delay_s, sim_pr
 
 
 @pytest.mark.full
+@pytest.mark.parametrize('number', END_SIGNALS)
+def test_a_signal_ends_the_first_start_while_it_compiles_control_laws(
+        number, sim_process, client, monkeypatch, tmp_path):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    log = client.log()
+    node = sim_process(fresh=True)
+    client.spin_until(lambda: any('Compiling control laws' in line for line in log))
+    node.send_signal(number)
+    _, errors = node.communicate(timeout=20.0)  # All laws take a minute or more.
+    assert node.returncode == 0, errors
+    assert 'Traceback' not in errors
+
+
+@pytest.mark.full
 def test_a_node_without_standard_streams_serves_until_it_is_ended(client):
     node = subprocess.Popen(['sh', '-c', 'exec "$0" -m manip_sim <&- >&- 2>&-', sys.executable])
     try:
