@@ -72,7 +72,7 @@ class VelocityStream:
             if not taken:
                 return
             before = self.at(now_s) if taken > 1 else present
-            self._own = np.array(joints['own'])
+            self._own = np.abs(joints['own'])
             self._duration_s = max(joints['interval'][0], period_s) if taken > 1 else period_s
         self._velocity, self._slope = velocity, (velocity - before) / self._duration_s
         self._ramp_end_s = now_s + self._duration_s

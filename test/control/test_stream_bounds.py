@@ -196,6 +196,28 @@ def test_a_stop_that_messages_tell_in_time_may_use_the_streams_own_acceleration(
     assert np.abs(np.diff(velocities, axis=0)).max() / 0.002 == pytest.approx(60.0, rel=1e-6)
 
 
+def by_chance(rate, seed):
+    """Return a transport by which one message comes in each period, copies and others."""
+    return Transport(rate, seed, jitter=0.5, twice=0.3, overtakes=True)
+
+
+@pytest.mark.parametrize(('rate', 'seed'), [(500.0, 7), (500.0, 16), (250.0, 0), (250.0, 29)])
+def test_messages_that_seem_on_schedule_do_not_stop_a_stream_that_goes_on(rate, seed):
+    sent = (np.arange(4 * MESSAGES) + 0.37) / rate
+    goals = np.clip(motions(sent, seed), LOW, HIGH)
+    own = np.abs(np.diff(goals, 2, axis=0)).max(axis=0) * rate**2
+    check_limits(*followed(by_chance(rate, seed), goals, sent, 1 / rate, 1 / rate)[:3], own)
+
+
+def test_velocities_that_seem_on_schedule_are_not_followed_by_jerks():
+    sent = (np.arange(4 * MESSAGES) + 0.37) / 500.0
+    goals = np.tile(1.9 * np.sin(9.0 * sent)[:, None], 4)
+    times, positions, velocities, _ = followed(
+        by_chance(500.0, 0), goals, sent, 0.002, 0.002, 'velocity')
+    accelerations = np.abs(np.diff(velocities, axis=0)) / np.diff(times)[:, None]
+    assert accelerations.max() <= 2.0 * 1.9 * 9.0 * (1.0 + 1e-6)
+
+
 def sine(transport, period_s, interval_s, frequency_hz=0.5, stamped=False, seconds=6.0):
     """Return peak acceleration over that of the sine, ratio, and lag in message intervals."""
     turn, sent = 2.0 * np.pi * frequency_hz, np.arange(0.37, seconds * transport.rate)

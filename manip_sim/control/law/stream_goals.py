@@ -15,7 +15,7 @@ from manip_sim.control.law.joint_records import SMOOTHING_S
 from manip_sim.control.law.setpoint_changes import come_to
 from manip_sim.control.law.small_matrices import clip
 from manip_sim.control.law.stream_timing import (
-    DECAY, is_copy, next_members, take_time, TRUSTED)
+    DECAY, is_copy, next_members, SCHEDULED, take_time, TRUSTED)
 
 #: Velocity and acceleration of a stream may be so many times those before.
 MARGIN = 1.5
@@ -82,14 +82,29 @@ def fit_goal(x: Any, live: bool) -> float:
 
 @inner
 def own_acceleration(x: Any, velocity: float) -> float:
-    """Return the acceleration of a stream to a velocity, zero unless it is on schedule."""
+    """Return the signed acceleration of a stream to a velocity, zero unless it is on schedule."""
     for goal in (x.goal, x.goal - x.step_1, x.goal - x.step_1 - x.step_2):
         # That of goals that are clamped to the range is none.
         if not x.low + 1e-9 < goal < x.high - 1e-9:
             return 0.0
-    if x.even <= TRUSTED or x.steady <= TRUSTED or x.memory >= 0.5 * x.elapsed:
+    if x.even <= SCHEDULED or x.steady <= TRUSTED or x.memory >= 0.5 * x.elapsed:
         return 0.0
-    return float(abs(velocity - x.rate_goal) * 2.0 / (x.elapsed + x.elapsed_before))
+    return float((velocity - x.rate_goal) * 2.0 / (x.elapsed + x.elapsed_before))
+
+
+@inner
+def allowed_acceleration(x: Any, own: float, stops: bool) -> float:
+    """
+    Return the acceleration that a setpoint may have to follow a stream.
+
+    Accelerations of messages off schedule alternate in sign, those of a stream last.
+
+    :param own: signed acceleration of the stream; ``x.own`` is that before
+    :param stops: whether the goals come to rest, which a setpoint does without going past them
+    """
+    if stops:
+        return float(max(x.limit, MARGIN * max(abs(own), abs(x.own))))
+    return float(max(x.limit, MARGIN * min(abs(own), abs(x.own)) if own * x.own > 0.0 else 0.0))
 
 
 @inner
@@ -104,8 +119,7 @@ def follow_goal(x: Any, live: bool, now: float) -> None:
     if velocity != wanted:
         x.limited += 1.0
     own = own_acceleration(x, velocity)
-    x.bound = max(x.limit, MARGIN * max(own, x.own)) if x.even > TRUSTED else x.limit
-    x.own = own
+    x.bound, x.own = allowed_acceleration(x, own, x.step_1 == 0.0), own
     interval = max(x.interval, x.waiting_period)
     left = clip(x.sent + interval - now, 0.5 * interval, 1.5 * interval) + x.slack
     x.slope = min(max(abs(velocity - x.rate) / left, 1e-9), x.bound)
@@ -115,22 +129,23 @@ def follow_goal(x: Any, live: bool, now: float) -> None:
 
 
 @inner
-def take_velocity(x: Any, live: bool, now: float) -> None:
-    """Take in a velocity of a stream of which another one has come."""
+def take_velocity(x: Any, live: bool) -> float:
+    """Take in a velocity that has come; return the signed acceleration of its stream."""
     velocity = x.waiting_goal
-    change = abs(velocity - x.goal) if live else 0.0
+    change = velocity - x.goal if live else 0.0
     # As for positions, a change may be twice the last one plus what the limit allows.
-    on_time = live and x.even > TRUSTED and change <= 2.0 * (x.change + x.limit * x.elapsed)
-    x.own = change / x.elapsed if on_time else 0.0
+    on_time = live and x.even > SCHEDULED and (
+        abs(change) <= 2.0 * (abs(x.change) + x.limit * x.elapsed))
     x.goal, x.change = velocity, change
+    return float(change / x.elapsed if on_time else 0.0)
 
 
 @inner
-def follow_velocity(x: Any, live: bool, now: float) -> None:
+def follow_velocity(x: Any, live: bool) -> None:
     """Let the reference come to a velocity of which another one has come."""
-    take_velocity(x, live, now)
+    own = take_velocity(x, live)
     come_to(x, x.goal)
-    x.bound = max(x.limit, MARGIN * x.own)
+    x.bound, x.own = allowed_acceleration(x, own, False), own
     interval = x.interval if live else x.waiting_period
     x.slope = min(max(abs(x.goal - x.velocity) / interval, 1e-9), x.bound)
 
@@ -151,7 +166,7 @@ def take_waiting(joints: Any, now: float) -> None:
         live = take_time(joints, members[:count], now, kind == 2.0)
         for k in range(count):
             if kind == 2.0:
-                follow_velocity(joints[members[k]], live, now)
+                follow_velocity(joints[members[k]], live)
             else:
                 follow_goal(joints[members[k]], live, now)
 
@@ -177,7 +192,7 @@ def take_alone(joints: Any, now: float) -> int:
     for i in members:
         x = joints[i]
         if velocities:
-            take_velocity(x, live, now)
+            x.own = take_velocity(x, live)
         else:
             velocity = fit_goal(x, live)
             x.own = own_acceleration(x, velocity)

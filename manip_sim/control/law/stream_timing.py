@@ -30,6 +30,8 @@ ATTACK, DECAY = 0.3, 0.03
 ON_TIME = 0.05
 #: So many messages in a row show that a stream is on schedule, sent more slowly, or off its line.
 TRUSTED = 8.0
+#: So many on schedule in a row show that changes of the velocity are those of the stream.
+SCHEDULED = 32.0
 #: Uncertainty of the number of messages by their times, at least [intervals].
 UNSURE = 0.15
 #: A goal that comes again in less than this share of the last interval is a copy.
