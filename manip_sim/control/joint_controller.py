@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import math
 from typing import Any, TypeVar
@@ -779,19 +779,21 @@ class JointController(ControlledJoints):
         return flags
 
     def end_run(self, joints: RobotJoints, targets: Targets, moved_s: float,
-                data: mujoco.MjData, now_s: float) -> None:
+                data: mujoco.MjData, now_s: float,
+                places_at_begin: Callable[[], mujoco.MjData]) -> None:
         """
         Take over the changes of the compiled law, and end trajectories that have come to an end.
 
         :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
         :param now_s: simulation time since the last reset, after the intervals [s]
+        :param places_at_begin: returns data with the kinematics at the beginning of the period
         """
         setpoints = self._setpoints
         setpoints.moving, self._efforts_due, self._written, _ = joints.flags.tolist()
         if moved_s >= 0.0:
             setpoints.now_s = moved_s
         if targets is not no_targets():
-            self.cartesian.end_run(self._cartesian_commands(), targets)
+            self.cartesian.end_run(self._cartesian_commands(), targets, places_at_begin)
         if len(joints.path):
             led = [c for c in self.commands.running if isinstance(c, JointTrajectory)]
             for command in led:

@@ -268,6 +268,13 @@ class PhysicsSteps:
         """End a control period of which a law has computed the last instant."""
         self._computed = True
 
+    def places_at_begin(self) -> mujoco.MjData:
+        """Return data with the kinematics at the beginning of the period, until others use it."""
+        scratch = self.physics.scratch.data
+        mujoco.mj_setState(self._model, scratch, self.divergence.good, _INTEGRATED)
+        mujoco.mj_kinematics(self._model, scratch)
+        return scratch
+
     def end_period(self, steps: int, duration_s: float) -> None:
         """End the measurement of forces on tools in a period of some steps [s]."""
         for tool in self.tools:

@@ -9,11 +9,12 @@ The intervals of its robots are begun, ended, and gone on with by themselves.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from itertools import accumulate
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
@@ -144,14 +145,15 @@ class RobotRuns:
         """Address of the row of the robot."""
         return int(self._room.row.address)
 
-    def end(self, run: RobotRun) -> None:
+    def end(self, run: RobotRun, places_at_begin: Callable[[], mujoco.MjData]) -> None:
         """
         Take over the changes of compiled code, after the steps of the intervals.
 
         :param run: the intervals, of :meth:`begin`
+        :param places_at_begin: returns data with the kinematics at the beginning of the period
         """
         self._joints.end_run(run.joints, run.targets, run.room.moved_s.item(),
-                             self._physics.data, self._clock.control_s)
+                             self._physics.data, self._clock.control_s, places_at_begin)
         for controller, gripper in run.moving:
             controller.end_run(gripper)
 

@@ -297,7 +297,7 @@ class ControlPeriods:
         assert self._prepared is not None
         (robots, runs, ends), self._prepared = self._prepared, None
         for robot, run in zip(robots, runs):
-            robot.runs.end(run)
+            robot.runs.end(run, self._steps.places_at_begin)
             robot.check_laws()
         steps, good, notes = self.compiled.outcome()
         self._steps.took_steps(notes.counts, notes.rows, notes.roots)
@@ -323,7 +323,7 @@ class ControlPeriods:
         self._steps.run((steps,))
         self._left -= steps
         for robot, run in zip(awake, runs):
-            robot.runs.end(run)
+            robot.runs.end(run, self._steps.places_at_begin)
             robot.check_laws()
 
     def _chunk(self, left: int) -> int:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 import contextlib
 import copy
@@ -182,7 +182,9 @@ class Worlds:
 
     def _advance(self, numbers: IntArray, steps: int) -> None:
         """Run a control period in some worlds, all of which end it."""
-        go_on(self._table, numbers, steps, self.simulations[0].physics.scratch)
+        for places in _by_sizes([self.simulations[number] for number in numbers.tolist()]):
+            alike = numbers[places]
+            go_on(self._table, alike, steps, self.simulations[alike[0]].physics.scratch)
         others = numbers[self._table[:, BECAME][numbers] != WENT_ON]
         _advance([self.simulations[number] for number in others.tolist()], steps)
 
@@ -284,16 +286,22 @@ def _advance(worlds: Sequence[Simulation], steps: int) -> None:
             pass
         except Exception as error:  # A user's gripper may raise anything.
             failures.append(error)
-    while prepared:
-        sizes = prepared[0].physics.sizes  # A world may have other objects than the others.
-        alike = [world for world in prepared if world.physics.sizes == sizes]
-        prepared = [world for world in prepared if world.physics.sizes != sizes]
+    for places in _by_sizes(prepared):
+        alike = [prepared[place] for place in places]
         run_prepared([world.periods.compiled.row for world in alike], alike[0].physics.scratch)
         for world in alike:
             with contextlib.suppress(DivergenceError):
                 world.periods.end(steps)
     if failures:
         raise failures[0]
+
+
+def _by_sizes(worlds: Sequence[Simulation]) -> Iterable[list[int]]:
+    """Return the places of worlds that can share a scratch; some may have other objects."""
+    places: dict[tuple[int, ...], list[int]] = {}
+    for place, world in enumerate(worlds):
+        places.setdefault(world.physics.sizes, []).append(place)
+    return places.values()
 
 
 class PhysicsThreads:

@@ -74,9 +74,9 @@ def test_the_end_effector_goes_straight_and_within_all_limits():
 def test_the_kinematics_is_solved_once_in_twelve_milliseconds(period_s, solutions, monkeypatch):
     op, solved, end_run = operator_of('Panda', period_s=period_s), [], CartesianController.end_run
 
-    def count(controller, commands, targets):
+    def count(controller, commands, targets, places_at_begin):
         solved.append(int(targets.tasks['solutions'][0]))
-        end_run(controller, commands, targets)
+        end_run(controller, commands, targets, places_at_begin)
     monkeypatch.setattr(CartesianController, 'end_run', count)
     op.go_to(op.reachable(0.5, 1))
     op.run(4 * period_s)

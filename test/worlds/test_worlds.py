@@ -25,8 +25,9 @@ from manip_sim.laws import law, LAWS
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.composing import compose_robot
+from manip_sim.models.object_creation import create_object
 from manip_sim.models.world import World
-from manip_sim.physics.object_spawning import plan_without
+from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import commands, Worlds
 from manip_sim.worlds.commands import wait_in_worlds
@@ -501,6 +502,26 @@ def test_worlds_with_other_objects_or_with_several_robots_go_on_together():
         for simulation in simulations:
             simulation.advance(6)
     assert worlds.digest() == [simulation.digest() for simulation in simulations]
+
+
+def test_worlds_with_more_objects_than_the_first_one_are_led_to_their_poses(pair):
+    start(pair)
+    for simulation in (pair.worlds.simulations[2], pair.simulations[2]):
+        simulation.change_objects(plan_with(simulation.plan, create_object(
+            {'name': 'ball', 'shape': 'sphere', 'size': [0.03], 'position': [0.5, 0.0, 1.2]})))
+    for number in range(6):
+        pair.command('osc', number)
+        pair.advance()
+    pair.check_equal()
+
+
+def test_arms_whose_mounts_differ_from_world_to_world_come_to_rest_alike():
+    pair = start(Pair('Tiago'))
+    pair.command('pose', 1)
+    for _ in range(18):
+        pair.advance(25)
+    pair.check_equal()
+    pair.worlds.close()
 
 
 def test_a_base_takes_twists_in_the_worlds_of_a_mask():

@@ -524,8 +524,15 @@ class CartesianController:
             targets.speeds[place] = (target.stream.twist(now_s),
                                      target.stream.twist(now_s + interval_s))
 
-    def end_run(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:
-        """Take over the targets that the compiled law moved, and report their outcomes."""
+    def end_run(self, commands: Sequence[CartesianCommand], targets: Targets,
+                places_at_begin: Callable[[], mujoco.MjData]) -> None:
+        """
+        Take over the targets that the compiled law moved, and report their outcomes.
+
+        :param commands: that it moved
+        :param targets: of these
+        :param places_at_begin: returns data with the kinematics at the beginning of the period
+        """
         for number, command in enumerate(commands):
             task, target = targets.tasks[number], self._targets[command.arm]
             self._keep(target, targets, number)
@@ -541,8 +548,7 @@ class CartesianController:
                 for k in range(int(task['solutions'])):
                     self._look(command, targets, number, k)
             if task['settled'] and target.settled_in is None:
-                scratch = self._physics.scratch.data
-                target.settled_in = self._place(command, target, scratch)
+                target.settled_in = self._place(command, target, places_at_begin())
 
     def stand(self, commands: Sequence[CartesianCommand], targets: Targets) -> float | None:
         """

@@ -50,7 +50,8 @@ class Target:
     :ivar twists: in those axes, of which the end effector follows the last one, or None
     :ivar until_s: simulation time when that ends [s]
     :ivar solve_s: simulation time of the next solution [s]
-    :ivar settled_in: where the arm's mount was when the setpoints came to rest, or None
+    :ivar settled_in: where the arm's mount was at the beginning of the control period in which the
+        setpoints came to rest, or None
     :ivar rests: whether the end effector is as near as it can come
     :ivar start: where the way of the end effector began, in the anchor [m], shape (3,), or None
     :ivar stream: of poses in the anchor, of which the goal is the last one, or None
