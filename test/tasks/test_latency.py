@@ -222,6 +222,16 @@ def test_a_reset_forgets_commands_that_are_under_way():
 
 
 @pytest.mark.full
+def test_an_end_effector_moves_the_less_the_later_its_commands_are():
+    up = np.zeros((6, 7))
+    up[:, 2] = 1.0
+    heights = [positions(latency, up, lambda episode: episode.simulation.data.site(
+        episode.simulation.robot.end_effectors['right'].grip_site).xpos[2])
+        for latency in (0.0, 0.002, 0.004, 0.006, 0.01, 0.02, 0.03)]
+    assert (np.diff(np.array(heights)[:, 1:], axis=0) < 0.0).all()
+
+
+@pytest.mark.full
 def test_success_falls_with_latency():
     successes = []
     for latency in (0.0, 0.3):
