@@ -482,7 +482,8 @@ class GripperController:
 
         :param command: that was applied, nobody else has it
         """
-        renews = self._in_step and self.commands.current_owner(command) is None
+        renews = self._rule is not no_rule() and self._in_step and (
+            self.commands.current_owner(command) is None)
         if renews:
             self._derived.of['renewed'] = command
         return renews

@@ -24,7 +24,8 @@ from manip_sim.errors import (
 from manip_sim.laws import law, LAWS
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
-from manip_sim.models.composing import compose_robot
+from manip_sim.models.composing import compose_robot, DEFAULT
+from manip_sim.models.grippers import PandaGripper, WipingGripper
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.world import World
 from manip_sim.physics.object_spawning import plan_with, plan_without
@@ -63,10 +64,11 @@ def mode_of_the_law():
 class Pair:
     """Worlds, and a simulation for each of them, which get the same commands."""
 
-    def __init__(self, name='Panda', count=COUNT, threads=2, **options):
+    def __init__(self, name='Panda', count=COUNT, threads=2, gripper=lambda: DEFAULT, **options):
         options = {'arena': 'table', 'initialization_noise': NOISE, 'seed': 1, **options}
-        self.worlds = Worlds(compose(name, **options), count, threads)
-        self.simulations = [Simulation(compose(name, **options)) for _ in range(count)]
+        self.worlds = Worlds(compose(name, gripper(), **options), count, threads)
+        self.simulations = [
+            Simulation(compose(name, gripper(), **options)) for _ in range(count)]
         robot = self.simulations[0].robot
         self.part = next(name for name, part in robot.parts.items()
                          if part.gripper is None and part.atomic == (name,) and part.actuators)
@@ -620,6 +622,25 @@ def test_the_state_of_a_gripper_of_a_user_is_that_of_one_world(
         simulation.advance(5)
     assert worlds.digest()[1] == simulation.digest()
     assert worlds.digest()[0] != simulation.digest()
+
+
+class OwnGripper(PandaGripper):
+    """A gripper with a meaning of actions of its own, without a state."""
+
+    def format_action(self, action):
+        return np.array([-1.0, 1.0]) * action
+
+
+@pytest.mark.parametrize('gripper', [OwnGripper, WipingGripper])
+def test_grippers_without_a_rule_take_actions_in_worlds_that_go_on(gripper):
+    pair = start(Pair(gripper=gripper))
+    for number in range(30):
+        pair.command('osc', 0.01 * number)
+        if number % 3 == 0:
+            pair.command('gripper', number)
+        pair.advance()
+    pair.check_equal()
+    pair.worlds.close()
 
 
 def test_arrays_of_all_worlds_are_read_at_once(lasting_pair):
