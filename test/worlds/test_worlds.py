@@ -624,6 +624,14 @@ def test_the_state_of_a_gripper_of_a_user_is_that_of_one_world(
     assert worlds.digest()[0] != simulation.digest()
 
 
+def test_actions_that_have_yet_to_take_effect_are_digested_alike(pair):
+    start(pair)
+    for number in range(8):
+        pair.advance()
+        pair.command('osc', 0.1 * number)
+    pair.check_equal()
+
+
 class OwnGripper(PandaGripper):
     """A gripper with a meaning of actions of its own, without a state."""
 

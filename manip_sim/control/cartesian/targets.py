@@ -64,6 +64,8 @@ class Target:
 
     #: Of arrays that compiled code reads.
     shapes = {'position': ('d', 3), 'rotation': ('d', 3, 3), 'start': ('d', 3)}
+    #: Each control period begins with a solution.
+    undigested = ('solve_s',)
 
     anchor: Frame
     position: FloatArray
