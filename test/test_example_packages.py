@@ -11,6 +11,7 @@ pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).resolve().parents[1]
 GUIDES = {'end_effector_imu': 'how_to/add_sensor.md', 'touched_bodies': 'how_to/add_sensor.md',
+          'go_home': 'how_to/add_feature.md', 'nudge': 'how_to/add_feature.md',
           'reach_command': 'how_to/add_verb.md', 'spring_mode': 'how_to/add_control_mode.md',
           'friction_compensation': 'tutorials/own_law.md'}
 
@@ -20,7 +21,8 @@ def test_an_example_package_is_short_and_its_guide_shows_its_files(name):
     files = [path.read_text() for path in (ROOT / 'test/data' / name).iterdir() if path.is_file()]
     assert len(files) == 2 and sum(len(text.splitlines()) for text in files) <= 60
     guide = (ROOT / 'docs' / GUIDES[name]).read_text()
-    shown = [f'{name}.py'] + ['pyproject.toml'] * (name != 'touched_bodies')  # As the IMU's.
+    shown = [f'{name}.py'] + ['pyproject.toml'] * (
+        name not in ('touched_bodies', 'nudge'))  # As those of the first example.
     for file in shown:
         text = (ROOT / 'test/data' / name / file).read_text()
         assert text.partition('\n\n')[2] in guide  # After the licence.

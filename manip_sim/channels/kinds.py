@@ -210,16 +210,14 @@ def lidar_channel(simulation: Simulation, fixed: LidarModel, period_s: float, pr
             _reading(lidars.exact, name), row, Scope(), lidars.sensing(name), bool(fixed.noise))
 
 
-def offered_channel(offered: Offered, simulation: Simulation, seed: int, prefix: str = ''
-                    ) -> Channel:
+def offered_channel(offered: Offered, simulation: Simulation, prefix: str = '') -> Channel:
     """
     Return the channel of a sensor of another package, with an instance of its own.
 
-    :param seed: of its noise
     :param prefix: of the names of frames
     :raises ModelError: if it cannot be made
     """
-    source = offered.create(simulation, seed)
+    source = offered.create(simulation)
     return Channel(offered.topic, lambda _: None, lambda head, _: {}, 0,
                    source.frame and prefix + source.frame, patches=False, write=source.write,
                    offer=str(offered.offer))

@@ -97,12 +97,10 @@ class TopicSource(ABC):
     :param of: the part or arm that it is of, such as ``right``; empty if the name has neither
     :cvar topic: its row; the name may hold ``<part>`` or ``<arm>``, or be private (``~/``)
     :ivar frame: the ``frame_id`` of messages with a header
-    :ivar seed: the parameter ``seed``
     """
 
     topic: ClassVar[Topic]
     frame = ''
-    seed = 0
 
     def __init__(self, simulation: Simulation, robot: SimulatedRobot, of: str) -> None:
         self.simulation = simulation
@@ -125,8 +123,8 @@ class Sensor(TopicSource):
     """
     A topic of numbers: they are read, noise is added, then they are written into the message.
 
-    Noise depends on the parameter ``seed``, the topic and simulation time only, so that it is the
-    same whoever subscribes, and a state that is repeated has the same noise again.
+    Noise depends on the seed of the episode, the topic and the steps since the last reset only, so
+    that it is the same whoever subscribes, and a state that is repeated has the same noise again.
     """
 
     @abstractmethod
@@ -143,16 +141,25 @@ class Sensor(TopicSource):
 
     def write(self, message: Any, simulation: Simulation) -> None:
         """
-        Read, add noise, and write the message.
+        Write what :meth:`measure` returns into the message.
+
+        :raises ModelError: if the reading is not a row of finite numbers
+        """
+        self.fill(message, self.measure(simulation))
+
+    def measure(self, simulation: Simulation) -> FloatArray:
+        """
+        Return the numbers of the present instant with noise, shape (n,).
 
         :raises ModelError: if the reading is not a row of finite numbers
         """
         name = f'{self.topic.name} {self.robot.name} {self.of}'
-        random = generator(self.seed, name, simulation.step_count)
+        sensing = self.robot.sensing
+        random = generator(sensing.seed, name, sensing.count)
         values = np.asarray(self.add_noise(self.read(simulation), random), dtype=np.float64)
         if values.ndim != 1 or not np.isfinite(values).all():
             raise ModelError(f'must read a row of finite numbers, got {values!r:.60}')
-        self.fill(message, values)
+        return values
 
 
 class Offered:
@@ -175,17 +182,14 @@ class Offered:
         self._source = source
         self._robot = robot
 
-    def create(self, simulation: Simulation, seed: int = 0) -> TopicSource:
+    def create(self, simulation: Simulation) -> TopicSource:
         """
         Return what makes the messages.
 
-        :param seed: the parameter ``seed``
         :raises ModelError: if that raises anything
         """
         try:
-            source = self._source(simulation, self._robot, self.topic.of)
-            source.seed = seed
-            return source
+            return self._source(simulation, self._robot, self.topic.of)
         except Exception as error:  # A class of another package may raise anything.
             raise ModelError(f'{type(error).__name__}: {error}') from error
 
@@ -204,7 +208,7 @@ def offered_topics(robots: Mapping[Scope, SimulatedRobot], listed: Iterable[Topi
     for offer in offers(GROUP).values():
         try:
             source = _load(offer)
-            for topic, scope, robot in _filled_in(source.topic, robots):
+            for topic, scope, robot in filled_in(source.topic, robots):
                 owner = owners.setdefault(topic.name, offer)
                 if owner is not offer:
                     raise ModelError(f"its topic '{topic.name}' is that of {owner}")
@@ -229,8 +233,9 @@ def _load(offer: Offer) -> type[TopicSource]:
     return source
 
 
-def _filled_in(row: Topic, robots: Mapping[Scope, SimulatedRobot]
-               ) -> Iterator[tuple[Topic, Scope, SimulatedRobot]]:
+def filled_in(row: Topic, robots: Mapping[Scope, SimulatedRobot]
+              ) -> Iterator[tuple[Topic, Scope, SimulatedRobot]]:
+    """Yield the topics that a row of another package stands for, each with its robot."""
     for scope, robot in robots.items():
         for topic in topics_of(robot.parts, twist=True, rows=[row]):
             yield replace(topic, name=scope.topic(topic.name)), scope, robot

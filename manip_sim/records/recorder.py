@@ -117,7 +117,7 @@ class EpisodeRecorder:
             **self._about, 'number': str(self._number), 'seed': str(seed),
             'steps': str(self._episode.simulation.step_count),
             'drawn': json.dumps(self._episode.simulation.randomized.drawn)})
-        self._topics.begin(seed)
+        self._topics.begin()
         self._topics.write(observation, images)
         self._digest()
 
@@ -225,13 +225,13 @@ class _Topics:
             scopes, topics_of_world(self._simulation, scopes), _LOGGER.warning)}
         self._sensors: list[Channel] = []
 
-    def begin(self, seed: int) -> None:
-        """Create the sensors of other packages for an episode, with its seed."""
+    def begin(self) -> None:
+        """Create the sensors of other packages for an episode."""
         self._sensors = []
         for name, offered in [*self._offered.items()]:
             try:
                 definition(offered.topic.type)
-                self._sensors.append(offered_channel(offered, self._simulation, seed))
+                self._sensors.append(offered_channel(offered, self._simulation))
             except ManipSimError as error:
                 self._leave_out(name, error)
 

@@ -257,11 +257,11 @@ class OfferedSensors(ChannelPublishers):
                 self._warn(one_line(f'{name}: sensor {offered.offer} cannot be used: {error}'))
 
     def _tried(self, offered: Offered) -> Channel:
-        simulation, seed = self._context.simulation, self._context.parameters.value('seed')
+        simulation = self._context.simulation
         try:
             # A trial, by an instance of its own, which may remember what it has published.
             trial, channel = (offered_channel(
-                offered, simulation, seed, self._context.frame_prefix) for _ in range(2))
+                offered, simulation, self._context.frame_prefix) for _ in range(2))
             serialize_message(_written(trial, simulation) or message_class(trial.topic.type)())
         except ManipSimError:
             raise

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from queue import SimpleQueue
 import threading
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
@@ -21,6 +21,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
+from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.profiles import JointNames
 from manip_sim.interface.topics import Scope, Topic
 from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
@@ -116,7 +117,17 @@ class Feature:
     Its constructor creates what the node has from the start, for the robots of the context too.
     All methods are called in the thread that spins the node, or before it spins, on each feature
     in the order of the list in ``sim_node.py``; :meth:`close` in the reverse order.
+
+    :cvar topics: of a feature of another package: rows of the topics that it publishes and
+        subscribes to; names may hold ``<part>`` or ``<arm>``
+    :cvar parameters: of a feature of another package
     """
+
+    topics: ClassVar[Sequence[Topic]] = ()
+    parameters: ClassVar[Sequence[ParameterSpec]] = ()
+
+    def __init__(self, context: NodeContext) -> None:
+        """Create what the node has from the start."""
 
     def start(self) -> None:
         """Begin, before the simulation's thread starts."""

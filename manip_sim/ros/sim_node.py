@@ -41,6 +41,7 @@ from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.feature import Feature, NodeContext, PublishingThread
 from manip_sim.ros.live_parameters import LiveParameters
+from manip_sim.ros.offered_features import add_offered_features, load_features
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
@@ -108,6 +109,7 @@ class SimNode(Node):
         robots = dict(zip(composition.scopes, self.simulation.robots.values()))
         declare_parts(self.declared, [(scope, r.parts) for scope, r in robots.items()])
         cameras = declare_cameras(self.declared, self._world, self.simulation.model)
+        offered = load_features(self.declared, self.get_logger().warning)
         self.declared.check_names()
         names = (self.profile.joint_names(*robots.values()) if self.profile.name else
                  JointNames())
@@ -120,6 +122,7 @@ class SimNode(Node):
             self.simulation, robots, {name: images.depth for name, images in cameras.items()},
             composition.task is not None)
         self._add_features(self.shared, composition, cameras)
+        add_offered_features(self.shared, offered, self.get_logger().warning)
         self._parameters_changed([])
         check_qos_names(self)
         self.shared.is_built = True

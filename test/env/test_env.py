@@ -562,3 +562,29 @@ def test_answer_times_and_chunks_that_cannot_be_used_are_rejected(keywords, text
     with pytest.raises(ManipSimError) as raised:
         TaskEnv('reach', **keywords)
     assert text in str(raised.value)
+
+
+@pytest.mark.full
+def test_a_wrapper_of_an_environment_observes_a_sensor_of_another_package(
+        install_example, monkeypatch):
+    from pages import blocks, PAGES
+    monkeypatch.syspath_prepend(install_example('end_effector_imu'))
+    (code,) = [block.text for page in PAGES for block in blocks(page)
+               if 'class WithImu' in block.text]
+    names = {}
+    exec(code, names)  # It prints what the page says.
+    env = names['env']
+    assert env.observation_space.contains(env.reset(seed=1)[0])
+
+    def read(seed):
+        start = env.reset(seed=seed)[0]['imu']
+        return np.array([start, env.step(np.zeros(7))[0]['imu']])
+
+    assert (read(7) == read(7)).all() and (read(7) != read(8)).any()
+    noise = []
+    for seed in range(30):
+        measured = env.reset(seed=seed)[0]['imu']
+        assert np.linalg.norm(measured[3:]) == pytest.approx(9.81, abs=0.3)
+        noise.append(measured - env.imu.read(env.imu.simulation))
+    np.testing.assert_allclose(np.std(noise, axis=0), np.repeat([0.002, 0.05], 3), rtol=0.5)
+    env.close()

@@ -271,6 +271,7 @@ def test_an_installed_sensor_is_recorded_with_the_noise_of_the_seed(
     assert len(readings[0]) == 2 * 6
     # At rest at the start: gravity, and the noise of two seeds.
     assert np.linalg.norm(readings[0][1]) == pytest.approx(9.81, abs=0.3)
+    assert readings[0] == readings[1], 'the noise is another one after other episodes'
     assert readings[0] != readings[2] and np.allclose(readings[0][0], readings[2][0], atol=0.02)
     first = messages(once.path, '/right/imu')[0]
     assert first.header.frame_id == 'gripper0_right_grip_site'
