@@ -9,11 +9,14 @@ import os
 import subprocess
 import sys
 
+import numpy as np
+from pages import blocks, PAGES
 import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models import arenas, bases, grippers, robots
+from manip_sim.models import arenas, bases, compose, grippers, robots
 from manip_sim.models.robots import Panda
+from manip_sim.simulation import Simulation
 
 MODULE = """
 from manip_sim.models.arenas import TableArena
@@ -190,3 +193,26 @@ def test_another_process_finds_them_without_a_script(package, tmp_path):
         capture_output=True, text=True, timeout=60,
         env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})
     assert (done.stdout, done.stderr) == ('ChildArm0\n', '')
+
+
+SHED = '<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
+
+
+@pytest.mark.full
+def test_a_gripper_and_an_arena_of_the_page_are_found_beside_their_files(package, tmp_path):
+    page = {block.file or block.text: block.text for page in PAGES if page.stem == 'add_your_own'
+            for block in blocks(page)}
+    (code,) = [text for text in page.values() if 'class Shed' in text]
+    (tmp_path / 'tiny_gripper.xml').write_text(
+        page['assets/grippers/tiny_gripper/tiny_gripper.xml'])
+    (tmp_path / 'shed.xml').write_text(SHED)
+    package(code, {'gripper': {'TinyGripper': '{}:TinyGripper'}, 'arena': {'shed': '{}:Shed'}})
+    simulation = Simulation(compose('Panda', 'TinyGripper', arena='shed'))
+    robot, closed = simulation.robot, []
+    for closing in (1.0, -1.0):
+        robot.apply(robot.parse.action('right/gripper', [closing]))
+        simulation.advance(500)
+        closed.append(robot.state().position[-2:])
+    np.testing.assert_allclose(closed, [[0.0, 0.0], [0.035, -0.035]], atol=1e-3)
+    assert robot.robot_model.grippers['right'].important_geoms['left_fingerpad'] == [
+        'gripper0_right_left_pad_collision']
