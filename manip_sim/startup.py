@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-How a program starts: standard streams, signals that end it, the slow imports of NumPy and MuJoCo.
+Start of a program: standard streams, signals that end it, the slow imports of NumPy and MuJoCo.
 
 It imports little, so that signals are handled as soon as a program begins.
 """

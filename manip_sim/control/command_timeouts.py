@@ -64,7 +64,7 @@ class CommandTimeouts:
 
     @property
     def first_s(self) -> float:
-        """When a part will be overdue, or a little before [s]; infinite for none."""
+        """Time at which the first part is overdue, or a little before [s]; infinite for none."""
         if not self._last_s:
             return math.inf
         return min([last_s + self._timeout_s[part] - 2e-9

@@ -107,7 +107,7 @@ class Command:
 
     @property
     def sent_s(self) -> float:
-        """When it was sent [s], small enough to keep its nanoseconds; 0: unknown."""
+        """Time of its sending [s], small enough to keep its nanoseconds; 0: unknown."""
         return self.sent_ns % _STAMPS_NS * 1e-9
 
     @property

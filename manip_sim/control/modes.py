@@ -32,7 +32,7 @@ _LOGGER = logging.getLogger('manip_sim.control')
 
 class Arrival(NamedTuple):
     """
-    When a command came, from which streams of commands are recognized.
+    Time and count of a command, from which streams of commands are recognized.
 
     :ivar period_s: length of a control period [s]
     :ivar messages: how many messages came since the last command, of which this is the last

@@ -403,7 +403,7 @@ class Servos:
 
     @property
     def places(self) -> IntArray:
-        """Where the inertia of the joints is in ``M``, -1 where it is zero, shape (n, n)."""
+        """Indices of the inertia of the joints in ``M``, -1 where it is zero, shape (n, n)."""
         places: IntArray | None = self._derived.of.get('places')
         if places is None:
             places = self._derived.of['places'] = places_of_inertia(

@@ -134,7 +134,7 @@ class SetpointGenerator:
 
     @property
     def settled(self) -> bool:
-        """Whether :meth:`advance` has nothing to do."""
+        """True if :meth:`advance` has nothing to do."""
         return not (self.moving or np.count_nonzero(self._numbers_of('held')))
 
     def resume(self) -> None:

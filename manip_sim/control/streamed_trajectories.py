@@ -19,7 +19,7 @@ _GAP_INTERVALS = 10.0
 
 class PointStreams:
     """
-    Which joints are sent one point after the other, each due about when the next one comes.
+    Joints that are sent one point after the other, each due about when the next one comes.
 
     Motions to such points would end at rest at each of them. Servoing tools send the next two.
 

@@ -157,7 +157,7 @@ def _path(tree: KinematicTree, link: str) -> list[Any]:
 @dataclass(frozen=True)
 class GroupState:
     """
-    Where the joints are.
+    Named positions of joints.
 
     :ivar name: ``start``, ``open`` or ``closed``
     :ivar part: the gripper that was moved, or None at the start

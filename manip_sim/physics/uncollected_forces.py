@@ -29,7 +29,7 @@ _BY_DISTANCE = int(mujoco.__version__.partition('.')[0]) < 4
 @dataclass(frozen=True, eq=False)
 class FlexForces:
     """
-    Where flexes act on the bodies of a tool.
+    Vertices and edges at which flexes act on the bodies of a tool.
 
     :ivar bodies: whether each body is of the tool, shape (nbody,)
     :ivar vertices: whether each vertex of a flex is on such a body, shape (nflexvert,)
@@ -176,7 +176,7 @@ _OF_MASS = ('body_mass', 'body_inertia', 'body_ipos', 'body_iquat')
 @dataclass(frozen=True, eq=False)
 class UncollectedForces:
     """
-    Where forces act on the bodies of a tool that are not in ``cfrc_ext``.
+    Places at which forces that are not in ``cfrc_ext`` act on the bodies of a tool.
 
     :ivar first: id of the first body of the tool; bodies are in depth-first order
     :ivar end: id after the last one

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""When a control period is due, and how far a simulation has come; the caller does the waiting."""
+"""Deadlines of control periods, and the progress of a simulation; the caller does the waiting."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What one sensor makes of the exact numbers that it reads: white noise, offset, drift, steps.
+Errors that one sensor adds to the exact numbers that it reads: white noise, offset, drift, steps.
 
 Everything depends on the seed, the name and the count of steps since the reset only.
 """

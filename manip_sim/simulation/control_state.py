@@ -74,7 +74,7 @@ class ControlState:
                 remembered = getattr(type(item), 'remembered', None)
                 if remembered is not None:
                     self._owners.append(item)
-                # What commands bring along is no place that every simulation has.
+                # Only some simulations have the objects that commands bring along.
                 left += (value for name, value in vars(item).items()
                          if name not in (remembered or ()))
 

@@ -137,7 +137,7 @@ class Worlds:
 
     @property
     def reasons(self) -> list[str | None]:
-        """Why the physics of each world is on hold, or None."""
+        """Reasons why the physics of each world is on hold, None where it runs."""
         return [simulation.diverged for simulation in self.simulations]
 
     def read(self, field: str) -> NDArray[Any]:

@@ -500,7 +500,7 @@ class FileRobot(RobotModel, registered=False):
 
     @property
     def base_xpos_offset(self) -> dict[str, Placement]:
-        """Where to place the robot by arena [m]: as described, else in front of table or bins."""
+        """Places of the robot by arena [m]: as described, else in front of table or bins."""
         declared = {arena: (float(x), float(y), float(z))
                     for arena, (x, y, z) in self._plan.description.placement.items()}
         return {'bins': (-0.5, -0.1, 0.0),

@@ -264,7 +264,7 @@ ALONE, CARRIED = 'the file is a hand alone', 'it carries a hand, and no arm is t
 @dataclass(frozen=True)
 class FoundArm:
     """
-    Where an arm ends.
+    End of an arm.
 
     :ivar kind: ``body`` or ``site``
     :ivar hand: the hand that the arm carries in the same file, or None

@@ -103,7 +103,7 @@ class GripperDescription(Description, HandDescription):
 
 
 class ArmDescription(Strict):
-    """Where an arm ends, and its hand or default gripper."""
+    """End of an arm, and its hand or default gripper."""
 
     #: The body or site that a gripper is mounted on, or a pose in it.
     mount: Union[Name, FrameDescription, None] = None

@@ -323,7 +323,7 @@ class JointStates:
 @dataclass(frozen=True)
 class PoseInWorld:
     """
-    Where something is in ``world``.
+    Pose of a frame in ``world``.
 
     :ivar position: [m], shape (3,)
     :ivar quat_wxyz: shape (4,)
