@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from harness import START_S
 import numpy as np
+from pages import blocks, PAGES
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -20,6 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+import yaml
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 #: A node in a process that cannot import the package.
@@ -351,3 +353,26 @@ def test_an_emergency_stop_is_told_and_lasts_until_recovery(serve, client):
     client.spin_until(lambda: node.commands.robots[0].statistics['arm'].rejected == 1)
     assert trigger(client, 'recover').success
     told('running')
+
+
+@pytest.mark.full
+def test_a_goal_passes_the_limits_that_the_page_for_agents_sets(serve, client):
+    (page,) = [page for page in PAGES if page.stem == 'agents']
+    (file,) = [yaml.safe_load(block.text) for block in blocks(page) if block.file == 'safe.yaml']
+    node = serve(stepping='free')
+    given = {}
+    for name, value in file['/**']['ros__parameters'].items():
+        if name in ('robot', 'arena'):
+            given[name] = value
+        else:
+            (changed,) = node.set_parameters([Parameter(name, value=value)])
+            assert changed.successful, changed.reason
+    assert given == {'robot': 'Panda', 'arena': 'table'}
+    robot = node.simulation.robot
+
+    def ended():
+        """Send the goal again, as it ends with its timeout."""
+        client.publish('joint_command', JointState(name=['robot0_joint1'], position=[1.0]))
+        return bool(robot.reflexes.tripped) or abs(robot.state().position[0] - 1.0) < 1e-3
+    client.spin_until(ended)
+    assert not robot.reflexes.tripped
