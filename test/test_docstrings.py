@@ -94,3 +94,14 @@ def test_there_are_functions_to_look_at():
     assert {'models.composing.compose', 'models.robots.robot_model.RobotModel.set_joint_attribute',
             'models.robots.robot_model.RobotModel.add_base',
             'simulation.robot.SimulatedRobot.apply'} <= names
+
+
+_CLAUSE = re.compile(r'(What|How|Whether|Which|Where|When|Why|Who)\b')
+
+
+def test_a_docstring_begins_with_a_verb_or_a_noun():
+    begun = {f'{path.name}: {doc.splitlines()[0]}' for path in SOURCES
+             for node in ast.walk(ast.parse(path.read_text()))
+             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+             and _CLAUSE.match(doc := ast.get_docstring(node) or '')}
+    assert begun == set()

@@ -55,7 +55,7 @@ class Rule(NamedTuple):
 
 class Grip(NamedTuple):
     """
-    Where the setpoints of a gripper go, which the law changes.
+    Goals of the setpoints of a gripper, which the law changes.
 
     :ivar goal: shape (n,)
     :ivar to_end: whether each was sent to the lower and the upper end of its range, and its finger

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-When the messages of a stream were sent, and how many were lost on their way.
+Times at which the messages of a stream were sent, and number of those lost on their way.
 
 A stream is taken to be sent at even intervals, or at its stamps: a line through the arrivals, by
 least squares with a fading memory. Where goals follow the arrivals better, because the timer of
