@@ -182,6 +182,12 @@ def test_every_row_runs(bench, tmp_path):
     assert [figure['row'] for figure in written['figures']] == list(entrance.ROWS)
 
 
+def test_only_to_see_that_rows_run_processes_are_not_waited_for_to_be_fast(bench):
+    figures, _ = bench
+    assert figures.Settings(3, 0.2, 0.0, print).wait_scale == 1.0
+    assert figures.Settings(1, 0.01, 0.0, print, smoke=True).wait_scale == 0.01
+
+
 def test_a_row_that_takes_too_long_is_ended(bench):
     figures, entrance = bench
     with pytest.raises(figures.MeasureError, match='not done after 0.05 s'), \

@@ -39,6 +39,11 @@ class Settings:
     smoke: bool = False
     series: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def wait_scale(self) -> float:
+        """Return the scale of the waits without which figures mean nothing."""
+        return self.scale if self.smoke else 1.0
+
 
 @dataclass(frozen=True)
 class Target:

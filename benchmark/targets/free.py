@@ -42,13 +42,13 @@ class FreeRun:
     def ratios(self, topics: tuple[str, ...], every: int, rounds: int, plain: bool
                ) -> tuple[list[float], list[float]]:
         """Return the ratios of the node and of the plain loop."""
-        scale, ours, theirs = self._settings.scale, [], []
+        scale, waits, ours, theirs = self._settings.scale, self._settings.wait_scale, [], []
         with contextlib.ExitStack() as stack:
             node = stack.enter_context(watched_node(
-                topics, 'stepping:=free', f'timestep:={TIMESTEP_S}',
+                topics, waits, 'stepping:=free', f'timestep:={TIMESTEP_S}',
                 f'publish_rate:={1.0 / (TIMESTEP_S * every)}'))
             loop = stack.enter_context(watched_loop(
-                topics, self._model, every, False)) if plain else None
+                topics, waits, self._model, every, False)) if plain else None
             for _ in range(rounds):
                 fast = _steps_per_s(node, _OURS_S * scale)
                 bare = self._bare.steps_per_s(_BARE_S * scale, every)

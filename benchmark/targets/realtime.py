@@ -17,8 +17,8 @@ from targets.watched import Watched, watched_loop, watched_node, Window
 
 #: Rate [Hz], timestep [s], total length of the windows [s], largest share of a core [%].
 RUNS = ((1000, 0.001, 60.0, 35.0), (500, 0.002, 15.0, 15.0), (100, 0.002, 15.0, 5.0))
-#: Length of the windows of the plain loop, as a fraction of those of the node.
-_PLAIN = 0.25
+#: Length of the windows of the plain loop, as a fraction of those of the node, and the least [s].
+_PLAIN, _PLAIN_S = 0.25, 2.0
 _TOPIC = ('joint_states',)
 
 
@@ -30,22 +30,25 @@ def measure(settings: Settings) -> Iterator[Figure]:
             every = round(1.0 / (rate * timestep_s))
             length_s = whole_s * settings.scale / settings.rounds
             settings.report(f'realtime, {rate} Hz')
-            with (watched_node(_TOPIC, f'timestep:={timestep_s}',
+            waits = settings.wait_scale
+            with (watched_node(_TOPIC, waits, f'timestep:={timestep_s}',
                                f'publish_rate:={rate}.0') as node,
-                  watched_loop(_TOPIC, model, every, True) as loop):
-                ours, theirs = _alternate(node, loop, length_s, settings.rounds)
+                  watched_loop(_TOPIC, waits, model, every, True) as loop):
+                ours, theirs = _alternate(
+                    node, loop, length_s, max(_PLAIN_S * waits, _PLAIN * length_s),
+                    settings.rounds)
             if rate == RUNS[0][0]:
                 settings.series['periods'] = {
                     'rate': rate, 'node': _histogram(ours), 'plain loop': _histogram(theirs)}
             yield from _figures(rate, most, ours, theirs)
 
 
-def _alternate(node: Watched, loop: Watched, length_s: float, rounds: int
+def _alternate(node: Watched, loop: Watched, length_s: float, plain_s: float, rounds: int
                ) -> tuple[list[Window], list[Window]]:
     ours, theirs = [], []
     for _ in range(rounds):
         ours.append(node.watch(length_s, walls=True))
-        theirs.append(loop.watch(max(2.0, _PLAIN * length_s), walls=True))
+        theirs.append(loop.watch(plain_s, walls=True))
     return ours, theirs
 
 

@@ -43,17 +43,20 @@ class Watched:
 
     :param server: publishes states
     :param topics: that are listened to
+    :param scale: of the waits until they run as fast as they can
     :param apart: let the listener live in the other ROS domain
     """
 
-    def __init__(self, server: Process, topics: tuple[str, ...], apart: bool = False) -> None:
+    def __init__(self, server: Process, topics: tuple[str, ...], scale: float,
+                 apart: bool = False) -> None:
+        self._recovery_s = _RECOVERY_S * scale
         self._stack = contextlib.ExitStack()
         self.server: Process = self._stack.enter_context(server)
         try:
             self.listener: Process = self._stack.enter_context(
                 start_script('listener.py', *topics, apart=apart))
             self.listener.ask('ready', 60.0)
-            time.sleep(_START_S)
+            time.sleep(_START_S * scale)
         except BaseException:
             self._stack.close()
             raise
@@ -79,7 +82,7 @@ class Watched:
         """
         self.server.go()
         self.listener.go()
-        time.sleep(_RECOVERY_S)
+        time.sleep(self._recovery_s)
         self.listener.ask('begin')
         used_s, begin = self.server.cpu_s(), time.monotonic()
         time.sleep(duration_s)
@@ -91,13 +94,14 @@ class Watched:
         return Window(simulated_ns * 1e-9, wall_s, core, came)
 
 
-def watched_node(topics: tuple[str, ...], *parameters: str) -> Watched:
+def watched_node(topics: tuple[str, ...], scale: float, *parameters: str) -> Watched:
     """Start the node with parameters as ``NAME:=VALUE``, and a listener."""
-    return Watched(start_node(*parameters), topics)
+    return Watched(start_node(*parameters), topics, scale)
 
 
-def watched_loop(topics: tuple[str, ...], model: str, every: int, realtime: bool) -> Watched:
+def watched_loop(topics: tuple[str, ...], scale: float, model: str, every: int, realtime: bool
+                 ) -> Watched:
     """Start the plain loop with a model file, and a listener."""
     loop = start_script('plain_loop.py', model, str(every), str(int(realtime)),
                         piped=False, apart=True)
-    return Watched(loop, topics, apart=True)
+    return Watched(loop, topics, scale, apart=True)
