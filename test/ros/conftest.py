@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import importlib.util
+from pathlib import Path
 import signal
 import subprocess
 from typing import Any
@@ -64,7 +65,8 @@ def process() -> Iterator[Callable[..., Fork | subprocess.Popen[str]]]:
     """
     Return a function that starts ``python3 -m MODULE ARGUMENTS`` and ends it after the test.
 
-    Where its start is tested, with ``fresh=True``, nothing is imported before.
+    The module may be the path of a script. Where its start is tested, with ``fresh=True``, nothing
+    is imported before.
     """
     running: list[Fork | subprocess.Popen[str]] = []
 
@@ -78,6 +80,16 @@ def process() -> Iterator[Callable[..., Fork | subprocess.Popen[str]]]:
         if started.poll() is None:
             started.send_signal(signal.SIGKILL)
         started.communicate(timeout=300.0)
+
+
+@pytest.fixture
+def script(process: Any, tmp_path: Path) -> Callable[..., Fork | subprocess.Popen[str]]:
+    """Return a function that starts a script, from its text and arguments."""
+    def start(text: str, *arguments: str) -> Fork | subprocess.Popen[str]:
+        file = tmp_path / 'script.py'
+        file.write_text(text)
+        return process(*arguments, module=str(file))
+    return start
 
 
 @pytest.fixture

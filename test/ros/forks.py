@@ -51,7 +51,7 @@ class Fork:
     """
     A program as ``python3 -m MODULE ARGUMENTS``, with the part of ``subprocess.Popen`` in use.
 
-    :param module: with a ``__main__``
+    :param module: with a ``__main__``, or the path of a script
     :param arguments: of its command line
     :ivar pid: identifier of the process
     :ivar returncode: exit code, negative for a signal; None until its end has been seen
@@ -106,8 +106,13 @@ def start(module: str, arguments: Sequence[str],
     """Start a program as a fork, or as a process that has imported nothing before."""
     if not fresh and _RECORDED not in os.environ:
         return Fork(module, arguments)
-    return subprocess.Popen([sys.executable, '-m', module, *arguments], text=True,
+    program = [module] if _is_script(module) else ['-m', module]
+    return subprocess.Popen([sys.executable, *program, *arguments], text=True,
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def _is_script(module: str) -> bool:
+    return module.endswith('.py')
 
 
 def ends(arguments: Sequence[Sequence[str]]) -> list[End]:
@@ -176,7 +181,10 @@ def _run(folder: Path, module: str, arguments: Sequence[str], here: str,
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = [module, *arguments]
-    runpy.run_module(module, run_name='__main__', alter_sys=True)
+    if _is_script(module):
+        runpy.run_path(module, run_name='__main__')
+    else:
+        runpy.run_module(module, run_name='__main__', alter_sys=True)
 
 
 def _import() -> None:

@@ -129,20 +129,15 @@ sys.exit(process.run([]))
     ('commands', 'sim_node: the thread that takes commands ended unexpectedly'),
     ('publishing', 'sim_node: the thread that publishes ended unexpectedly')],
     ids=['physics', 'executor', 'commands', 'publishing'])
-def test_a_process_whose_thread_dies_ends_and_says_so(what, told, client, tmp_path):
+def test_a_process_whose_thread_dies_ends_and_says_so(what, told, client, script, tmp_path):
     now = tmp_path / 'fail_now'
-    node = subprocess.Popen([sys.executable, '-c', FAILS, what, str(now)], text=True,
-                            stderr=subprocess.PIPE)
-    try:
-        # It stays subscribed: without subscribers nothing is published that could fail.
-        states = client.listen(JointState, 'joint_states')
-        client.spin_until(lambda: bool(states))
-        now.touch()
-        # A controller must not go on with a node that only seems to live.
-        _, errors = node.communicate(timeout=300.0)
-    finally:
-        node.kill()
-        node.communicate()
+    node = script(FAILS, what, str(now))
+    # It stays subscribed: without subscribers nothing is published that could fail.
+    states = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: bool(states))
+    now.touch()
+    # A controller must not go on with a node that only seems to live.
+    _, errors = node.communicate(timeout=300.0)
     assert node.returncode == 1
     assert told in errors.splitlines()[-1]
 
@@ -261,13 +256,11 @@ def test_a_flood_of_commands_does_not_slow_the_simulation(sim_process, client):
 @pytest.mark.full
 @pytest.mark.parametrize('mode, value, slow', [('velocity', 0.2, 1e-3), ('effort', 2.0, 0.02)])
 def test_a_dead_publisher_leaves_the_arm_at_rest_and_a_new_one_takes_over(
-        mode, value, slow, sim_process, client, tmp_path):
+        mode, value, slow, sim_process, client, script):
     sim_process(f'control_mode.arm:={mode}')
     client.state()
-    script = tmp_path / 'publish.py'
-    script.write_text(PUBLISH)
     for _ in range(2):
-        publisher = subprocess.Popen([sys.executable, str(script), mode, str(value)])
+        publisher = script(PUBLISH, mode, str(value))
         client.spin_until(lambda: client.state().velocity[0] > 0.15)
         publisher.send_signal(signal.SIGKILL)
         publisher.wait(timeout=300.0)
