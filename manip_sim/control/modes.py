@@ -225,10 +225,11 @@ class Modes(Mapping[str, ControlMode]):
     def __getitem__(self, name: str) -> ControlMode:
         if not isinstance(name, str):
             raise UnknownNameError('control mode', repr(name), self._modes)
-        if name not in self._modes:
-            self._add_offers()
+        # Of a part in which a law acts, the mode is asked for again and again.
         if name in self._laws:
             return self._laws[name]
+        if name not in self._modes:
+            self._add_offers()
         if name.startswith(PREFIX) and name[len(PREFIX):] in LAWS:
             return self._laws.setdefault(name, LawMode(name[len(PREFIX):]))
         if name not in self._modes:

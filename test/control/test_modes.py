@@ -15,6 +15,7 @@ from springs import assert_swings, deflection
 from manip_sim.control.commands import Status
 from manip_sim.control.modes import (
     ControlMode, Effort, EFFORT, MODES, Modes, Position, POSITION, VELOCITY)
+from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
@@ -258,6 +259,15 @@ class Comparable(Position):
 
     def gains(self, joints):
         return np.full(len(joints), self.stiffness), 40.0
+
+
+def test_other_packages_are_not_asked_again_for_the_mode_of_a_law(monkeypatch):
+    def still(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
+        pass
+    LAWS.add(still)
+    mode = MODES['law:still']
+    monkeypatch.setattr('manip_sim.control.modes.offers', lambda group: pytest.fail(group))
+    assert MODES['law:still'] is mode
 
 
 def test_a_mode_need_not_be_hashable_and_its_fields_may_change_until_it_is_entered(
