@@ -30,24 +30,30 @@ def address():
     assert (process.returncode, errors) == (0, '')
 
 
-@pytest.fixture
-def opened(browser, address):
-    """Return a function that opens the page in a window of a width and a height."""
-    pages = []
+@pytest.fixture(scope='module')
+def page(browser, address):
+    page = browser.new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    page.add_init_script(SLOWLY.format(500))  # These tests are about the panel.
+    yield page
+    page.close()
 
+
+@pytest.fixture
+def opened(page, address):
+    """Return a function that opens the page in a window of a width and a height."""
     def open_page(width, height):
-        page = browser.new_page(viewport={'width': width, 'height': height})
-        pages.append(page)
-        page.set_default_timeout(PATIENCE_MS)
-        page.add_init_script(SLOWLY.format(500))  # These tests are about the panel.
+        resize(page, width, height)
         page.goto(address)
         page.get_by_text('arm [rad]').wait_for()
         page.get_by_label('Mode', exact=True).first.wait_for(state='attached')
         page.wait_for_timeout(3000)
         return page
-    yield open_page
-    for page in pages:
-        page.close()
+    return open_page
+
+
+def resize(page, width, height):
+    page.set_viewport_size({'width': width, 'height': height})
 
 
 def boxes(page, selector):
@@ -87,12 +93,15 @@ def test_a_picture_is_what_the_browser_shows(opened):
     assert (picture[..., 0] - picture[..., 1:].max(axis=2) > 40).any()  # The cube.
 
 
-@pytest.mark.parametrize('size', [(390, 844), (320, 568)])
-def test_on_a_phone_the_panel_is_below_the_middle_and_its_tabs_are_in_one_row(opened, size):
-    page = opened(*size)
-    (panel,) = boxes(page, '.mantine-Paper-root[style*="fixed"]')
-    assert panel[1] >= 0.54 * size[1]
-    assert (panel[0], panel[2]) == (0, size[0])
-    tabs = boxes(page, '[role=tab]')
-    assert len(tabs) == 5
-    assert len({top for _, top, _, _ in tabs}) == 1 and max(tab[2] for tab in tabs) <= size[0]
+def test_on_a_phone_the_panel_is_below_the_middle_and_its_tabs_are_in_one_row(opened):
+    page = opened(390, 844)
+    for width, height in (390, 844), (320, 568):
+        resize(page, width, height)
+        page.wait_for_function('width => document.querySelector("canvas").clientWidth == width',
+                               arg=width)
+        (panel,) = boxes(page, '.mantine-Paper-root[style*="fixed"]')
+        assert panel[1] >= 0.54 * height
+        assert (panel[0], panel[2]) == (0, width)
+        tabs = boxes(page, '[role=tab]')
+        assert len(tabs) == 5
+        assert len({top for _, top, _, _ in tabs}) == 1 and max(tab[2] for tab in tabs) <= width
