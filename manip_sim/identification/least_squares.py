@@ -27,6 +27,8 @@ KINDS = ('armature', 'damping', 'frictionloss', 'offset')
 CUTOFF_HZ = 4.0
 #: Of a payload at the flange: mass, mass times position, and the inertia about the flange.
 _PAYLOAD = 10
+#: States whose efforts are computed together; all would take memory, one takes long in Python.
+_TOGETHER = 1000
 #: Width of the Gaussian of the derivatives [s], and least in intervals; reach of a Gaussian.
 _NARROW_S, _LEAST, _REACH = 0.008, 1.0, 4.0
 #: Width of a Gaussian times the frequency at which it halves the power.
@@ -234,45 +236,70 @@ class RigidModel:
         count = motion.shape[1]
         rigid = np.empty((count, len(self._dofs)))
         loads = np.empty((count, len(self._dofs), _PAYLOAD * len(self._flanges)))
+        flanges = [_Flange(self._model, body, self._dofs) for body in self._flanges]
         inertia, mass = np.zeros(len(self._dofs)), np.empty((self._model.nv, self._model.nv))
         for row, (position, velocity, acceleration) in enumerate(zip(*motion)):
             data.qpos[qpos], data.qvel[dofs], data.qacc[dofs] = position, velocity, acceleration
             mujoco.mj_inverse(self._model, data)
             rigid[row] = data.qfrc_inverse[self._dofs]
-            if self._flanges:
+            if flanges:
                 mujoco.mj_rnePostConstraint(self._model, data)
-                loads[row] = np.hstack([self._of_payload(body) for body in self._flanges])
+                begin = row - row % _TOGETHER
+                for index, flange in enumerate(flanges):
+                    flange.note(data, row - begin)
+                    if row + 1 in (begin + _TOGETHER, count):
+                        loads[begin:row + 1, :, _PAYLOAD * index:_PAYLOAD * (index + 1)] = (
+                            flange.efforts(row + 1 - begin))
             if row % 100 == 0:
                 mujoco.mj_fullM(self._model, data, mass)
                 inertia += np.diag(mass)[self._dofs]
         return rigid, loads, inertia / max(1, -(-count // 100))
 
-    def _of_payload(self, body: int) -> FloatArray:
-        """Return the efforts of a unit of each parameter of a payload at a body, shape (n, 10)."""
-        model, data, kind = self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY
-        twist, change = np.empty((2, 6))
-        mujoco.mj_objectVelocity(model, data, kind, body, twist, 1)
+
+class _Flange:
+    """
+    The motion of the body at the end of an arm, from which efforts of payloads follow.
+
+    :param body: its id
+    :param dofs: of the joints that are identified, shape (n,)
+    """
+
+    def __init__(self, model: mujoco.MjModel, body: int, dofs: IntArray) -> None:
+        self._model, self._body, self._dofs = model, body, dofs
+        self._jacobian = np.empty((2, 3, model.nv))
+        self._jacobians = np.empty((_TOGETHER, 2, 3, len(dofs)))
+        self._rotations = np.empty((_TOGETHER, 3, 3))
+        self._twists, self._changes = np.empty((2, _TOGETHER, 6))
+
+    def note(self, data: mujoco.MjData, row: int) -> None:
+        """Note the motion in a state."""
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(self._model, data, kind, self._body, self._twists[row], 1)
         # Less the acceleration of gravity.
-        mujoco.mj_objectAcceleration(model, data, kind, body, change, 1)
-        spin, bend, along = twist[:3], change[:3], change[3:]
-        forces, torques = np.zeros((2, 3, _PAYLOAD))
-        forces[:, 0] = along
-        turning = _cross(bend) + _cross(spin) @ _cross(spin)
-        forces[:, 1:4], torques[:, 1:4] = turning, -_cross(along)
+        mujoco.mj_objectAcceleration(self._model, data, kind, self._body, self._changes[row], 1)
+        mujoco.mj_jacBody(self._model, data, *self._jacobian, self._body)
+        self._jacobians[row] = self._jacobian[:, :, self._dofs]
+        self._rotations[row] = data.xmat[self._body].reshape(3, 3)
+
+    def efforts(self, count: int) -> FloatArray:
+        """Return the efforts of a unit of each parameter of a payload, shape (count, n, 10)."""
+        spin, (bend, along) = self._twists[:count, :3], np.split(self._changes[:count], 2, axis=1)
+        forces, torques = np.zeros((2, len(spin), 3, _PAYLOAD))
+        forces[:, :, 0] = along
+        forces[:, :, 1:4] = _cross(bend) + _cross(spin) @ _cross(spin)
+        torques[:, :, 1:4] = -_cross(along)
         for column, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), 4):
             unit = np.zeros((3, 3))
             unit[i, j] = unit[j, i] = 1.0
-            torques[:, column] = unit @ bend + _cross(spin) @ unit @ spin
-        linear, angular = np.empty((2, 3, model.nv))
-        mujoco.mj_jacBody(model, data, linear, angular, body)
-        turned = data.xmat[body].reshape(3, 3)
-        return np.asarray(linear[:, self._dofs].T @ turned @ forces
-                          + angular[:, self._dofs].T @ turned @ torques)
+            torques[:, :, column] = bend @ unit + np.cross(spin, spin @ unit)
+        linear, angular = np.moveaxis(self._jacobians[:count], 1, 0).swapaxes(2, 3)
+        rotations = self._rotations[:count]
+        return np.asarray(linear @ (rotations @ forces) + angular @ (rotations @ torques))
 
 
-def _cross(vector: FloatArray) -> FloatArray:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+def _cross(vectors: FloatArray) -> FloatArray:
+    """Return the matrices that multiply by the cross product, shape (t, 3, 3)."""
+    return np.cross(vectors[:, None], np.eye(3)).swapaxes(1, 2)
 
 
 def _before(model: mujoco.MjModel, name: str) -> dict[str, float]:
