@@ -149,7 +149,7 @@ def test_what_positions_demand_is_compared_with_the_limits(positions, stops, pan
 
 @pytest.mark.parametrize('mode', ['velocity', 'impedance', 'law:soft'])
 def test_commands_of_other_modes_are_compared_with_the_limits_too(mode, panda_sim, monkeypatch):
-    @law
+    @law(compiled=False)
     def soft(t, q, v, bias, mass, jacobian, wrench, setpoint, parameters, memory, effort):
         effort[:] = bias + 200.0 * (setpoint[:, 0] - q) - 20.0 * v
 
