@@ -3,6 +3,7 @@
 
 """Paired comparison of runs: statistics against scipy and by enumeration, tables, bad input."""
 
+import functools
 import json
 import math
 from pathlib import Path
@@ -82,11 +83,16 @@ def test_the_mid_p_value_counts_half_of_what_is_as_unequal(pair):
     assert mcnemar_p(*pair, mid=True) == pytest.approx(2.0 * one_sided, rel=1e-9)
 
 
+@functools.cache
+def tables_called_worse(count):
+    """Return the numbers of pairs of each kind of runs whose second policy is called worse."""
+    tables = [(b, c, count - b - c) for b in range(count + 1) for c in range(count + 1 - b)]
+    return np.array([(b, c, same) for b, c, same in tables if Pairs(same, b, c, 0).is_worse(0.0)])
+
+
 def share_called_worse(count, only_first, only_second):
     """Return the share of runs of so many seeds in which the second policy is called worse."""
-    cells = [(b, c) for b in range(count + 1) for c in range(count + 1 - b)]
-    worse = [cell for cell in cells if Pairs(count - sum(cell), *cell, 0).is_worse(0.0)]
-    tables = np.array([(b, c, count - b - c) for b, c in worse])
+    tables = tables_called_worse(count)
     shares = (only_first, only_second, 1.0 - only_first - only_second)
     return scipy.stats.multinomial(count, shares).pmf(tables).sum()
 
