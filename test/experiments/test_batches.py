@@ -33,6 +33,7 @@ def test_a_batch_has_the_rows_of_single_episodes(setting):
         assert all(row.success for row in rows)
 
 
+@pytest.mark.usefixtures('forked')
 def test_failures_are_in_the_rows_that_they_concern(tmp_path):
     words = ['run', 'reach', '--policy', f'{POLICIES}:TogetherSometimes', '--seeds', '0:12',
              '--batch', '3', '--out', str(tmp_path / 'out')]
