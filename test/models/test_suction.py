@@ -68,11 +68,11 @@ def test_cup_holds_what_its_sheet_says_and_not_more(share, holds):
     assert suction.held()
     # So slowly that the acceleration takes less than a hundredth of the force.
     robot = suction.rig.simulation.robot
-    robot.apply(robot.parse.trajectory('arm', ['robot0_carriage'], [2.0],
-                                       [[suction.rig.carriage_height() + 0.05]]))
-    suction.rig.wait(2.5)
+    robot.apply(robot.parse.trajectory('arm', ['robot0_carriage'], [1.3],
+                                       [[suction.rig.carriage_height() + 0.02]]))
+    suction.rig.wait(1.6)
     assert suction.held() == holds
-    assert suction.height() == pytest.approx(0.05 if holds else 0.0, abs=0.003)
+    assert suction.height() == pytest.approx(0.02 if holds else 0.0, abs=0.003)
     reading = suction.data.sensor('gripper0_suction_force').data[0]
     assert reading == pytest.approx(AREA_M2 * VACUUM_PA if holds else 0.0, rel=1e-3)
 
