@@ -88,7 +88,7 @@ def test_a_model_that_takes_too_much_memory_is_rejected(monkeypatch):
     '<worldbody><geom size="-1"/></worldbody>', '<worldbody>'], ids=lambda text: text[:40])
 def test_a_model_that_reaches_out_of_its_archive_or_is_too_large_is_rejected(
         element, monkeypatch):
-    monkeypatch.setattr(archives, '_MAX_CPU_S', 2)
+    monkeypatch.setattr(archives, '_MAX_CPU_S', 1)
     rejected(of_xml(f'<mujoco>{element}</mujoco>'),
              '^the archive (does not compile|cannot be|takes more|is not|has elements)')
 
@@ -107,7 +107,7 @@ def test_a_mesh_beside_the_archive_is_not_read_though_it_is_there(folder, tmp_pa
 
 @pytest.mark.full
 def test_what_takes_much_memory_takes_none_here(monkeypatch):
-    monkeypatch.setattr(archives, '_MAX_CPU_S', 2)
+    monkeypatch.setattr(archives, '_MAX_CPU_S', 1)
     data = archive({'model.xml': '<mujoco>' + 2_000_000 * '<a/>' + '</mujoco>',
                     'zeros': bytes(2**26)})
     tracemalloc.start()
@@ -117,15 +117,15 @@ def test_what_takes_much_memory_takes_none_here(monkeypatch):
 
 
 @pytest.mark.parametrize('xml', [
-    '', b'\xff', '<?xml version="1.0" encoding="nonsense"?><mujoco>'])
+    '', '<?xml version="1.0" encoding="nonsense"?><mujoco>'])
 def test_what_is_no_model_is_rejected(xml):
     rejected(of_xml(xml), '^the archive ')
 
 
-@pytest.mark.parametrize('name', ['../up.obj', '/abs.obj', 'a\\b.obj', 'n' * 201, 'line\nend'])
-def test_files_of_an_archive_are_not_written_whatever_their_names_are(name, tmp_path, monkeypatch):
+def test_files_of_an_archive_are_not_written_whatever_their_names_are(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    load_archive(archive({'model.xml': XML, name: b'x'}))
+    names = ('../up.obj', '/abs.obj', 'a\\b.obj', 'n' * 201, 'line\nend')
+    load_archive(archive({'model.xml': XML, **dict.fromkeys(names, b'x')}))
     assert not [*tmp_path.iterdir()]
 
 
