@@ -22,6 +22,7 @@ from manip_sim.experiments.comparison import (  # noqa: E402
     compare, difference_interval, first_difference, mcnemar_p, Pairs, seeds_to_add)
 from manip_sim.experiments.run_folder import read_rows, read_run, spans  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
+from manip_sim.tasks.reaching import Reach  # noqa: E402
 
 POLICIES = Path(__file__).with_name('policies_under_test.py')
 #: One of the description of a run of reach.
@@ -397,9 +398,10 @@ def test_no_seeds_are_added_with_a_policy_that_has_changed(tmp_path, capsys):
 
 @pytest.mark.full
 @pytest.mark.usefixtures('in_this_process')
-def test_records_tell_where_states_first_differ_and_make_a_video(tmp_path, capsys):
+def test_records_tell_where_states_first_differ_and_make_a_video(tmp_path, capsys, monkeypatch):
     av = pytest.importorskip('av', reason='av is not installed')
     pytest.importorskip('mcap', reason='mcap is not installed')
+    monkeypatch.setattr(Reach, 'horizon_s', 1.0)
     first, second = tmp_path / 'first', tmp_path / 'second'
     assert run(first, 'Towards', '1:3', '--record') == 0
     assert run(second, 'StopsInTheThirdPeriod', '1:3', '--record') == 0
@@ -409,9 +411,13 @@ def test_records_tell_where_states_first_differ_and_make_a_video(tmp_path, capsy
     assert first_difference(runs[0], runs[0], 1) is None
     capsys.readouterr()
     video = tmp_path / 'video'
+    assert compared(first, second) == 0
+    assert capsys.readouterr().out.count('from period 3 on (0.15 s)') == 2
+    # Without the record of a seed, or with one that is damaged, the rest is told.
+    (second / 'records' / '2.mcap').write_bytes(b'no record')
     assert compared(first, second, '--video', video, '--threshold', '0.01') == 0
     text = capsys.readouterr().out
-    assert text.count('from period 3 on (0.15 s)') == 2
+    assert 'no video of seed 2: ' in text
     assert f'{video / "1.mp4"}: first: success, second: no success' in text
     with av.open(str(video / '1.mp4')) as file:
         images = [frame.to_ndarray(format='rgb24') for frame in file.decode(video=0)]
@@ -422,9 +428,6 @@ def test_records_tell_where_states_first_differ_and_make_a_video(tmp_path, capsy
     assert differ[0] < 1.0 and differ[-1] > 3.0
     assert compared(first, second, '--camera', 'frontvieu', '--video', video) == 2
     assert "unknown camera 'frontvieu': did you mean 'frontview'" in capsys.readouterr().err
-    # Without the record of a seed, and with one that is damaged, the rest is told.
     (second / 'records' / '1.mcap').unlink()
-    (second / 'records' / '2.mcap').write_bytes(b'no record')
     assert compared(first, second, '--video', video) == 0
-    text = capsys.readouterr().out
-    assert 'no video of seed 1: there is no' in text and 'no video of seed 2: ' in text
+    assert 'no video of seed 1: there is no' in capsys.readouterr().out
