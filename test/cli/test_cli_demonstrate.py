@@ -183,6 +183,7 @@ def test_what_a_busy_machine_has_lost_is_not_made_up_for(tmp_path):
     assert len(shown) == 20 and shown[-1] - shown[6] > 11.9 * 0.05
 
 
+@pytest.mark.full
 def test_the_world_is_shown_on_a_page_beside_another_device(here, expert, tmp_path, monkeypatch):
     task_page = pytest.importorskip('manip_sim.viewer.task_page', reason='needs the extra viewer')
     texts, close = [], task_page.TaskPage.close

@@ -142,6 +142,7 @@ def test_the_written_file_composes_the_robot_that_was_recorded(here, excited, cl
         assert after['held_out_before'] < 0.1 * before['held_out_before']
 
 
+@pytest.mark.full
 def test_a_joint_that_did_not_move_gets_no_number(here, excited, tmp_path):
     stiff = 'robot0_shoulder_lift'
 
@@ -162,6 +163,7 @@ def test_a_joint_that_did_not_move_gets_no_number(here, excited, tmp_path):
     assert found[1] == pytest.approx(dynamics[stiff].armature)
 
 
+@pytest.mark.full
 def test_another_load_than_that_of_the_model_is_told_and_identified(here, excited):
     code, output, _ = here('identify', excited[0], '--robot', 'SO101', '--gripper', 'none')
     assert code == 0 and 'the efforts fit a payload of 0.' in output
@@ -210,6 +212,7 @@ def noised(bag, target, size):
     return rewritten(bag, target, add)
 
 
+@pytest.mark.full
 def test_a_record_that_is_too_short_says_which_length_suffices(here, excited, clean, tmp_path):
     bag, values = excited
     assert clean[0]['suffices_s'] < 12.0
@@ -243,6 +246,7 @@ def as_sqlite(source, folder):
     return folder
 
 
+@pytest.mark.full
 def test_a_bag_in_sqlite_gives_the_same_and_other_joint_names_are_asked_for(
         here, excited, clean, tmp_path):
     bag = as_sqlite(excited[0], tmp_path / 'bag')
@@ -296,6 +300,7 @@ def test_records_that_tell_nothing_are_rejected(here, excited, tmp_path, change,
     assert not (tmp_path / 'x.yaml').exists()
 
 
+@pytest.mark.full
 def test_states_that_are_not_finite_are_left_out_and_a_short_rest_is_rejected(
         here, excited, tmp_path):
     count = 0

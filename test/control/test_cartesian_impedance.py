@@ -75,13 +75,13 @@ def mobility(op):
 def test_a_push_moves_the_end_effector_by_force_over_stiffness(name):
     op = impedance(name)
     start, force = op.pose, np.array([-3.0, 4.0, 5.0])
-    op.run(3.0, push(op, force))
+    op.run(2.0, push(op, force))
     expected = force / STIFFNESS[:3]
     np.testing.assert_allclose(
         error_of(op, start)[:3], expected, atol=0.01 * np.abs(expected).max())
     assert not op.report.texts  # To yield is no failure.
     if name not in SHORT:
-        op.run(2.5, push(op, np.zeros(3), [0.0, 0.0, 0.6]))
+        op.run(2.0, push(op, np.zeros(3), [0.0, 0.0, 0.6]))
         assert error_of(op, start)[5] == pytest.approx(0.6 / 50.0, rel=0.01)
 
 
@@ -163,6 +163,7 @@ def test_the_posture_yields_as_its_own_stiffness_says_and_the_end_effector_stays
     assert moved[10.0] / moved[40.0] == pytest.approx(4.0, rel=0.1) and moved[40.0] > 2e-3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize('mode', ['effort', 'position'])
 def test_a_redundant_arm_is_drawn_to_the_posture_that_is_set_and_back(mode):
     op = impedance('IIWA')
@@ -183,7 +184,7 @@ def test_a_redundant_arm_is_drawn_to_the_posture_that_is_set_and_back(mode):
     for posture, reached in (('initial', initial), (other.tolist(), other),
                              (str(initial.tolist()), initial), (other, other)):
         op.robot.joints.cartesian.set('right', 'null_space_posture', posture)
-        op.run(6.0)
+        op.run(4.0)
         np.testing.assert_allclose(op.robot.state().position[:7], reached, atol=0.02)
         np.testing.assert_allclose(error_of(op, start), 0.0, atol=2e-3)
     assert op.robot.settings['null_space_posture.right'] == str(other.tolist())

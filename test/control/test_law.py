@@ -79,6 +79,7 @@ def run(script, **environment):
                           capture_output=True, text=True)
 
 
+@pytest.mark.full
 def test_a_compiled_law_gives_the_bits_of_the_same_law_as_plain_python():
     results = [run(SCRIPT, NUMBA_DISABLE_JIT=plain).stdout.split() for plain in '01']
     assert [kind for kind, _ in results] == ['CPUDispatcher', 'function']
@@ -171,6 +172,7 @@ assert not later, later
 """
 
 
+@pytest.mark.full
 def test_loaded_laws_are_those_that_commands_need():
     run(USING)
 

@@ -337,6 +337,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.full
 def test_compiled_laws_give_the_same_bits_as_plain_python():
     digests = {subprocess.run(
         [sys.executable, '-W', 'ignore', '-c', _DIGEST], check=True, capture_output=True,

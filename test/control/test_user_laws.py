@@ -321,6 +321,7 @@ def test_a_law_that_cannot_be_is_rejected_where_it_is_written(arguments, text):
         law(**arguments)(spring.function)
 
 
+@pytest.mark.full
 def test_a_function_that_numba_has_decorated_is_a_compiled_law(panda_sim, caplog):
     other = Simulation(panda_sim.world)
     decorated = numba.njit(holding_alone)

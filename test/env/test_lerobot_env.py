@@ -52,6 +52,7 @@ def test_the_evaluator_counts_the_successes_of_single_episodes(asynchronous):
     env.close()
 
 
+@pytest.mark.full
 def test_observations_have_lerobots_names_and_the_order_of_our_data_sets():
     env = make_env(task='pick_cube', cameras=('agentview',), image_size=(64, 48))['pick_cube'][0]
     observation, _ = env.reset(seed=[4])

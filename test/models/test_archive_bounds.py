@@ -133,6 +133,7 @@ def test_an_archive_is_bounded_before_it_is_sent_to_another_process():
     rejected(bytes(2**26 + 1), 'has 67108865 bytes')
 
 
+@pytest.mark.full
 def test_what_is_no_archive_is_rejected():
     good = archive({'model.xml': XML})
     load_archive(good)

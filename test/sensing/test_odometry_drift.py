@@ -45,6 +45,7 @@ def test_slip_is_a_share_of_the_way_and_of_velocities():
     assert np.cos(heading) == pytest.approx(np.cos(5.0 * rates[2]))
 
 
+@pytest.mark.full
 def test_drift_grows_with_the_square_root_of_the_way_whatever_the_periods_are():
     for way in (LINE, LINE[::8]):
         ends = np.array([driven(seed, way, drift=0.02)[0][:2] for seed in range(150)])
