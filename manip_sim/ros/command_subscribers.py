@@ -68,7 +68,8 @@ class CommandSubscription:
 
         def subscribe(qos: QoSProfile, **arguments: Any) -> Any:
             subscription = context.node.create_subscription(
-                message_type, topic, self._take_once, qos, raw=True,
+                message_type, topic, self._take_all if inbox is None else self._take_once, qos,
+                raw=True,
                 callback_group=None if inbox is None else inbox.group, **arguments)
             if inbox is not None:
                 inbox.add(subscription)
@@ -97,6 +98,18 @@ class CommandSubscription:
                 for entity in (subscription, *subscription.event_handlers):
                     subscription.callback_group.entities.discard(weakref.ref(entity))
                 self._context.node.destroy_subscription(subscription)
+
+    def _take_all(self, data: bytes, info: dict[str, Any]) -> None:
+        """Take a message, and those that wait behind it: executors would call services before."""
+        self._take_once(data, info)
+        for subscription in (self._reliable, self._best_effort):
+            if subscription is None:
+                continue
+            for _ in range(COMMAND_DEPTH):
+                taken = subscription.handle.take_message(subscription.msg_type, True)
+                if taken is None:
+                    break
+                self._take_once(*taken)
 
     def _take_once(self, data: bytes, info: dict[str, Any]) -> None:
         if self._best_effort is not None:  # Until then, a message comes once.

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Future
 import contextlib
 import ctypes
 import gc
@@ -25,8 +24,8 @@ from manip_sim.errors import ManipSimError, ParameterError
 from manip_sim.models import untrusted_models
 from manip_sim.ros.arguments import for_other_nodes, start_ros
 from manip_sim.ros.declared_parameters import Parameters
-from manip_sim.ros.executor import BACKGROUND_THREAD, GuardedExecutor
-from manip_sim.ros.sim_node import LAWS_THREAD, SimNode
+from manip_sim.ros.executor import BACKGROUND_THREAD, begin, GuardedExecutor
+from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals, leave
 
@@ -55,7 +54,7 @@ def run(arguments: Sequence[str]) -> int:
     finally:
         rclpy.try_shutdown()
     untrusted_models.give_up()
-    return leave(code, camera_thread.THREAD_NAME, BACKGROUND_THREAD, LAWS_THREAD)
+    return leave(code, camera_thread.THREAD_NAME, BACKGROUND_THREAD)
 
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
@@ -95,15 +94,7 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
 
 def _compile_laws(node: SimNode, asked_to_end: EndSignals) -> bool:
     """Compile control laws until a signal comes; return whether they are all there."""
-    compilation: Future[None] = Future()
-
-    def compile_laws() -> None:
-        try:
-            node.compile_laws()
-            compilation.set_result(None)
-        except BaseException as error:
-            compilation.set_exception(error)
-    threading.Thread(target=compile_laws, name=LAWS_THREAD).start()
+    compilation = begin(node.compile_laws)
     while not compilation.done():
         if asked_to_end.wait(_WATCH_S):
             return False

@@ -39,6 +39,7 @@ from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands, SurroundingsCommands
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
+from manip_sim.ros.executor import BACKGROUND_THREAD
 from manip_sim.ros.feature import Feature, NodeContext, PublishingThread
 from manip_sim.ros.live_parameters import LiveParameters
 from manip_sim.ros.offered_features import add_offered_features, load_features
@@ -55,8 +56,6 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.compiled_period import load
 
 F = TypeVar('F', bound=Feature)
-#: Name of threads that load laws.
-LAWS_THREAD = 'laws'
 #: Number of publications that may wait, by stepping: states would become old in ``free``, else as
 #: many as there are states in a second, while a reader does not acknowledge.
 _MOST = {'free': 32, 'realtime': 20_000}
@@ -312,7 +311,7 @@ class SimNode(Node):
             self._command_thread.start()
         if kept:
             # The first command should not wait for them, and steps in Python cost more.
-            threading.Thread(target=_load_laws, name=LAWS_THREAD).start()
+            threading.Thread(target=_load_laws, name=BACKGROUND_THREAD).start()
         for feature in self.shared.features:
             feature.started()
         log_start(self.shared, self._world)

@@ -115,6 +115,28 @@ def test_ten_commands_at_once_are_all_taken(serve, client):
         client.spin_until(lambda n=burst: accepted.accepted == 10 * n)
 
 
+@pytest.mark.parametrize('service', ['reset', 'step'])
+def test_trajectories_that_came_before_a_call_are_taken_before_it(service, serve, client):
+    node = serve(start_paused=True)
+    publisher = client.publisher(JointTrajectory, 'arm/joint_trajectory')
+    call = client.node.create_client(Trigger, f'manip_sim/{service}')
+    client.spin_until(call.service_is_ready)
+    released = []
+    node.executor.create_task(lambda: until(lambda: released))
+    for number in (1, 2, 3):
+        publisher.publish(JointTrajectory(
+            joint_names=[f'robot0_joint{number}'], points=[JointTrajectoryPoint(
+                positions=[0.2], time_from_start=Duration(nanosec=100_000_000))]))
+    assert publisher.wait_for_all_acked(WaitDuration(seconds=10))
+    answer = call.call_async(Trigger.Request())
+    wait(client, 0.3)  # The request has to come while the executor is busy.
+    released.append(True)
+    client.spin_until(answer.done)
+    assert node.commands.robots[0].statistics['arm'].accepted == 3
+    node.thread.step()
+    assert len(node.simulation.robot.joints.busy_parts) == (service == 'step')
+
+
 def until(condition):
     end = time.monotonic() + START_S
     while not condition():
