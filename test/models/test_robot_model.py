@@ -214,7 +214,8 @@ def test_joint_attribute_without_force_only_fills_in(robot_with):
 
 @pytest.mark.parametrize(('values', 'message'), [
     ([1.0], 'have 2 numbers, got 1'), ([1.0, 2.0, 3.0], 'have 2 numbers, got 3'),
-    ([1.0, np.nan], 'be finite, got nan at index 1')])
+    ([1.0, np.nan], 'be finite, got nan at index 1'),
+    ([0.0, -0.5], 'not be negative, got -0.5 at index 1')])
 def test_joint_attribute_rejects_wrong_values(robot_with, values, message):
     with pytest.raises(CommandError, match=f'^damping of Robot0 must {message}$'):
         robot_with('joint1', 'joint2').set_joint_attribute('damping', values)

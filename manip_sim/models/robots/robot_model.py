@@ -470,7 +470,7 @@ class RobotModel(MujocoXMLModel, ABC):
         :param attrib: ``damping``, ``frictionloss``, ``armature`` or ``stiffness``
         :param values: one for each of :attr:`joints`, shape (dof,)
         :param force: also where the file gives a value other than zero
-        :raises CommandError: if the number of values is wrong or one is not finite
+        :raises CommandError: if the number of values is wrong, or one is not finite or negative
         :raises UnknownNameError: if the attribute is unknown
         """
         settable = ('damping', 'frictionloss', 'armature', 'stiffness')
@@ -478,6 +478,10 @@ class RobotModel(MujocoXMLModel, ABC):
             raise UnknownNameError('joint attribute', attrib, settable)
         numbers = finite_numbers(values, len(self._joints), f'{attrib} of {self.name}',
                                  CommandError)
+        if (numbers < 0.0).any():
+            place = int(np.argmax(numbers < 0.0))
+            raise CommandError(f'{attrib} of {self.name} must not be negative, '
+                               f'got {numbers[place]:g} at index {place}')
         for name, value in zip(self._joints, numbers):
             joint = self._spec.joint(name)
             if force or not np.any(getattr(joint, attrib)):
