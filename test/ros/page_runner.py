@@ -67,6 +67,11 @@ def run_here(experiment: Any, seeds: Sequence[int], count: int) -> Iterator[Any]
     yield from map(Worker(experiment).run, seeds)
 
 
+def two_seeds(seeds: re.Match[str]) -> str:
+    """Return the first two of seeds."""
+    return f'{seeds[1]}:{int(seeds[1]) + 2}'
+
+
 def needed_program(words: list[str]) -> str | None:
     """Return the program beside ours that a command is of, or None."""
     for begin, program in TOOLS.items():
@@ -154,7 +159,7 @@ class PageRunner:
                            timeout=300.0, stdout=subprocess.DEVNULL)
         elif first == 'manip_sim':
             if rest[0] == 'run':  # Two seeds, without processes of their own, show as much.
-                rest = [re.sub(r'^0:\d+$', '0:2', word) for word in rest]
+                rest = [re.sub(r'^(\d+):\d+$', two_seeds, word) for word in rest]
                 self._patch.setattr('manip_sim.cli.run.run_in_processes', run_here)
             if '>' in rest:
                 *rest, _, file = rest
