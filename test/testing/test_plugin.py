@@ -25,17 +25,9 @@ def pytest_in(folder, *arguments):
                            *arguments], cwd=folder, capture_output=True, text=True, timeout=500)
 
 
-@needs_ros
-def test_the_tests_of_the_page_on_testing_pass(tmp_path):
-    files = {block.file: block.text
-             for block in blocks(DOCS / 'how_to' / 'test_your_controller.md') if block.tested_by}
-    assert set(files) == {'test_reach.py', 'test_follower.py', 'test_admittance.py',
-                          'test_pick.py'}
-    for name, text in files.items():
-        (tmp_path / name).write_text(text)
-    done = pytest_in(tmp_path)
-    assert done.returncode == 0, done.stdout
-    assert '4 passed' in done.stdout
+#: Tests of the page on testing, by file.
+PAGE = {block.file: block.text
+        for block in blocks(DOCS / 'how_to' / 'test_your_controller.md') if block.tested_by}
 
 
 FAILS = """
@@ -69,19 +61,42 @@ def test_that_both_have_ended():
 """
 
 
-@needs_ros
-def test_all_simulations_of_a_test_end_although_the_controller_of_one_has_failed(tmp_path):
-    (tmp_path / 'test_of_mine.py').write_text(FAILS_AT_ITS_END)
-    done = pytest_in(tmp_path)
-    assert '2 passed, 1 error' in done.stdout and "KeyError: 'no such key'" in done.stdout
+FAILING = {'test_of_mine.py': FAILS, 'test_its_end.py': FAILS_AT_ITS_END}
+
+
+@pytest.fixture(scope='module')
+def ran(tmp_path_factory):
+    """Run the tests of the page on testing, and some that fail; return the folder and the end."""
+    folder = tmp_path_factory.mktemp('tests')
+    for name, text in {**PAGE, **FAILING}.items():
+        (folder / name).write_text(text)
+    return folder, pytest_in(folder, '-rA', '--sim-node-failures', 'left')
 
 
 @needs_ros
-def test_a_failed_test_leaves_states_model_and_picture(tmp_path, renderer):
-    (tmp_path / 'test_of_mine.py').write_text(FAILS)
-    done = pytest_in(tmp_path, '--sim-node-failures', 'left')
+def test_the_tests_of_the_page_on_testing_pass(ran):
+    _, done = ran
+    assert set(PAGE) == {'test_reach.py', 'test_follower.py', 'test_admittance.py',
+                         'test_pick.py'}
+    for name in PAGE:
+        assert f'\nPASSED {name}::' in done.stdout, done.stdout
+
+
+@needs_ros
+def test_all_simulations_of_a_test_end_although_the_controller_of_one_has_failed(ran):
+    _, done = ran
+    assert "KeyError: 'no such key'" in done.stdout
+    for line in ('ERROR test_its_end.py::test_that_fails_at_its_end',
+                 'PASSED test_its_end.py::test_that_both_have_ended',
+                 '1 failed, 6 passed, 1 error'):
+        assert line in done.stdout, done.stdout
+
+
+@needs_ros
+def test_a_failed_test_leaves_states_model_and_picture(ran, renderer):
+    tests, done = ran
     assert done.returncode == 1
-    folder = tmp_path / 'left' / 'test_of_mine.py_test_that_fails'
+    folder = tests / 'left' / 'test_of_mine.py_test_that_fails'
     assert f'the last instant: {folder}/picture.png' in done.stdout
     assert ': /manip_sim, /test_of_a_controller\n' in done.stdout
     with np.load(folder / 'states.npz') as states:
