@@ -64,10 +64,12 @@ MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 #: of them, a long file that comes last keeps one worker busy and the others waiting for it. Those
 #: of processes that wait for each other take turns with those that compute.
 LONGEST = (
-    'experiments/test_runs.py', 'cli/test_cli_identify.py', 'testing/test_sim_node.py',
+    'experiments/test_runs.py', 'testing/test_sim_node.py', 'control/test_law.py',
     'ros/test_documentation.py', 'simulation/test_compiled_periods.py', 'ros/test_viewer.py',
     'ros/test_process.py', 'worlds/test_planned_periods.py', 'ros/test_diagnostics.py',
-    'experiments/test_comparison.py', 'test_bench.py',
+    'control/test_user_laws.py', 'models/test_untrusted_models.py', 'test_bench.py',
+    'cli/test_cli_identify.py', 'models/test_archive_bounds.py',
+    'experiments/test_comparison.py',
     'ros/test_graph_monitor.py', 'ros/test_soak.py', 'ros/test_camera_topics.py',
     'ros/test_hostile_viewer.py', 'ros/test_pick_cube.py', 'ros/test_node_records.py',
     'ros/test_journal.py', 'ros/test_ros_commands.py', 'tasks/test_tasks.py',
@@ -87,7 +89,7 @@ LONGEST = (
     'simulation/test_randomization.py', 'ros/test_commands.py', 'ros/test_services.py',
     'models/test_catalogue_matrix.py', 'ros/test_several_robots.py', 'ros/test_watch_only.py',
     'ros/test_bad_input.py', 'sensing/test_noise.py', 'rendering/test_catalogue_cameras.py',
-    'test_typing.py', 'test_requirements.py', 'ros/test_sensors.py', 'ros/test_log.py',
+    'test_typing.py', 'ros/test_sensors.py', 'ros/test_log.py',
     'simulation/test_other_processors.py', 'tasks/test_latency.py')
 
 
