@@ -349,15 +349,15 @@ def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_on
             _command(kind, worlds, alone, period, STEPS)
             worlds.advance(STEPS)
             alone.advance(STEPS)
-        assert first.physics.standing[GONE_ON] > 0
     command(0, 4 if kind == 'rest' else 60)
+    assert first.physics.standing[GONE_ON] > 0
     saved = [alone.save(), first.save()]
     for acts in _BETWEEN:
         for simulation, state in zip((alone, first), saved):
             simulation.restore(state)
             simulation.model.opt.wind[:], simulation.model.opt.density = options
             simulation.data.xfrc_applied[:] = 0.0
-        command(60, 64)
+        command(60, 66)
         for act in acts:
             for simulation in (alone, first):
                 act(simulation.robot)
