@@ -26,6 +26,14 @@ class Derived:
     def __init__(self) -> None:
         self.of: dict[Any, Any] = {}
 
+    def clear(self) -> None:
+        """
+        Forget all values.
+
+        In a copy of an object graph, this method is that of the copy; ``of.clear`` would be none.
+        """
+        self.of.clear()
+
     def made_of(self, make: Callable[..., T], *parts: Any) -> T:
         """
         Return the value made of some objects, the same as before while they are the same.

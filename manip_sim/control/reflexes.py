@@ -131,7 +131,7 @@ class CollisionObserver:
         self.forces = RobotForces(physics, joints.names)
         self.residual: FloatArray = np.zeros(len(joints.names))
         self._derived = Derived()
-        physics.on_change(self._derived.of.clear)
+        physics.on_change(self._derived.clear)
 
     def restart(self) -> None:
         """Forget all forces."""

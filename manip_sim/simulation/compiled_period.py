@@ -255,7 +255,7 @@ class CompiledPeriod:
         self._steps, self._floating_bases = steps, floating_bases
         self._clock, self._timestep_s = clock, timestep_s
         self._derived = Derived()
-        steps.physics.on_change(self._derived.of.clear)
+        steps.physics.on_change(self._derived.clear)
 
     @property
     def may_step(self) -> bool:

@@ -898,6 +898,19 @@ def _of_one(robot):
     return robot.law_parameters('arm')
 
 
+def test_a_world_whose_objects_change_forgets_what_was_made_of_its_model():
+    # Compiled code read rows with addresses of the model before, which was freed.
+    worlds = Worlds(compose('Panda'), 2, 1)
+    made = [(simulation.periods.compiled._derived, simulation.robot.reflexes.collisions._derived)
+            for simulation in worlds.simulations]
+    for derived in (*made[0], *made[1]):
+        derived.of['mark'] = 0
+    changed = worlds.simulations[1]
+    changed.change_objects(plan_with(changed.plan, create_object(
+        {'name': 'ball', 'shape': 'sphere', 'size': [0.03], 'position': [0.5, 0.0, 1.2]})))
+    assert [['mark' in derived.of for derived in own] for own in made] == [[True] * 2, [False] * 2]
+
+
 def test_a_law_feels_its_tool_after_objects_have_gone_from_its_world(pair):
     for one in (pair.worlds.simulations[1], pair.simulations[1]):
         one.robot.set_law('arm', pulled)
