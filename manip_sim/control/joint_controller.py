@@ -421,23 +421,6 @@ class JointController(ControlledJoints):
             command.handle.end(Status.DONE)
         return goals
 
-    def renew(self, command: JointSetpoint, values: FloatArray, now_s: float) -> bool:
-        """
-        Give a command that runs other values, as if an equal one had replaced it.
-
-        The caller lets setpoints go there.
-
-        :param command: nobody else has it
-        :param now_s: simulation time since the last reset [s]
-        :returns: False if it does not run any more, or a trajectory waits for its start
-        """
-        if self.commands.waiting or not any([own is command for own in self.commands.running]):
-            return False
-        self._setpoints.now_s = now_s
-        self._timeouts.renew(command.parts, now_s)
-        command.values[:] = values
-        return True
-
     def go_on(self, command: Command, goals: FloatArray, renewed_s: FloatArray, now_s: float,
               period_s: float) -> bool:
         """

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -211,8 +210,7 @@ class SetpointGenerator:
         :param messages: how many messages came since the last call, of which this is the last
         :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        wait_in_worlds([self], indices, _numbers(velocity)[None], np.array([period_s]), True,
-                       messages, stamp_s)
+        self._wait(indices, velocity, period_s, messages, stamp_s, True)
 
     def go_to(self, indices: IntArray, goal: FloatArray, period_s: float, messages: int = 1,
               stamp_s: float = 0.0) -> None:
@@ -226,19 +224,15 @@ class SetpointGenerator:
         :param messages: how many messages came since the last call, of which this is the last
         :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        wait_in_worlds([self], indices, _numbers(goal)[None], np.array([period_s]), False,
-                       messages, stamp_s)
+        self._wait(indices, goal, period_s, messages, stamp_s, False)
 
-    @property
-    def row(self) -> int:
-        """Address of the row of :attr:`joints` for compiled code."""
-        row = self._derived.of.get('row')
-        if row is None:
-            from manip_sim.control.law.rows import Row  # It imports numba.
-            from manip_sim.control.law.stream_timing import JOINTS
-            row = self._derived.of['row'] = Row(JOINTS)
-        row.write((self.joints,))
-        return int(row.address)
+    def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
+              stamp_s: float, velocities: bool) -> None:
+        """Let goals wait until the next interval."""
+        # Copies, as compiled code is for arrays that can be written.
+        _law_of_goals().wait(self.joints, np.array(indices), _numbers(goals), float(period_s),
+                             float(messages), float(stamp_s), velocities)
+        self.moving = True
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -273,27 +267,6 @@ class SetpointGenerator:
             from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
             self.moving = advance(self.joints, self.counts, self.now_s, duration_s)
         self.now_s += duration_s
-
-
-def wait_in_worlds(setpoints: Sequence[SetpointGenerator], indices: IntArray, goals: FloatArray,
-                   periods_s: FloatArray, velocities: bool, messages: int = 1,
-                   stamp_s: float = 0.0) -> None:
-    """
-    Take goals of the same coordinates in one world or many.
-
-    :param setpoints: of each world
-    :param indices: of the coordinates, shape (n,)
-    :param goals: positions [rad or m] or velocities [rad/s or m/s], shape (worlds, n), contiguous
-    :param periods_s: lengths of a control period in each world [s], shape (worlds,)
-    :param velocities: whether goals are velocities
-    :param messages: how many messages came since the last call, of which this is the last
-    :param stamp_s: when it was sent, by any clock [s]; 0: unknown
-    """
-    _law_of_goals().wait_in_worlds(
-        np.array([world.row for world in setpoints]), np.array(indices), goals, periods_s,
-        float(messages), float(stamp_s), velocities)
-    for world in setpoints:
-        world.moving = True
 
 
 @cache

@@ -197,26 +197,6 @@ class SimulatedRobot:
         return self.joints.go_on(command, run.room.goals, run.room.renewed_s,
                                  self._clock.control_s, self._period_s)
 
-    def renew(self, command: JointSetpoint, values: FloatArray, period_s: float | None) -> bool:
-        """
-        Give a command that was applied other values, as if an equal one had replaced it.
-
-        The caller lets setpoints go there.
-
-        :param command: nobody else has it
-        :param values: within the ranges of its joints [rad, m, or per s], shape (n,)
-        :param period_s: length of a control period [s]; None for that of the last one
-        :returns: False, and nothing has changed, where it has to be applied instead
-        """
-        self._physics.interrupt()
-        if (self._late or self.sensing.settings.delays_commands or self.reflexes.tripped
-                or self.reflexes.armed or self.faults.scheduled):
-            return False
-        if not self.joints.renew(command, values, self._clock.control_s):
-            return False
-        self._period_s = period_s or self._period_s
-        return True
-
     def _apply(self, command: Command) -> None:
         clock = self._clock
         refusal = self.reflexes.refusal(command)
@@ -665,7 +645,7 @@ class SimulatedRobot:
         Return where compiled code can give a command other values in a world that goes on.
 
         :param command: that was applied, nobody else has it
-        :returns: address of the row of the robot; 0 if it has to be given to :meth:`renew`
+        :returns: address of the row of the robot; 0 if it has to be applied
         """
         if self.faults.scheduled or self.sensing.settings.delays_commands or (
                 self.reflexes.tripped) or not command.handle.is_active or not any(

@@ -15,13 +15,12 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
 from manip_sim.control.modes import POSITION, VELOCITY
-from manip_sim.control.setpoints import wait_in_worlds
 from manip_sim.errors import CommandError
 from manip_sim.physics.physics import EPOCH, STEPS
 from manip_sim.quoting import format_value
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.compiled_period import renew, renew_actions, renew_grips
-from manip_sim.validation import clamp, command_numbers, positive_number
+from manip_sim.validation import clamp, command_numbers
 
 #: So many streams of a robot are known at most.
 _MOST_STREAMS = 8
@@ -229,9 +228,7 @@ class Commands(RowByRow):
             names, part=part, **{field: values[world] for field, values in columns.items()}),
             mask & ~alike)
         if goal is not None:
-            if period_s is not None:
-                positive_number(period_s, 'period_s', CommandError)
-            made += self._begin(goal, values, alike & ~self._renew(goal, values, alike, period_s))
+            made += self._begin(goal, values, alike)
         for robot, commands in made:
             robot.apply(*commands, period_s=period_s)
 
@@ -323,25 +320,6 @@ class Commands(RowByRow):
         for world in np.flatnonzero(inside).tolist():
             inside[world] = robots[world].joints.modes == modes
         return goal, inside
-
-    def _renew(self, goal: JointSetpoint, values: FloatArray, worlds: BoolArray,
-               period_s: float | None) -> BoolArray:
-        """Let worlds in which such a command runs go on with it; return which do."""
-        renewed, setpoints, periods = np.zeros(len(worlds), dtype=bool), [], []
-        modes = [mode for mode in (POSITION, VELOCITY) if {*goal.modes} == {mode.name}]
-        if not modes:
-            return renewed
-        for world in np.flatnonzero(worlds).tolist():
-            robot, last = self._robots[world], self._streams.get(world)
-            if last is not None and last.indices is goal.indices and last.modes is goal.modes and (
-                    robot.renew(last, values[world], period_s)):
-                renewed[world] = True
-                setpoints.append(robot.joints.setpoints)
-                periods.append(robot.period_s)
-        if setpoints:
-            wait_in_worlds(setpoints, goal.indices, values[renewed], np.array(periods),
-                           modes[0] is VELOCITY)
-        return renewed
 
     def _begin(self, goal: JointSetpoint, values: FloatArray, worlds: BoolArray
                ) -> list[tuple[SimulatedRobot, tuple[Command, ...]]]:

@@ -14,8 +14,7 @@ import pytest
 
 from manip_sim.control.law.joint_records import blank_state, records
 from manip_sim.control.law.stream_goals import take_alone
-from manip_sim.control.law.rows import Row
-from manip_sim.control.law.stream_timing import JOINTS, TRUSTED, wait_in_worlds
+from manip_sim.control.law.stream_timing import TRUSTED, wait
 from manip_sim.control.setpoints import SetpointGenerator
 
 PERIOD_S, LIMIT = 0.01, np.array([10.0])
@@ -30,11 +29,9 @@ class Estimator:
         self._all = np.arange(count)
 
     def take_one(self, goal, now_s, messages=1, stamp_s=0.0):
-        joints, row = records(self._state), Row(JOINTS)
-        row.write((joints,))
-        wait_in_worlds(
-            np.array([row.address]), self._all, np.full((1, len(self._all)), goal, dtype=float),
-            np.array([PERIOD_S]), float(messages), float(stamp_s), False)
+        joints = records(self._state)
+        wait(joints, self._all, np.full(len(self._all), goal, dtype=float), PERIOD_S,
+             float(messages), float(stamp_s), False)
         take_alone(joints, now_s)
 
     def __getattr__(self, name):

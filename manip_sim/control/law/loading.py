@@ -26,7 +26,7 @@ from manip_sim.control.law.servo_rates import find_efforts_beside, find_rates
 from manip_sim.control.law.setpoint_changes import ramp_to, set_state, set_velocity
 from manip_sim.control.law.setpoint_motion import advance
 from manip_sim.control.law.stream_goals import take_alone
-from manip_sim.control.law.stream_timing import wait, wait_in_worlds
+from manip_sim.control.law.stream_timing import wait
 from manip_sim.physics.physics import WorldArrays
 
 _LOGGER = logging.getLogger(__name__)
@@ -80,7 +80,6 @@ def _call_all() -> None:
     world, joints = WorldArrays.of(data), records(blank_state(one))
     counts, nobody = np.zeros((2, _COUNT), np.int64), readable(np.zeros(0, SERVO))
     wait(joints, places, none, 0.01, 1.0, 0.0, False)
-    wait_in_worlds(places[:0].copy(), places, np.zeros((0, _COUNT)), none, 1.0, 0.0, False)
     advance(joints, counts, 0.0, 1.0)
     find_efforts_beside(world, nobody, joints[:0], no_loads(), none, none)
     find_rates(world, nobody, nowhere, joints[:0], none, 1.0, none, none)

@@ -14,12 +14,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import IntArray
 from manip_sim.control.law.compiling import compiled, inner
-from manip_sim.control.law.joint_records import JOINT, readable
-from manip_sim.control.law.rows import Layout
 from manip_sim.control.law.small_matrices import clip
 
 #: So many messages back the line through the arrivals remembers.
@@ -292,24 +288,3 @@ def wait(joints: Any, indices: IntArray, goals: Any, period: float, messages: fl
         x.waiting, x.waiting_goal, x.waiting_stamp, x.waiting_period = (
             kind, goals[k], stamp, period)
         x.moves = 1.0
-
-
-#: The place of the records of coordinates in a row.
-JOINTS = Layout((readable(np.zeros(0, JOINT)),))
-_read_joints = JOINTS.reader()
-
-
-@compiled
-def wait_in_worlds(rows: IntArray, indices: IntArray, goals: FloatArray, periods: FloatArray,
-                   messages: float, stamp: float, velocities: bool) -> None:
-    """
-    Let goals wait in one world or many, as by :func:`wait`.
-
-    :param rows: addresses of rows by :data:`JOINTS`, shape (worlds,)
-    :param indices: of the coordinates, shape (n,)
-    :param goals: shape (worlds, n)
-    :param periods: of control [s], shape (worlds,)
-    """
-    for world in range(len(rows)):
-        joints = _read_joints(rows[world])[0]
-        wait(joints, indices, goals[world], periods[world], messages, stamp, velocities)
