@@ -632,7 +632,7 @@ def test_actions_that_have_yet_to_take_effect_are_digested_alike(pair):
     pair.check_equal()
 
 
-class OwnGripper(PandaGripper):
+class OwnGripper(PandaGripper, registered=False):
     """A gripper with a meaning of actions of its own, without a state."""
 
     def format_action(self, action):
