@@ -81,13 +81,17 @@ def fit_goal(x: Any, live: bool) -> float:
 
 
 @inner
-def own_acceleration(x: Any, velocity: float) -> float:
-    """Return the signed acceleration of a stream to a velocity, zero unless it is on schedule."""
+def own_acceleration(x: Any, velocity: float, known: float) -> float:
+    """
+    Return the signed acceleration of a stream to a velocity, zero unless it is on schedule.
+
+    :param known: so many messages in a row show that
+    """
     for goal in (x.goal, x.goal - x.step_1, x.goal - x.step_1 - x.step_2):
         # That of goals that are clamped to the range is none.
         if not x.low + 1e-9 < goal < x.high - 1e-9:
             return 0.0
-    if x.even <= SCHEDULED or x.steady <= TRUSTED or x.memory >= 0.5 * x.elapsed:
+    if x.even <= known or x.steady <= TRUSTED or x.memory >= 0.5 * x.elapsed:
         return 0.0
     return float((velocity - x.rate_goal) * 2.0 / (x.elapsed + x.elapsed_before))
 
@@ -118,7 +122,7 @@ def follow_goal(x: Any, live: bool, now: float) -> None:
     velocity = clip(wanted, -x.top, x.top)
     if velocity != wanted:
         x.limited += 1.0
-    own = own_acceleration(x, velocity)
+    own = own_acceleration(x, velocity, SCHEDULED)
     x.bound, x.own = allowed_acceleration(x, own, x.step_1 == 0.0), own
     interval = max(x.interval, x.waiting_period)
     left = clip(x.sent + interval - now, 0.5 * interval, 1.5 * interval) + x.slack
@@ -129,12 +133,16 @@ def follow_goal(x: Any, live: bool, now: float) -> None:
 
 
 @inner
-def take_velocity(x: Any, live: bool) -> float:
-    """Take in a velocity that has come; return the signed acceleration of its stream."""
+def take_velocity(x: Any, live: bool, known: float) -> float:
+    """
+    Take in a velocity that has come; return the signed acceleration of its stream.
+
+    :param known: so many messages in a row show that it is on schedule
+    """
     velocity = x.waiting_goal
     change = velocity - x.goal if live else 0.0
     # As for positions, a change may be twice the last one plus what the limit allows.
-    on_time = live and x.even > SCHEDULED and (
+    on_time = live and x.even > known and (
         abs(change) <= 2.0 * (abs(x.change) + x.limit * x.elapsed))
     x.goal, x.change = velocity, change
     return float(change / x.elapsed if on_time else 0.0)
@@ -143,7 +151,7 @@ def take_velocity(x: Any, live: bool) -> float:
 @inner
 def follow_velocity(x: Any, live: bool) -> None:
     """Let the reference come to a velocity of which another one has come."""
-    own = take_velocity(x, live)
+    own = take_velocity(x, live, SCHEDULED)
     come_to(x, x.goal)
     x.bound, x.own = allowed_acceleration(x, own, False), own
     interval = x.interval if live else x.waiting_period
@@ -192,9 +200,9 @@ def take_alone(joints: Any, now: float) -> int:
     for i in members:
         x = joints[i]
         if velocities:
-            x.own = take_velocity(x, live)
+            x.own = take_velocity(x, live, TRUSTED)
         else:
             velocity = fit_goal(x, live)
-            x.own = own_acceleration(x, velocity)
+            x.own = own_acceleration(x, velocity, TRUSTED)
             x.rate_goal = velocity
     return 2 if live else 1
