@@ -44,8 +44,8 @@ from manip_sim.validation import clamp
 C = TypeVar('C', bound=Command)
 #: Modes whose commands can take effect while compiled code goes on.
 _STREAMED = (EFFORT.name, POSITION.name, VELOCITY.name)
-#: Control periods for which the path of trajectories is computed at once: most of the cost of a
-#: call is that of any call.
+#: Control periods for which the path of trajectories is computed at once. One of ten steps takes
+#: 324 us with 8 of them, 279 with 16 and 262 with 32, most of which is physics.
 _AHEAD = 16
 #: No joint that a trajectory leads.
 _NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
@@ -659,7 +659,7 @@ class JointController(ControlledJoints):
         :param targets: with them
         :param owners: for the law, shape (n,)
         :param acts: for the law, shape (1,)
-        :returns: when a command times out or ends to push [s], or None
+        :returns: simulation time until which it may [s], or None
         """
         commands = self.commands
         if commands.waiting or len(joints.base) or self.resting:
@@ -687,8 +687,8 @@ class JointController(ControlledJoints):
         :param joints: as :meth:`begin_run` has returned them
         :param intervals: physics steps of those of a period, shape (k,)
         :param clock: of the simulation
-        :returns: them, and when the first period begins in which a trajectory ends, or which is
-            farther ahead [s]
+        :returns: the joints, and the simulation time before which periods have to begin to be
+            known [s]: a trajectory ends in the next one, or it is farther ahead
         """
         trajectories = [c for c in self.commands.running if isinstance(c, JointTrajectory)]
         if not trajectories:

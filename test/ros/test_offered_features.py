@@ -22,7 +22,7 @@ from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED, Topic
 from manip_sim.ros.feature import create_output, Feature
 from std_srvs.srv import Trigger
 """
-#: What a package offers that cannot be used, and what is said of it.
+#: Features that cannot be used, and a part of the message about each.
 BROKEN = {
     'Raises': ('def __init__(self, context): 1 / 0', 'ZeroDivisionError: division by zero'),
     'Needy': ('def __init__(self): pass', 'TypeError'),

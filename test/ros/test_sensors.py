@@ -17,7 +17,7 @@ from manip_sim.ros.messages import nanoseconds_of
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 GRAVITY, GYRO, ACCELEROMETER = 9.81, 0.002, 0.05
-#: What a package offers that cannot be used, and what is said of it.
+#: Sensors that cannot be used, and a part of the message about each.
 BROKEN = {
     'Raises': ('def write(self, message, simulation): 1 / 0', 'ZeroDivisionError'),
     'Wrong': ("def write(self, message, simulation): message.data = 'text'", 'AssertionError'),
