@@ -3,6 +3,7 @@
 
 """Cartesian commands over topics, with one node for most tests."""
 
+import copy
 import math
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -64,10 +65,9 @@ class ArmClient:
 
     def pose(self, offset=(0.0, 0.0, 0.0), frame='world', like=None):
         """Return a message for a pose beside one of the end effector."""
-        message = like or self.poses[-1]
-        pose = PoseStamped(pose=message.pose)
-        point = message.pose.position
-        pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = (
+        pose = PoseStamped(pose=copy.deepcopy((like or self.poses[-1]).pose))
+        point = pose.pose.position
+        point.x, point.y, point.z = (
             float(value) for value in np.array([point.x, point.y, point.z]) + offset)
         pose.header.frame_id = frame
         return pose
