@@ -78,6 +78,8 @@ class ControlledJoints:
     :ivar names: of the driven joints, in the order of their indices
     :ivar modes: the names of their control modes
     :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
+    :ivar servos: of the joints
+    :ivar setpoints: of the joints
     :ivar commands: that have not ended
     """
 
@@ -92,11 +94,11 @@ class ControlledJoints:
         self._part_of = [name for name in atomic for _ in parts[name].driven_joints]
         self.twist_indices = self._find_twist_joints(parts)
         self._sideways = 'base' not in parts or parts['base'].sideways
-        self._servos = Servos(
+        self.servos = Servos(
             physics, [a for a, _ in driven], self.names, gains_are_highest)
-        self._setpoints = SetpointGenerator(
-            self._servos.position_clamp(), self._servos.cruising_velocity,
-            self._servos.acceleration_limit)
+        self.setpoints = SetpointGenerator(
+            self.servos.position_clamp(), self.servos.cruising_velocity,
+            self.servos.acceleration_limit)
         self.commands = Ledger(len(self.names))
         self.modes = tuple(default_mode(part) for part in self._part_of)
         self._effort = np.zeros(len(self.names))
@@ -111,14 +113,14 @@ class ControlledJoints:
         return self._indices_of['base'][[indices[0] for indices in candidates]]
 
     @property
-    def setpoints(self) -> SetpointGenerator:
-        """The setpoints of the joints."""
-        return self._setpoints
+    def effort(self) -> FloatArray:
+        """Commanded efforts of the joints [N m or N], shape (n,), a view."""
+        return self._effort
 
     @property
     def lowered(self) -> tuple[str, ...]:
         """A sentence for each servo whose gains were lowered, as they were not stable."""
-        return self._servos.lowered
+        return self.servos.lowered
 
     def indices_of(self, part: str) -> IntArray:
         """
@@ -154,7 +156,7 @@ class ControlledJoints:
         :param modes: of all joints, as :attr:`modes` was when they were looked up; a thread beside
             that of the simulation has to look once only; None: the present ones
         """
-        return self._of_modes(lambda mode: MODES[mode].ranges(self._servos), indices, modes)
+        return self._of_modes(lambda mode: MODES[mode].ranges(self.servos), indices, modes)
 
     def _of_modes(self, find: Callable[[str], FloatArray], indices: IntArray,
                   modes: Sequence[str] | None) -> FloatArray:
@@ -164,11 +166,11 @@ class ControlledJoints:
 
     def acceleration_limits(self, indices: IntArray) -> FloatArray:
         """Return the acceleration limits of setpoints [rad/s^2 or m/s^2], shape (n,), a copy."""
-        return np.array(self._servos.acceleration_limit[indices])
+        return np.array(self.servos.acceleration_limit[indices])
 
     def velocity_limits(self, indices: IntArray) -> FloatArray:
         """Return the velocity limits [rad/s or m/s], shape (n,), a copy."""
-        return np.array(self._servos.velocity_limit[indices])
+        return np.array(self.servos.velocity_limit[indices])
 
     def clamps(self, indices: IntArray, modes: Sequence[str] | None = None) -> FloatArray:
         """
@@ -176,23 +178,23 @@ class ControlledJoints:
 
         :param modes: of all joints, as for :meth:`ranges`
         """
-        return self._of_modes(lambda mode: MODES[mode].clamps(self._servos), indices, modes)
+        return self._of_modes(lambda mode: MODES[mode].clamps(self.servos), indices, modes)
 
     def ranges_of(self, field: str, indices: IntArray) -> FloatArray:
         """Return the lowest and highest values of a field of joints, shape (n, 2), a copy."""
-        return np.array(self._servos.ranges[field][indices])
+        return np.array(self.servos.ranges[field][indices])
 
     def efforts_allowed(self, indices: IntArray) -> FloatArray:
         """Return the greatest efforts of joints [N m or N], shape (n,)."""
-        return np.asarray(np.abs(self._servos.ranges['effort'][indices]).max(axis=1))
+        return np.asarray(np.abs(self.servos.ranges['effort'][indices]).max(axis=1))
 
     def dofs(self, indices: IntArray) -> IntArray:
         """Return the addresses of joints in ``qvel``, shape (n,)."""
-        return np.asarray(self._servos.dofs[indices])
+        return np.asarray(self.servos.dofs[indices])
 
     def measured(self, indices: IntArray, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """Return measured position and velocity of joints, copies, each of shape (n,)."""
-        return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
+        return data.qpos[self.servos.qpos[indices]], data.qvel[self.servos.dofs[indices]]
 
     def twist_clamps(self, indices: IntArray, modes: Sequence[str]) -> FloatArray:
         """
@@ -217,8 +219,8 @@ class ControlledJoints:
         :param elapsed_s: how long it has been running [s]
         :raises CommandError: if it is much too fast, or its spline is not finite
         """
-        position, velocity = self._setpoints.position[indices], self._setpoints.velocity[indices]
-        limit, slowed, whole = self._servos.velocity_limit[indices], trajectory, 1.0
+        position, velocity = self.setpoints.position[indices], self.setpoints.velocity[indices]
+        limit, slowed, whole = self.servos.velocity_limit[indices], trajectory, 1.0
         slowed.begin_at(position, velocity, elapsed_s)
         # The velocity at which the motion begins stays, so once may not be enough, and then
         # little is gained by the same again.
@@ -243,7 +245,7 @@ class ControlledJoints:
 
         :raises UnknownNameError: if the part is unknown
         """
-        return int(self._setpoints.limited[self.indices_of(part)].sum())
+        return int(self.setpoints.limited[self.indices_of(part)].sum())
 
     def lost(self, part: str) -> int:
         """
@@ -251,7 +253,7 @@ class ControlledJoints:
 
         :raises UnknownNameError: if the part is unknown
         """
-        return int(self._setpoints.lost[self.indices_of(part)].max(initial=0))
+        return int(self.setpoints.lost[self.indices_of(part)].max(initial=0))
 
     def controller_state(self, part: str, data: mujoco.MjData, efforts: FloatArray
                          ) -> ControllerState:
@@ -261,13 +263,13 @@ class ControlledJoints:
         :param efforts: of all degrees of freedom [N m or N], shape (nv,)
         :raises UnknownNameError: if the part is unknown
         """
-        indices, setpoints = self.indices_of(part), self._setpoints
-        gives = self._servos.gives_effort(indices)
+        indices, setpoints = self.indices_of(part), self.setpoints
+        gives = self.servos.gives_effort(indices)
         reference = JointReference(
             setpoints.position[indices], setpoints.velocity[indices],
             setpoints.acceleration[indices], np.where(gives, self._effort[indices], 0.0),
             gives & np.array([MODES[mode].law is None for mode in self.modes_of(indices)], bool))
-        dofs = self._servos.dofs[indices]
+        dofs = self.servos.dofs[indices]
         return ControllerState(
             tuple(self.names[i] for i in indices), reference,
-            data.qpos[self._servos.qpos[indices]], data.qvel[dofs], efforts[dofs])
+            data.qpos[self.servos.qpos[indices]], data.qvel[dofs], efforts[dofs])

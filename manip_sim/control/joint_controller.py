@@ -5,18 +5,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import math
 from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import (
-    CartesianCommand, CartesianWrench, GuardedTwist, PoseAction)
+    CartesianCommand, CartesianWrench, GuardedTwist)
 from manip_sim.control.cartesian.controller import CartesianController
 from manip_sim.control.cartesian.kinematic_chains import KinematicChain
 from manip_sim.control.command_timeouts import CommandTimeouts
@@ -24,9 +23,7 @@ from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointImpedance, JointSetpoint, JointTrajectory, Status,
     TrajectoryReference, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
-from manip_sim.control.law.arm_records import no_targets, Targets
-from manip_sim.control.law.joint_records import DUE, MOVES, RobotJoints
-from manip_sim.control.modes import Arrival, ControlMode, EFFORT, MODES, POSITION, VELOCITY
+from manip_sim.control.modes import Arrival, ControlMode, MODES
 from manip_sim.control.payloads import Payloads
 from manip_sim.control.seats import Seats, SeatState
 from manip_sim.control.trajectory_following import TrajectoryFollowing
@@ -34,7 +31,6 @@ from manip_sim.control.user_laws import Law, LAWS, PREFIX
 from manip_sim.control.velocity_stream import BaseTwists
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
-from manip_sim.physics.clock import Clock
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.parts import Part
 from manip_sim.physics.payload import Payload
@@ -42,15 +38,6 @@ from manip_sim.physics.physics import Physics
 from manip_sim.validation import clamp
 
 C = TypeVar('C', bound=Command)
-#: Modes whose commands can take effect while compiled code goes on.
-_STREAMED = (EFFORT.name, POSITION.name, VELOCITY.name)
-#: Control periods for which the path of trajectories is computed at once. One of ten steps takes
-#: 324 us with 8 of them, 279 with 16 and 262 with 32, most of which is physics.
-_AHEAD = 16
-#: No joint that a trajectory leads.
-_NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
-#: No base that follows a twist.
-_NOT_DRIVEN = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3))
 #: Share of the acceleration limits that a change of the speed of trajectories may use.
 _SLEW_SHARE = 0.5
 
@@ -70,6 +57,9 @@ class JointController(ControlledJoints):
     :param end_effectors: readers of the grippers, by arm
     :ivar cartesian: controller of the end effectors
     :ivar seats: the laws of users, by part
+    :ivar command_timeouts: of the parts
+    :ivar trajectories: that wait or lead setpoints
+    :ivar base: twists of the mobile base
     """
 
     remembered = ('modes', '_effort', '_targets_end', '_efforts_due', '_written')
@@ -80,19 +70,19 @@ class JointController(ControlledJoints):
                  end_effectors: Mapping[str, EndEffectorReader] | None = None) -> None:
         super().__init__(physics, parts, atomic, gains_are_highest)
         self._physics = physics
-        self.seats = Seats(physics, self._servos, self._indices_of, {
+        self.seats = Seats(physics, self.servos, self._indices_of, {
             part: reader for arm, reader in (end_effectors or {}).items() if arm in parts
             for part in parts[arm].atomic if len(parts[arm].atomic) == 1})
         self.cartesian = CartesianController(
-            physics, chains or {}, self.names, self._servos, self._setpoints,
+            physics, chains or {}, self.names, self.servos, self.setpoints,
             end_effectors or {}, self.seats)
         self._everything = np.arange(len(self.names))
         self._derived = Derived()
-        self._timeouts = CommandTimeouts(atomic)
-        self._trajectories = TrajectoryFollowing(
-            self._setpoints, self.commands, len(self.names), _SLEW_SHARE * float(np.min(
-                self._servos.acceleration_limit / self._servos.velocity_limit, initial=1e3)))
-        self._base = BaseTwists(self._servos, self._setpoints)
+        self.command_timeouts = CommandTimeouts(atomic)
+        self.trajectories = TrajectoryFollowing(
+            self.setpoints, self.commands, len(self.names), _SLEW_SHARE * float(np.min(
+                self.servos.acceleration_limit / self.servos.velocity_limit, initial=1e3)))
+        self.base = BaseTwists(self.servos, self.setpoints)
         #: The parts whose timeout was set, and so ends Cartesian targets too.
         self._targets_end: set[str] = set()
         #: True while new efforts have yet to be written.
@@ -101,7 +91,7 @@ class JointController(ControlledJoints):
 
     def refresh_joint_parameters(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
-        self._servos.refresh_joint_parameters()
+        self.servos.refresh_joint_parameters()
         self.cartesian.refresh_joint_parameters()
 
     @property
@@ -110,20 +100,29 @@ class JointController(ControlledJoints):
         found: Payloads | None = self._derived.of.get('payloads')
         if found is None:
             found = self._derived.of['payloads'] = Payloads(
-                self._physics, self._servos, self.cartesian.readers)
+                self._physics, self.servos, self.cartesian.readers)
         return found
 
     @property
-    def _acts(self) -> bool:
+    def acts(self) -> bool:
         """True if controls change whether setpoints move or not."""
-        return self.payloads.any or self._servos.any_integrates
+        return self.payloads.any or self.servos.any_integrates
+
+    @property
+    def flags(self) -> tuple[bool, bool, bool, bool]:
+        """Values of MOVES, DUE, WRITTEN and ACTS of the compiled law; the last one is not set."""
+        return self.setpoints.moving, self._efforts_due, self._written, self.acts
+
+    @flags.setter
+    def flags(self, flags: Sequence[bool]) -> None:
+        self.setpoints.moving, self._efforts_due, self._written, _ = flags
 
     @property
     def moving(self) -> bool:
         """True if setpoints change, or may change, in the next interval, or a law acts."""
-        self._servos.interrupt()
-        if (self.seats.of or self._setpoints.moving or self._efforts_due or self.commands.waiting
-                or self._acts):
+        self.servos.interrupt()
+        if (self.seats.of or self.setpoints.moving or self._efforts_due or self.commands.waiting
+                or self.acts):
             return True
         for command in self.commands.running:
             if isinstance(command, (JointTrajectory, BaseTwist)) or (
@@ -134,24 +133,24 @@ class JointController(ControlledJoints):
     @property
     def timeouts(self) -> dict[str, int]:
         """Number of command timeouts of each atomic part."""
-        return self._timeouts.counts
+        return self.command_timeouts.counts
 
     def settings(self, part: str) -> dict[str, Any]:
         """Return what acts for an atomic part, by the names of parameters."""
         index = int(self.indices_of(part)[0])
-        longest_s, hold_s = self._setpoints.stream_settings(index)
-        return {'control_mode': self.modes[index], 'command_timeout': self._timeouts[part],
+        longest_s, hold_s = self.setpoints.stream_settings(index)
+        return {'control_mode': self.modes[index], 'command_timeout': self.command_timeouts[part],
                 'timeout_follows_mode': part not in self._targets_end,
                 'stream_interval': longest_s, 'stream_hold': hold_s,
-                'integral_gain': self._servos.integral_gain(index)}
+                'integral_gain': self.servos.integral_gain(index)}
 
     @property
     def resting(self) -> bool:
         """True if control has nothing to do."""
-        self._servos.interrupt()
-        return not (self._setpoints.moving or self._written or self.commands.running
-                    or self.commands.waiting or self._timeouts.pending or self.seats.of
-                    or self._acts)
+        self.servos.interrupt()
+        return not (self.setpoints.moving or self._written or self.commands.running
+                    or self.commands.waiting or self.command_timeouts.pending or self.seats.of
+                    or self.acts)
 
     @property
     def busy_parts(self) -> frozenset[str]:
@@ -175,7 +174,7 @@ class JointController(ControlledJoints):
         :raises UnknownNameError: if the part is unknown
         """
         for name in self.parts_of(self.indices_of(part)):
-            self._timeouts.set(name, timeout_s)
+            self.command_timeouts.set(name, timeout_s)
             (self._targets_end.add if ends_targets else self._targets_end.discard)(name)
 
     def set_stream(self, part: str, longest_s: float | None = None, hold_s: float | None = None
@@ -189,7 +188,7 @@ class JointController(ControlledJoints):
         :raises UnknownNameError: if the part is unknown
         """
         indices = self.indices_of(part)
-        self._setpoints.set_stream(indices, longest_s, hold_s)
+        self.setpoints.set_stream(indices, longest_s, hold_s)
         for arm in self.cartesian.settings:
             if np.isin(self.indices_of(arm), indices).all():
                 self.cartesian.set_stream(arm, longest_s, hold_s)
@@ -201,7 +200,7 @@ class JointController(ControlledJoints):
         :param gain: [1/s]; 0 for not at all
         :raises UnknownNameError: if the part is unknown
         """
-        if self._servos.set_integral_gain(self.indices_of(part), gain):
+        if self.servos.set_integral_gain(self.indices_of(part), gain):
             self._write_again()
 
     def set_payload(self, arm: str, payload: Payload) -> None:
@@ -216,7 +215,7 @@ class JointController(ControlledJoints):
 
     def _write_again(self) -> None:
         """Let the controls of joints at rest be written once more."""
-        self._setpoints.resume()
+        self.setpoints.resume()
         self._efforts_due = True
 
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
@@ -238,7 +237,7 @@ class JointController(ControlledJoints):
 
     def _enter(self, part: str, wanted: ControlMode, data: mujoco.MjData) -> IntArray:
         """Let joints of a part that are in another mode come to rest in one; return which do."""
-        mode, servos = wanted.name, self._servos
+        mode, servos = wanted.name, self.servos
         changed = np.array([i for i in self.indices_of(part) if self.modes[i] != mode],
                            dtype=np.int64)
         if changed.size:
@@ -246,7 +245,7 @@ class JointController(ControlledJoints):
             restart = servos.set_gains(changed, gains)
             self.commands.release(changed, Status.ABORTED, f'the control mode is {mode} now')
             self.modes = tuple(mode if i in changed else m for i, m in enumerate(self.modes))
-            self._timeouts.forget(self.parts_of(changed))
+            self.command_timeouts.forget(self.parts_of(changed))
             self.seats.rise(self.parts_of(changed))
             servos.integrate(changed, wanted.integrates)
             self._hold(changed, data, restart)
@@ -294,7 +293,7 @@ class JointController(ControlledJoints):
         """
         indices = self.indices_of(part)
         self.commands.release(indices, Status.ABORTED, reason)
-        self._timeouts.forget([part])
+        self.command_timeouts.forget([part])
         if part in self.seats.of:
             self.seats.of[part].acts = False
         self._hold(indices, data)
@@ -305,7 +304,7 @@ class JointController(ControlledJoints):
 
         :param restart: whether gains of servos have changed
         """
-        servos, setpoints = self._servos, self._setpoints
+        servos, setpoints = self.servos, self.setpoints
         gives = servos.gives_effort(indices)
         free = indices[gives]
         behind = np.stack(servos.behind(setpoints.acceleration))
@@ -322,7 +321,7 @@ class JointController(ControlledJoints):
                 :, braking]
             setpoints.shift(braking, position, velocity)
             setpoints.brake(braking)
-        if self._servos.forget_commands(indices) or free.size or braking.size or restart:
+        if self.servos.forget_commands(indices) or free.size or braking.size or restart:
             # Those that brake push the others, which have to withstand at once.
             servos.start(data, setpoints.joints, self.payloads.loads)
 
@@ -330,16 +329,16 @@ class JointController(ControlledJoints):
         """Abort all commands and hold the joints where they are; modes stay."""
         everything = self._everything
         self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
-        self._timeouts.clear()
-        self._trajectories.forget()
-        self._base.forget()
+        self.command_timeouts.clear()
+        self.trajectories.forget()
+        self.base.forget()
         self.cartesian.reset(data)
         self._effort[:] = 0.0
-        self._servos.give_effort(everything, False)
-        self._servos.forget_commands(everything)
-        position = data.qpos[self._servos.qpos]
-        self._setpoints.reset(position)
-        self._servos.hold(data, position)
+        self.servos.give_effort(everything, False)
+        self.servos.forget_commands(everything)
+        position = data.qpos[self.servos.qpos]
+        self.setpoints.reset(position)
+        self.servos.hold(data, position)
         self._efforts_due = self._written = False
         for seat in self.seats.of.values():
             seat.restart()
@@ -354,13 +353,13 @@ class JointController(ControlledJoints):
         :param now_s: simulation time since the last reset [s]
         :param period_s: length of the period [s]
         """
-        self._setpoints.now_s = now_s
+        self.setpoints.now_s = now_s
         meant = self._of_present_mode(command)
         if meant is None:
             command.handle.end(Status.ABORTED, 'the control mode has changed')
             return
         meant.handle.status = Status.RUNNING
-        self._timeouts.renew(meant.parts, now_s)
+        self.command_timeouts.renew(meant.parts, now_s)
         if isinstance(meant, JointImpedance):
             meant = self._impede(meant, data)
         if meant is None:
@@ -369,7 +368,7 @@ class JointController(ControlledJoints):
             self.commands.enqueue(meant)
         elif isinstance(meant, TrajectoryStop):
             stopped = self.commands.stop(meant)
-            self._setpoints.set_velocity(stopped, np.zeros(len(stopped)))
+            self.setpoints.set_velocity(stopped, np.zeros(len(stopped)))
             meant.handle.end(Status.DONE)
         elif isinstance(meant, CartesianWrench):
             self._push(meant, data, now_s)
@@ -380,12 +379,12 @@ class JointController(ControlledJoints):
             self.commands.take(meant)
             self.commands.begin(meant)
             if isinstance(meant, BaseTwist):
-                self._base.begin(meant, data, now_s, period_s, drives)
+                self.base.begin(meant, data, now_s, period_s, drives)
             elif isinstance(meant, JointSetpoint):
-                self._apply_setpoint(meant, period_s)
+                self.apply_setpoint(meant, period_s)
             elif isinstance(meant, CartesianCommand):
                 if MODES[self.modes[meant.indices[0]]].exerts_at_end_effector:
-                    self._servos.give_effort(meant.indices, True)
+                    self.servos.give_effort(meant.indices, True)
                 self.cartesian.begin(meant, data, now_s, goes_on)
 
     def impedes(self, arm: str) -> bool:
@@ -394,7 +393,7 @@ class JointController(ControlledJoints):
         return mode.exerts_at_end_effector and self.cartesian.settings[arm].impedes
 
     def _has_target(self, arm: str) -> bool:
-        return any([command.arm == arm for command in self._cartesian_commands()])
+        return any([command.arm == arm for command in self.cartesian_commands])
 
     def _push(self, command: CartesianWrench, data: mujoco.MjData, now_s: float) -> None:
         """Let an impedance push, which keeps its end effector where it is if it has no target."""
@@ -405,72 +404,21 @@ class JointController(ControlledJoints):
             stay = self.cartesian.stay(command, data)
             self.commands.take(stay)
             self.commands.begin(stay)
-            self._servos.give_effort(stay.indices, True)
+            self.servos.give_effort(stay.indices, True)
             self.cartesian.begin(stay, data, now_s, False)
-        lasts_s = max(self._timeouts[part] for part in command.parts)
+        lasts_s = max(self.command_timeouts[part] for part in command.parts)
         self.cartesian.push(command, now_s + lasts_s if lasts_s else math.inf)
         command.handle.end(Status.DONE)
 
     def _impede(self, command: JointImpedance, data: mujoco.MjData) -> JointSetpoint | None:
         """Let servos pull as a command says, and return its goals, or None if it has none."""
-        if self._servos.impede(command.indices, *command.pulls):
-            self._servos.start(
-                data, self._setpoints.joints, self.payloads.loads, command.indices)
+        if self.servos.impede(command.indices, *command.pulls):
+            self.servos.start(
+                data, self.setpoints.joints, self.payloads.loads, command.indices)
         goals = command.setpoint()
         if goals is None:
             command.handle.end(Status.DONE)
         return goals
-
-    def go_on(self, command: Command, goals: FloatArray, renewed_s: FloatArray, now_s: float,
-              period_s: float) -> bool:
-        """
-        Let a command replace one that differs in its numbers alone while compiled code goes on.
-
-        :param goals: of joints, see :meth:`catch_up`, changed
-        :param renewed_s: with them, changed
-        :param now_s: simulation time since the last reset [s]
-        :param period_s: length of a control period [s]
-        :returns: False, and nothing has changed, where it has to be applied instead
-        """
-        if type(command) is not JointSetpoint or len(set(command.modes)) != 1 or (
-                command.modes[0] not in _STREAMED):
-            return False
-        older = self._alike(command)
-        if older is None or older.modes is not command.modes:
-            return False
-        exerts = command.modes[0] == EFFORT.name
-        if exerts and not self._servos.gives_effort(command.indices).all():
-            return False  # Gains have to change.
-        self.commands.replace(older, command)
-        command.handle.status = Status.RUNNING
-        self._apply_setpoint(command, period_s)
-        flags = self._flags
-        flags[MOVES], flags[DUE] = not exerts or self._setpoints.moving, exerts or flags[DUE]
-        goals[command.indices], renewed_s[command.indices] = command.values, now_s
-        return True
-
-    def go_on_acting(self, command: PoseAction) -> bool:
-        """
-        Let an action replace one that differs in its numbers alone while compiled code goes on.
-
-        The caller gives compiled code the numbers.
-
-        :returns: False, and nothing has changed, where it has to be applied instead
-        """
-        older = self._alike(command)
-        if older is None:
-            return False
-        self.commands.replace(older, command)
-        command.handle.status = Status.RUNNING
-        return True
-
-    def _alike(self, command: C) -> C | None:
-        """Return another command of the same kind that runs for the same joints, or None."""
-        for older in self.commands.running:
-            if (type(older) is type(command) and older.indices is command.indices
-                    and older.handle.is_active and older is not command):
-                return older
-        return None
 
     def _of_present_mode(self, command: C) -> C | None:
         if isinstance(command, (TrajectoryStop, CartesianCommand)):
@@ -483,7 +431,12 @@ class JointController(ControlledJoints):
             changed = [i for i in command.indices if not getattr(MODES[self.modes[i]], takes)]
         return command.without(np.array(changed, dtype=np.int64)) if changed else command
 
-    def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
+    def apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
+        """
+        Let joints follow the goals of a command that has taken them.
+
+        :param period_s: length of a control period [s]
+        """
         arrival = Arrival(period_s, command.messages, command.sent_s)
         modes = dict.fromkeys(command.modes)
         for mode in modes:
@@ -495,22 +448,22 @@ class JointController(ControlledJoints):
 
     def go_to(self, indices: IntArray, position: FloatArray, arrival: Arrival) -> None:
         """Let setpoints come to a position, or follow a stream of positions [rad or m]."""
-        self._setpoints.go_to(indices, position, *arrival)
+        self.setpoints.go_to(indices, position, *arrival)
 
     def go_at(self, indices: IntArray, velocity: FloatArray, arrival: Arrival) -> None:
         """Let setpoints come to a velocity, or follow a stream of them [rad/s or m/s]."""
-        self._setpoints.go_at(indices, velocity, *arrival)
+        self.setpoints.go_at(indices, velocity, *arrival)
 
     def exert(self, indices: IntArray, effort: FloatArray) -> None:
         """Exert an effort, and no longer follow setpoints [N m or N]."""
         self._effort[indices] = effort
-        self._servos.give_effort(indices, True)
+        self.servos.give_effort(indices, True)
         self._write_again()
 
     @property
     def speed_scaling(self) -> float:
         """Share of their speed at which trajectories are followed."""
-        return self._trajectories.clock.scaling
+        return self.trajectories.clock.scaling
 
     def set_speed_scaling(self, scaling: float, now_s: float) -> None:
         """
@@ -519,11 +472,11 @@ class JointController(ControlledJoints):
         :param scaling: share of their speed, from 0 to 1
         :param now_s: simulation time since the last reset [s]
         """
-        self._trajectories.clock.set(scaling, now_s)
+        self.trajectories.clock.set(scaling, now_s)
 
     def late_s(self, now_s: float) -> float:
         """Return how late trajectories are because they were followed slower [s]."""
-        return -self._trajectories.clock.ahead_s(now_s)
+        return -self.trajectories.clock.ahead_s(now_s)
 
     def trajectory_reference(self, handle: CommandHandle, now_s: float
                              ) -> TrajectoryReference | None:
@@ -532,7 +485,7 @@ class JointController(ControlledJoints):
 
         :param now_s: simulation time since the last reset [s]
         """
-        return self._trajectories.reference(handle, now_s)
+        return self.trajectories.reference(handle, now_s)
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """
@@ -546,10 +499,10 @@ class JointController(ControlledJoints):
         own = self.commands.withdraw(handle, reason)
         if not own.size:
             return  # Nothing must change: a reset or a restored state has ended it before.
-        velocity = data.qvel[self._servos.dofs[own]]
-        stop = data.qpos[self._servos.qpos[own]] + velocity * np.abs(velocity) / (
-            2.0 * self._servos.acceleration_limit[own])
-        self._setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
+        velocity = data.qvel[self.servos.dofs[own]]
+        stop = data.qpos[self.servos.qpos[own]] + velocity * np.abs(velocity) / (
+            2.0 * self.servos.acceleration_limit[own])
+        self.setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
 
     # ------------------------------------------------------------------ in the control loop
 
@@ -563,173 +516,41 @@ class JointController(ControlledJoints):
         :param interval_s: length of its first interval, if setpoints move [s]
         """
         self.cartesian.period_s, self.cartesian.interval_s = period_s, interval_s
-        self._setpoints.now_s, self._setpoints.interval_s = now_s, interval_s
+        self.setpoints.now_s, self.setpoints.interval_s = now_s, interval_s
         for command in list(self.commands.running):
             if isinstance(command, CartesianCommand):
                 self.cartesian.begin_period(command, data, now_s)
-            if (isinstance(command, JointSetpoint) and self._setpoints.at_rest(command.indices)
+            if (isinstance(command, JointSetpoint) and self.setpoints.at_rest(command.indices)
                     and all([MODES[mode].ends for mode in dict.fromkeys(command.modes)])):
                 self._finish(command, data, command.values)
             if (isinstance(command, BaseTwist) and not command.handle.is_active
-                    and self._setpoints.at_rest(command.indices)):
+                    and self.setpoints.at_rest(command.indices)):
                 self.commands.running.remove(command)
-        for part in self._timeouts.overdue(now_s):
+        for part in self.command_timeouts.overdue(now_s):
             if part not in self.busy_parts and (part in self._targets_end
                                                 or part not in self._target_parts()):
                 if any([part in self.parts_of(c.indices) for c in self._guarded]):
-                    self._timeouts.forget([part])  # Its motion came to its own end.
+                    self.command_timeouts.forget([part])  # Its motion came to its own end.
                 else:
                     self._time_out(part, data, now_s, period_s)
 
     def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
-        self.commands.finish(command, goal - data.qpos[self._servos.qpos[command.indices]])
+        self.commands.finish(command, goal - data.qpos[self.servos.qpos[command.indices]])
 
     def _time_out(self, part: str, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         indices = self.indices_of(part)
         twists = [c for c in self.commands.running if isinstance(c, BaseTwist) and part in c.parts]
-        self._timeouts.count(part)
+        self.command_timeouts.count(part)
         self.commands.release(indices, Status.ABORTED, 'no fresh command came in time')
         # Joints of a law follow no setpoints, but the law gets them.
-        gives = self._servos.gives_effort(indices) & (part not in self.seats.of)
+        gives = self.servos.gives_effort(indices) & (part not in self.seats.of)
         self._effort[indices[gives]] = 0.0
-        self._setpoints.set_velocity(indices[~gives], np.zeros(np.count_nonzero(~gives)))
+        self.setpoints.set_velocity(indices[~gives], np.zeros(np.count_nonzero(~gives)))
         for twist in twists:
             # It has ended, but brings the base to rest along its path.
             stop = replace(twist, twist=np.zeros(3))
             self.commands.begin(stop)
-            self._base.begin(stop, data, now_s, period_s, True)
-
-    def begin_run(self, intervals: IntArray, clock: Clock
-                  ) -> tuple[RobotJoints, Targets, int]:
-        """
-        Return joints and targets for the compiled law, and for how many intervals they are known.
-
-        Trajectories that are due in the first interval begin.
-
-        :param intervals: physics steps of each, shape (k,)
-        :param clock: of the simulation
-        """
-        now_s, durations_s = clock.control_s, self._derived.made_of(self._durations, intervals)
-        if self.commands.waiting:
-            self._setpoints.now_s = now_s
-            self._trajectories.start_due(
-                self.modes, now_s, float(durations_s[0]), self.cartesian.period_s)
-        trajectories, arms = [], []
-        base: tuple[Any, ...] = _NOT_DRIVEN
-        for command in self.commands.running:
-            if type(command) is JointSetpoint:
-                continue
-            if isinstance(command, JointTrajectory):
-                trajectories.append(command)
-            elif isinstance(command, CartesianCommand):
-                arms.append(command)
-            elif isinstance(command, BaseTwist):
-                base = (command.joints, command.columns,
-                        self._base.wanted(clock.ends_s(intervals, self._servos.step_s)))
-        targets, count = self.cartesian.begin_run(
-            arms, now_s, durations_s, lambda: clock.begins_s(intervals))
-        indices, path = _NOT_LED
-        if trajectories or self.commands.waiting:
-            indices, path = self._trajectories.path(
-                trajectories, clock.ends_s(intervals[:count], self._servos.step_s))
-            count = len(path)
-        servos, setpoints, flags = self._servos, self._setpoints, self._flags
-        flags[:] = setpoints.moving, self._efforts_due, self._written, self._acts
-        return self._derived.made_of(
-            RobotJoints, setpoints.joints, servos.records, servos.places, self._effort,
-            setpoints.counts, self.cartesian.postures, flags, indices, path, *base,
-            self.payloads.loads, servos.integrals), targets, count
-
-    def begin_python_steps(self, steps: int, now_s: float) -> None:
-        """
-        Let laws of users exert their efforts in steps that Python runs, in an interval that began.
-
-        :param steps: of the physics in it
-        :param now_s: simulation time since the last reset [s]
-        """
-        if self.seats.of:
-            self.seats.begin(now_s, steps, self._setpoints.joints, self._effort, self.payloads)
-
-    def stand(self, joints: RobotJoints, targets: Targets, owners: IntArray, acts: IntArray
-              ) -> float | None:
-        """
-        Let compiled code go on, if it knows all that setpoints and end effectors follow.
-
-        :param joints: as :meth:`begin_run` has returned them
-        :param targets: with them
-        :param owners: for the law, shape (n,)
-        :param acts: for the law, shape (1,)
-        :returns: simulation time until which it may [s], or None
-        """
-        commands = self.commands
-        if commands.waiting or len(joints.base) or self.resting:
-            return None
-        owners[:] = -1
-        for number, command in enumerate(commands.running):
-            if isinstance(command, (CartesianCommand, JointTrajectory)):
-                continue
-            if type(command) is not JointSetpoint:
-                return None
-            if all([MODES[mode].ends for mode in dict.fromkeys(command.modes)]):
-                owners[command.indices] = number
-        until_s = self.cartesian.stand(self._cartesian_commands(), targets)
-        if until_s is None:
-            return None
-        acts[0] = bool(commands.running or self._timeouts.pending or self.seats.of
-                       or self._acts)
-        return min(self._timeouts.first_s, until_s)
-
-    def look_ahead(self, joints: RobotJoints, intervals: IntArray, clock: Clock
-                   ) -> tuple[RobotJoints, float]:
-        """
-        Return the joints with the path of their trajectories in the next periods, if one runs.
-
-        :param joints: as :meth:`begin_run` has returned them
-        :param intervals: physics steps of those of a period, shape (k,)
-        :param clock: of the simulation
-        :returns: the joints, and the simulation time before which periods have to begin to be
-            known [s]: a trajectory ends in the next one, or it is farther ahead
-        """
-        trajectories = [c for c in self.commands.running if isinstance(c, JointTrajectory)]
-        if not trajectories:
-            led, path = _NOT_LED  # The last one may just have ended.
-            return joints._replace(led=led, path=path) if len(joints.path) else joints, math.inf
-        indices, path = self._trajectories.path(trajectories, clock.ends_s(
-            np.tile(intervals, _AHEAD), self._servos.step_s))
-        periods = (len(path) - 1) // len(intervals)
-        steps = clock.control_steps + periods * int(intervals.sum())
-        return (joints._replace(led=indices, path=path),
-                (steps - 0.5) * clock.step_ns * 1e-9)
-
-    def catch_up(self, targets: Targets, moved_s: float, goals: FloatArray,
-                 renewed_s: FloatArray, now_s: float) -> None:
-        """
-        Take over what compiled code has done by itself.
-
-        :param targets: of end effectors
-        :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
-        :param goals: that have come meanwhile, by joint, shape (n,)
-        :param renewed_s: when they came, or -1 [s], shape (n,)
-        :param now_s: simulation time since the last reset [s]
-        """
-        setpoints = self._setpoints
-        setpoints.moving, self._efforts_due, self._written, _ = self._flags.tolist()
-        if moved_s >= 0.0:
-            setpoints.now_s = moved_s
-        arms = self._cartesian_commands()
-        self.cartesian.catch_up(arms, targets)
-        for command in self.commands.running:
-            came_s = renewed_s.item(command.indices.item(0))
-            if came_s >= 0.0:
-                if isinstance(command, PoseAction):
-                    command.action[:] = targets.actions[arms.index(command)]
-                else:
-                    assert isinstance(command, JointSetpoint)
-                    command.values[:] = goals[command.indices]
-                renewed_s[command.indices] = -1.0
-                self._timeouts.renew(command.parts, came_s)
-                if came_s == now_s:
-                    setpoints.now_s = now_s
+            self.base.begin(stop, data, now_s, period_s, True)
 
     def seats_of(self, part: str) -> list[SeatState]:
         """
@@ -746,53 +567,36 @@ class JointController(ControlledJoints):
             raise ModelError(f'no law moves {part}: its control mode is {" and ".join(modes)}')
         return seats
 
-    def seat_rows(self) -> IntArray:
-        """Return the addresses of the rows of the laws of users, for compiled code."""
-        return self.seats.rows(self._setpoints.joints, self._effort, self.payloads)
-
-    def _durations(self, intervals: IntArray) -> FloatArray:
-        return np.asarray(intervals * self._servos.step_s, dtype=float)
-
     @property
-    def _flags(self) -> NDArray[np.bool_]:
-        """Room for the flags of the compiled law."""
-        flags: NDArray[np.bool_] | None = self._derived.of.get('flags')
-        if flags is None:
-            flags = self._derived.of['flags'] = np.zeros(4, np.bool_)
-        return flags
-
-    def end_run(self, joints: RobotJoints, targets: Targets, moved_s: float,
-                data: mujoco.MjData, now_s: float,
-                places_at_begin: Callable[[], mujoco.MjData]) -> None:
-        """
-        Take over the changes of the compiled law, and end trajectories that have come to an end.
-
-        :param moved_s: simulation time when setpoints stopped to move, or -1 [s]
-        :param now_s: simulation time since the last reset, after the intervals [s]
-        :param places_at_begin: returns data with the kinematics at the beginning of the period
-        """
-        setpoints = self._setpoints
-        setpoints.moving, self._efforts_due, self._written, _ = joints.flags.tolist()
-        if moved_s >= 0.0:
-            setpoints.now_s = moved_s
-        if targets is not no_targets():
-            self.cartesian.end_run(self._cartesian_commands(), targets, places_at_begin)
-        if len(joints.path):
-            led = [c for c in self.commands.running if isinstance(c, JointTrajectory)]
-            for command in led:
-                position = self._trajectories.end(command, now_s)
-                if position is not None:
-                    self._end_trajectory(command, data, position)
-
-    def _cartesian_commands(self) -> list[CartesianCommand]:
+    def cartesian_commands(self) -> list[CartesianCommand]:
+        """The commands for end effectors that run."""
         return [c for c in self.commands.running if isinstance(c, CartesianCommand)]
 
-    def _end_trajectory(self, command: JointTrajectory, data: mujoco.MjData,
-                        position: FloatArray) -> None:
-        self._finish(command, data, position)
-        # Setpoints may still have a velocity there, or have been held back on the way.
-        self._setpoints.come_back(command.indices, position)
-        self._timeouts.forget(command.parts - self._commanded_parts())
+    def start_trajectories(self, now_s: float, duration_s: float) -> None:
+        """
+        Start the trajectories that are due in an interval.
+
+        :param now_s: when it begins, simulation time since the last reset [s]
+        :param duration_s: its length [s]
+        """
+        if self.commands.waiting:
+            self.setpoints.now_s = now_s
+            self.trajectories.start_due(
+                self.modes, now_s, duration_s, self.cartesian.period_s)
+
+    def end_trajectories(self, data: mujoco.MjData, now_s: float) -> None:
+        """
+        End the trajectories that have come to an end.
+
+        :param now_s: simulation time since the last reset [s]
+        """
+        for command in [c for c in self.commands.running if isinstance(c, JointTrajectory)]:
+            position = self.trajectories.end(command, now_s)
+            if position is not None:
+                self._finish(command, data, position)
+                # Setpoints may still have a velocity there, or have been held back on the way.
+                self.setpoints.come_back(command.indices, position)
+                self.command_timeouts.forget(command.parts - self._commanded_parts())
 
     def _target_parts(self) -> frozenset[str]:
         return frozenset().union(*(

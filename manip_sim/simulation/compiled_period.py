@@ -19,9 +19,10 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import PoseAction
-from manip_sim.control.commands import GripperAction
+from manip_sim.control.commands import Command, GripperAction
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
+from manip_sim.control.joint_runs import JointRuns
 from manip_sim.control.law.arm_records import Targets
 from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.joint_records import RobotJoints
@@ -101,8 +102,8 @@ class RobotRuns:
 
     def __init__(self, physics: Physics, joints: JointController,
                  grippers: Mapping[str, GripperController], clock: Clock) -> None:
-        self._physics, self._joints, self._grippers = physics, joints, grippers
-        self._clock, self._derived = clock, Derived()
+        self._physics, self._controller, self._grippers = physics, joints, grippers
+        self._joints, self._clock, self._derived = JointRuns(joints), clock, Derived()
 
     def begin(self, intervals: IntArray) -> RobotRun:
         """
@@ -111,7 +112,7 @@ class RobotRuns:
         :param intervals: physics steps of each, shape (k,)
         """
         data = self._physics.data
-        joints, targets, count = self._joints.begin_run(intervals, self._clock)
+        joints, targets, count = self._joints.begin(intervals, self._clock)
         if count < len(intervals):
             intervals = intervals[:count]
         grippers, moving, now_s = [], [], self._clock.control_s
@@ -134,7 +135,7 @@ class RobotRuns:
         if room is None:
             from manip_sim.control.law.period import ROBOT  # It imports numba.
             from manip_sim.control.law.rows import Row
-            count = len(self._joints.names)
+            count = len(self._controller.names)
             room = self._derived.of['room'] = RunRoom(
                 Row(ROBOT), np.zeros(1), np.full(count, -1), np.zeros(1, np.int64),
                 np.zeros(count), np.full(count, -1.0))
@@ -152,8 +153,8 @@ class RobotRuns:
         :param run: the intervals, of :meth:`begin`
         :param places_at_begin: returns data with the kinematics at the beginning of the period
         """
-        self._joints.end_run(run.joints, run.targets, run.room.moved_s.item(),
-                             self._physics.data, self._clock.control_s, places_at_begin)
+        self._joints.end(run.joints, run.targets, run.room.moved_s.item(), self._physics.data,
+                         self._clock.control_s, places_at_begin)
         for controller, gripper in run.moving:
             controller.end_run(gripper)
 
@@ -196,10 +197,32 @@ class RobotRuns:
             [other is controller for other, _ in self.standing.moving])
         return self.address if goes_on and controller.renews(command) else 0
 
-    def renew_action(self, command: PoseAction) -> None:
-        """Give an action that compiled code goes on with the numbers of a command."""
-        renew_actions(self._physics.standing[None], np.array([self.address]), _ALONE,
-                      command.indices, command.action[None])
+    def go_on(self, command: Command, period_s: float) -> bool:
+        """
+        Let compiled code go on with a command like the one before, if it does go on.
+
+        :param period_s: length of a control period [s]
+        :returns: False, and nothing has changed, where it has to be applied instead
+        """
+        if self.standing is None:
+            return False
+        if type(command) is not PoseAction:
+            room = self.standing.room
+            return self._joints.go_on(
+                command, room.goals, room.renewed_s, self._clock.control_s, period_s)
+        goes_on = self._joints.go_on_acting(command)
+        if goes_on:
+            renew_actions(self._physics.standing[None], np.array([self.address]), _ALONE,
+                          command.indices, command.action[None])
+        return goes_on
+
+    def begin_python_steps(self, steps: int) -> None:
+        """
+        Let laws of users exert their efforts in steps that Python runs, in an interval that began.
+
+        :param steps: of the physics in it
+        """
+        self._joints.begin_python_steps(steps, self._clock.control_s)
 
     def catch_up(self, run: RobotRun | None, begin_s: float | None) -> None:
         """
@@ -209,7 +232,7 @@ class RobotRuns:
         :param begin_s: when its last period began [s], or None if it has run none
         """
         if begin_s is not None:
-            self._joints.setpoints.now_s = begin_s
+            self._controller.setpoints.now_s = begin_s
         if run is not None:
             moved_s = -1.0 if begin_s is None else run.room.moved_s.item()
             self._joints.catch_up(

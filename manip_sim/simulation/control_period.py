@@ -318,7 +318,7 @@ class ControlPeriods:
             self.compiled.prepare(runs, np.array([steps]), steps, stepping=False)
             self.compiled.run()
         for robot in awake:
-            robot.joints.begin_python_steps(steps, self._clock.control_s)
+            robot.runs.begin_python_steps(steps)
         self._floating_bases.apply()
         self._steps.run((steps,))
         self._left -= steps

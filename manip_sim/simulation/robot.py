@@ -183,19 +183,12 @@ class SimulatedRobot:
 
     def _goes_on(self, command: Command, period_s: float | None) -> bool:
         """Let compiled code go on with a command like the one before; return whether it does."""
-        run = self.runs.standing if self._physics.standing.item(STEPS) else None
-        if run is None or period_s not in (None, self._period_s) or (
+        if not self._physics.standing.item(STEPS) or period_s not in (None, self._period_s) or (
                 self.faults.scheduled or self.sensing.settings.delays_commands
                 or self.reflexes.tripped):
             return False
         self.check_own(command)
-        if type(command) is PoseAction:
-            goes_on = self.joints.go_on_acting(command)
-            if goes_on:
-                self.runs.renew_action(command)
-            return goes_on
-        return self.joints.go_on(command, run.room.goals, run.room.renewed_s,
-                                 self._clock.control_s, self._period_s)
+        return self.runs.go_on(command, self._period_s)
 
     def _apply(self, command: Command) -> None:
         clock = self._clock

@@ -24,7 +24,7 @@ class Base:
     @property
     def limit(self):
         joints = self.robot.joints
-        return joints._servos.acceleration_limit[joints.indices_of('base')]
+        return joints.servos.acceleration_limit[joints.indices_of('base')]
 
     @property
     def accelerations(self):

@@ -47,7 +47,7 @@ def test_the_end_effector_goes_straight_and_within_all_limits():
     start, goal = op.pose, op.reachable(0.6, 3)
     model, joints = op.simulation.model, op.robot.joints
     top = np.array([model.joint(j).user[0] for j in op.part.joints])
-    limit = joints._servos.acceleration_limit[joints.indices_of('right')]
+    limit = joints.servos.acceleration_limit[joints.indices_of('right')]
     path, speeds = [], [np.zeros(7)]
 
     def look():
@@ -85,7 +85,7 @@ def test_the_kinematics_is_solved_once_in_twelve_milliseconds(period_s, solution
 
 def test_a_target_that_jumps_leaves_the_setpoints_continuous():
     op = operator_of('Panda')
-    limit = op.robot.joints._servos.acceleration_limit[op.robot.joints.indices_of('right')]
+    limit = op.robot.joints.servos.acceleration_limit[op.robot.joints.indices_of('right')]
     speeds, random = [], np.random.default_rng(4)
 
     def jump():
@@ -346,7 +346,7 @@ def test_joints_brake_before_a_twist_brings_them_to_an_end_of_their_range(linear
         positions.append(op.reference.position.copy())
     op.run(3.0, move)
     assert op.report.joint_limit >= 1
-    limit = op.robot.joints._servos.acceleration_limit[op.robot.joints.indices_of('right')]
+    limit = op.robot.joints.servos.acceleration_limit[op.robot.joints.indices_of('right')]
     assert (np.abs(np.diff(positions, 2, axis=0)) <= 1.001 * limit * op.period_s**2).all()
 
 

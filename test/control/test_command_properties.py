@@ -51,7 +51,7 @@ def names_of_joints(most):
 
 def everything():
     """Return all that a command could change, as bytes."""
-    setpoints = JOINTS._setpoints
+    setpoints = JOINTS.setpoints
     arrays = [SIMULATION.data.qpos, SIMULATION.data.qvel, SIMULATION.data.ctrl,
               SIMULATION.data.act, *(value for value in vars(setpoints).values()
                                      if isinstance(value, np.ndarray)),

@@ -21,7 +21,7 @@ from manip_sim.errors import CommandError
 def test_joints_that_come_fast_to_the_ends_of_their_ranges_stop_there(name, late, then):
     simulation = whole_robot(name)
     robot, arm = simulation.robot, Driven(simulation, 'arm')
-    setpoints, indices = robot.joints._setpoints, robot.joints.indices_of('arm')
+    setpoints, indices = robot.joints.setpoints, robot.joints.indices_of('arm')
     limited = np.isfinite(arm.high)
     ends = np.where(limited, np.clip(arm.high, -4.0, 4.0), arm.position)
     speeds = np.where(limited, 0.9 * arm.velocity_limit, 0.0)
@@ -67,7 +67,7 @@ def random_command(robot, parts, random):
     part = parts[random.integers(len(parts))]
     joints = robot.joints
     indices = joints.indices_of(part)
-    names, limit = [joints.names[i] for i in indices], joints._servos.velocity_limit[indices]
+    names, limit = [joints.names[i] for i in indices], joints.servos.velocity_limit[indices]
     low, high = np.clip(joints.clamps(indices), -4.0, 4.0).T
     if 'effort' in {joints.modes[i] for i in indices}:
         return []
@@ -89,7 +89,7 @@ def random_command(robot, parts, random):
 def test_setpoints_keep_ranges_and_velocity_limits_whatever_is_commanded(name):
     random = np.random.default_rng(1)
     simulation = whole_robot(name, contacts=True)
-    robot, setpoints = simulation.robot, simulation.robot.joints._setpoints
+    robot, setpoints = simulation.robot, simulation.robot.joints.setpoints
     parts = [part for part in dict.fromkeys(robot.joints.parts_of(
         np.arange(len(robot.joints.names)))) if robot.parts[part].driven_joints]
     parts.sort()
@@ -103,6 +103,6 @@ def test_setpoints_keep_ranges_and_velocity_limits_whatever_is_commanded(name):
             except CommandError as error:
                 assert 'would have to move at' in str(error)
         simulation.advance(int(random.choice([1, 5, 5, 10])))
-        assert (np.abs(setpoints.velocity) <= 1.02 * robot.joints._servos.velocity_limit).all()
+        assert (np.abs(setpoints.velocity) <= 1.02 * robot.joints.servos.velocity_limit).all()
         assert (setpoints.velocity <= 1e-9)[setpoints.position >= setpoints.joints['high']].all()
         assert (setpoints.velocity >= -1e-9)[setpoints.position <= setpoints.joints['low']].all()

@@ -202,7 +202,7 @@ def test_stream_of_trajectories_that_overlap_is_smooth(op):
 def test_goal_takes_over_from_a_trajectory_without_a_jolt(op):
     arm = Driven(op.simulation, 'arm')
     handle = op.follow('arm', [J1], [1.0], [[0.5]]).handle
-    limit = op.simulation.robot.joints._servos.acceleration_limit[0]
+    limit = op.simulation.robot.joints.servos.acceleration_limit[0]
     with sampled(arm) as samples:
         op.run(0.5)
         op.go({J1: 0.1})
@@ -214,7 +214,7 @@ def test_goal_takes_over_from_a_trajectory_without_a_jolt(op):
 
 def test_end_velocity_brakes_softly_and_comes_back_to_the_last_point(op):
     arm = Driven(op.simulation, 'arm')
-    limit = op.simulation.robot.joints._servos.acceleration_limit[0]
+    limit = op.simulation.robot.joints.servos.acceleration_limit[0]
     handle = op.follow('arm', [J1], [0.8], [[0.4]], [[1.0]]).handle
     with sampled(arm) as samples:
         op.run(0.8)
@@ -295,7 +295,7 @@ def test_positions_past_the_limits_are_clamped_and_counted(op):
 
 def test_empty_trajectory_for_some_joints_stops_those_softly(op):
     arm = Driven(op.simulation, 'arm')
-    limit = op.simulation.robot.joints._servos.acceleration_limit
+    limit = op.simulation.robot.joints.servos.acceleration_limit
     command = op.follow('arm', [J1, J2], [1.0], [[0.5, 0.5]])
     with sampled(arm) as samples:
         op.run(0.5)
@@ -332,11 +332,11 @@ def test_joints_may_come_in_any_order(op):
 def test_trajectory_that_begins_in_motion_keeps_to_the_velocity_limit_too(op, goal, velocities):
     op.follow('arm', [J1], [1.0], [[1.0]], [[2.0]])
     op.run(0.95)
-    assert op.simulation.robot.joints._setpoints.velocity[0] > 1.5
+    assert op.simulation.robot.joints.setpoints.velocity[0] > 1.5
     command = op.follow('arm', [J1], [0.05], [[goal]], velocities)
     assert command.slowed > 1.5
     speeds = []
     op.run(command.trajectory.end_s, lambda: speeds.append(
-        op.simulation.robot.joints._setpoints.velocity[0]))
+        op.simulation.robot.joints.setpoints.velocity[0]))
     # It takes hardly longer than it has to.
     assert 0.75 * 2.175 < np.abs(speeds).max() <= 1.01 * 2.175

@@ -96,7 +96,7 @@ def test_goals_are_followed_within_limits_and_are_done_at_their_end(impeded):
 
 
 def test_what_a_message_leaves_out_stays_as_it_is(impeded):
-    servos = impeded.robot.joints._servos
+    servos = impeded.robot.joints.servos
     of_model = servos._stiffness.copy()
     impede(impeded, ARM[:2], stiffness=[100.0, math.nan], damping=[math.nan, 30.0])
     assert servos._stiffness[:7].tolist() == [100.0, *of_model[1:7]]
@@ -119,7 +119,7 @@ def test_a_joint_command_moves_goals_and_keeps_the_gains(impeded):
     lambda simulation: simulation.robot.set_control_mode('arm', 'position'),
     lambda simulation: simulation.reset()])
 def test_another_mode_or_a_reset_ends_efforts_and_velocities(leave, impeded):
-    servos = impeded.robot.joints._servos
+    servos = impeded.robot.joints.servos
     impede(impeded, ARM, velocity=[0.1] * 7, effort=[1.0] * 7, stiffness=100.0)
     impeded.advance(10)
     leave(impeded)

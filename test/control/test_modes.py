@@ -314,4 +314,4 @@ def test_a_robot_rests_after_a_velocity_command_to_stop(name):
                 simulation.advance(5)
         for _ in range(100):
             simulation.advance(5)
-        assert robot.joints.resting or not robot.joints._setpoints.moving
+        assert robot.joints.resting or not robot.joints.setpoints.moving

@@ -470,7 +470,7 @@ def test_the_acceleration_limit_is_that_of_postures_within_the_ranges(one_joint_
             mujoco.mj_mulM(model, data, column, unit)
             mass[:, dof] = column
         coupled.append(np.abs(mass).sum(axis=1))
-    limit = simulation.robot.joints._servos.acceleration_limit
+    limit = simulation.robot.joints.servos.acceleration_limit
     # Six tenths of the torque are for acceleration, those of all joints together.
     assert (0.6 / np.max(coupled, axis=0) <= limit).all()
     assert (limit <= 0.6 / np.min(coupled, axis=0)).all()

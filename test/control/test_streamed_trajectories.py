@@ -100,7 +100,7 @@ def test_points_that_are_due_at_once_are_a_stream_too():
 def test_lost_points_are_bridged_within_the_acceleration_limit():
     sender = Sender()
     sender.stream(100, [0.01], True, lost=set(range(150, 400, 31)))
-    limit = sender.robot.joints._servos.acceleration_limit[0]
+    limit = sender.robot.joints.servos.acceleration_limit[0]
     assert sender.hardest < 1.05 * limit
     wanted = SIZE * np.sin(RATE * (np.arange(700, 2000) * PERIOD_S))
     assert np.abs(np.array(sender.places[700:]) - sender.begin - wanted).max() < 0.02
@@ -113,7 +113,7 @@ def test_a_stream_that_stops_ends_at_its_last_point_and_its_commands_are_done():
     sender.run(1.0)
     assert sender.place == pytest.approx(last, abs=1e-4)
     assert [handle.status for handle in sender.handles[-2:]] == [Status.REPLACED, Status.DONE]
-    limit = sender.robot.joints._servos.acceleration_limit[0]
+    limit = sender.robot.joints.servos.acceleration_limit[0]
     assert np.abs(np.diff(sender.speeds[-500:])).max() / PERIOD_S < 1.2 * limit
 
 
@@ -147,7 +147,7 @@ def test_a_point_after_a_gap_of_a_stream_is_approached_within_the_limits(name, g
     sender = Sender(name)
     gap = range(150, 150 + round(gap_s * 100))
     sender.stream(100, [0.01], False, lost=set(gap), lasts_s=3.0)
-    assert sender.hardest < 1.3 * sender.robot.joints._servos.acceleration_limit[0]
+    assert sender.hardest < 1.3 * sender.robot.joints.servos.acceleration_limit[0]
     wanted = SIZE * np.sin(RATE * np.arange(1450, 1500) * PERIOD_S)
     np.testing.assert_allclose(np.array(sender.places[1450:]) - sender.begin, wanted, atol=0.01)
 

@@ -30,7 +30,7 @@ def test_position_holds_where_the_way_to_the_goal_has_come_to(op):
     assert timeouts(op) == 1
     assert abs(op.speed(J1)) < 1e-3
     # It brakes within its acceleration limit, not at once and not at the goal.
-    limit = op.simulation.robot.joints._servos.acceleration_limit[0]
+    limit = op.simulation.robot.joints.servos.acceleration_limit[0]
     way = setpoint.velocity[0]**2 / (2.0 * limit)
     assert op.where(J1)[0] == pytest.approx(setpoint.position[0] + way, abs=1e-3)
     assert 0.05 < way < 0.5

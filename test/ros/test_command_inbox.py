@@ -327,7 +327,7 @@ def test_a_command_that_came_before_a_step_is_used_in_it(serve, client):
         effort.effort[0] += 1.0
         assert client.call(Trigger, 'manip_sim/step').success
         assert node.commands.robots[0].statistics['arm'].accepted == count
-        address = node.simulation.robot.joints._servos._activation[0]
+        address = node.simulation.robot.joints.servos._activation[0]
         assert node.simulation.data.act[address] == pytest.approx(4.0 + count)
 
 

@@ -113,7 +113,7 @@ def follow(robot, period, draw):
     if period % 30:
         return []
     names = robot.joints.names[:7]
-    positions = robot.joints._setpoints.position[:7] + 0.1 * draw.normal(size=(3, 7))
+    positions = robot.joints.setpoints.position[:7] + 0.1 * draw.normal(size=(3, 7))
     times = np.cumsum(draw.uniform(0.05, 0.2, 3))
     if period == 60:
         names, positions = names[:3], positions[:, :3]

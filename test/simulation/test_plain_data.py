@@ -88,7 +88,7 @@ def test_a_digest_sees_neither_what_became_of_a_command_nor_types_of_numpy():
 def test_a_digest_leaves_out_what_a_class_says_and_a_state_does_not(simulation):
     state = simulation.save()
     before = simulation.digest()
-    simulation.robot.joints._setpoints.counts[:] += 3
+    simulation.robot.joints.setpoints.counts[:] += 3
     assert simulation.digest() == before
     (command,) = simulation.robot.parse.joint_command(['robot0_joint1'], position=[0.1])
     assert digest(replace(command, robot=None)) == digest(replace(command, robot=None, sent_ns=5))

@@ -126,7 +126,7 @@ def test_streams_of_a_robot_may_be_slow_and_go_on_for_longer():
     left = robot.joints.indices_of('left')
     robot.set_stream('left', longest_s=0.5)
     robot.set_stream('left', hold_s=0.2)  # The other one stays.
-    setpoints = robot.joints._setpoints
+    setpoints = robot.joints.setpoints
     settings = [setpoints.stream_settings(i) for i in range(len(setpoints.position))]
     assert [i for i, own in enumerate(settings) if own == (0.5, 0.2)] == sorted(left)
     with pytest.raises(CommandError, match='^left/gripper is a gripper'):

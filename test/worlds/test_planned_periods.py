@@ -514,7 +514,7 @@ def test_two_robots_whose_grippers_move_are_stepped_together_as_by_python(at_onc
         for period in range(30):
             for robot in simulation.robots.values():
                 names = robot.joints.names
-                goal = robot.joints._setpoints.position + 0.01 * np.cos(0.2 * period)
+                goal = robot.joints.setpoints.position + 0.01 * np.cos(0.2 * period)
                 robot.apply(*robot.parse.joint_command(list(names), position=goal),
                             robot.parse.action('right/gripper', [1.0 if period < 15 else -1.0]),
                             period_s=0.02)

@@ -344,15 +344,15 @@ def test_joints_too_fast_for_the_rest_of_their_ranges_slow_down_alike_in_each_wo
     ends = np.array([0.0, 0.3, 0.0])[:, None] + np.where(np.arange(7) == 3, highest, 0.0)
     speeds = np.where(np.arange(7) == 3, 2.1, 0.0) * np.ones((3, 1))
     pair._both('trajectory', ('arm', names, [2.0], ends[:, None], speeds[:, None]), None)
-    while joints._setpoints.position[3] < highest[3] - 0.05:
+    while joints.setpoints.position[3] < highest[3] - 0.05:
         pair.advance(5)
-    assert joints._setpoints.velocity[3] > 2.0  # With its limit it would take 0.17 rad to stop.
+    assert joints.setpoints.velocity[3] > 2.0  # With its limit it would take 0.17 rad to stop.
     braking = []
     for _ in range(20):
         goals = pair.worlds.robot.measured('arm')[:, :7] + np.where(np.arange(7) == 3, -1, 0.01)
         pair._both('joint_command', (names,), None, position=goals)
         pair.advance(5)
-        braking.append(joints._setpoints.acceleration[3] / joints._servos.acceleration_limit[3])
+        braking.append(joints.setpoints.acceleration[3] / joints.servos.acceleration_limit[3])
         pair.check_equal()
     assert min(braking) < -2.0
 
@@ -384,7 +384,7 @@ def test_a_stream_whose_goals_are_off_at_random_is_averaged_in_its_own_world_alo
         pair._both('joint_command', (names,), None, position=goals)
         pair.advance(steps)
     pair.check_equal()
-    joints = [of.robot.joints._setpoints.joints[0] for of in pair.simulations]
+    joints = [of.robot.joints.setpoints.joints[0] for of in pair.simulations]
     assert [of['memory'] > 0.01 for of in joints] == [False, True, False]
 
 
