@@ -27,8 +27,12 @@ from targets.many_worlds import spring
 ROUNDS, PERIODS, WARM_UP = 7, 60, 40
 #: Length of motions that do not end while they are measured [s].
 LONG_S = 1e5
-#: Name of the steps that periods with a belt are compared with.
-BELT = '`mj_step` with a belt'
+#: Periods of which a stream is measured at once, as only some of them begin with a message.
+TOGETHER = 10
+#: Rates of streams [Hz].
+RATES = {'poses': (20, 50), 'twists': (20, 50, 100), 'base twists': (20, 50)}
+#: Names of the steps that periods with a belt, and with a mobile base, are compared with.
+BELT, BASE = '`mj_step` with a belt', '`mj_step` with a mobile base'
 
 
 def periods(name: str, steps: int) -> dict[str, Callable[[], object]]:
@@ -129,9 +133,41 @@ def features(name: str, steps: int) -> dict[str, Callable[[], object]]:
         'a belt, and a suction cup that leaks': on_conveyor(suck)}
 
 
+def streams(name: str, steps: int) -> dict[str, Callable[[], object]]:
+    """Return :data:`TOGETHER` periods of streams that come at :data:`RATES`, by what they are."""
+    def followed(what: str, rate_hz: int) -> Callable[[], object]:
+        simulation = Simulation(compose('PandaOmron') if what == 'base twists' else compose(
+            name, arena='table', cube=True))
+        robot, step_s, due_s, time_s = simulation.robot, simulation.timestep_s, 0.0, 0.0
+        arm = robot.parse_cartesian
+        pose = next(iter(robot.state().end_effectors.values())).pose
+
+        def run() -> None:
+            nonlocal due_s, time_s
+            for _ in range(TOGETHER):
+                if time_s > due_s - 1e-9:
+                    way = 0.05 * np.array([np.sin(time_s), np.cos(time_s), 0.0])
+                    robot.apply(
+                        arm.pose('right', pose.position + way, pose.quat_xyzw) if what == 'poses'
+                        else arm.twist('right', way, [0.0] * 3) if what == 'twists'
+                        else robot.parse.twist(*way[:2], 0.1), period_s=steps * step_s)
+                    due_s += 1.0 / rate_hz
+                time_s += steps * step_s
+                simulation.advance(steps)
+        return run
+
+    mobile = Simulation(compose('PandaOmron'))
+    own = mujoco.MjData(mobile.model)
+    mujoco.mj_copyData(own, mobile.model, mobile.data)
+    return {BASE: lambda: mujoco.mj_step(mobile.model, own, TOGETHER * steps), **{
+        f'{what}, {rate_hz} Hz': followed(what, rate_hz)
+        for what, rates in RATES.items() for rate_hz in rates}}
+
+
 def measure(name: str, steps: int) -> dict[str, float]:
     """Return the costs [us]."""
-    todo = {**periods(name, steps), **features(name, steps)}
+    together = streams(name, steps)
+    todo = {**periods(name, steps), **features(name, steps), **together}
     found: dict[str, list[int]] = {what: [] for what in todo}
     for run in todo.values():
         for _ in range(WARM_UP):
@@ -142,7 +178,8 @@ def measure(name: str, steps: int) -> dict[str, float]:
                 begin = time.thread_time_ns()
                 run()
                 found[what].append(time.thread_time_ns() - begin)
-    return {what: float(np.percentile(values, 10)) / 1e3 for what, values in found.items()}
+    return {what: float(np.percentile(values, 10)) / 1e3 / (TOGETHER if what in together else 1)
+            for what, values in found.items()}
 
 
 def main() -> None:
@@ -157,7 +194,7 @@ def main() -> None:
     for steps in options.steps:
         costs = measure(options.robot, steps)
         for what, cost_us in costs.items():
-            bare_us = costs[BELT if 'belt' in what else '`mj_step`']
+            bare_us = costs[BELT if 'belt' in what else BASE if 'base' in what else '`mj_step`']
             print(f'| {steps} | {what} | {cost_us:.1f} | {cost_us / bare_us:.2f} |', flush=True)
 
 

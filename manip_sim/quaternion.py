@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 
 #: Places of x, y, z and w in a quaternion of MuJoCo.
@@ -83,14 +82,6 @@ def rpy_of(rotation: FloatArray) -> FloatArray:
     pitch = math.atan2(-r[2, 0], c * r[0, 0] + s * r[1, 0])
     roll = math.atan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1])
     return np.array([roll, pitch, yaw])
-
-
-def matrix_of_vector(vector: FloatArray) -> FloatArray:
-    """Return the rotation matrix of a rotation vector [rad], shape (3, 3)."""
-    quat_wxyz, angle = np.empty(4), length(vector)
-    axis = vector / angle if angle > 0.0 else np.array([1.0, 0.0, 0.0])
-    mujoco.mju_axisAngle2Quat(quat_wxyz, axis, angle)
-    return matrix_of(quat_wxyz)
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:

@@ -19,7 +19,8 @@ from manip_sim.control.commands import (
     BaseTwist, Command, JointSetpoint, JointTrajectory, Status)
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.law.arm_records import no_targets, Targets
-from manip_sim.control.law.joint_records import DUE, MOVES, RobotJoints
+from manip_sim.control.law.joint_records import (
+    blank_motion, DUE, MOTION, MOVES, records, RobotJoints)
 from manip_sim.control.modes import EFFORT, MODES, POSITION, VELOCITY
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
@@ -33,7 +34,7 @@ _AHEAD = 16
 #: No joint that a trajectory leads.
 _NOT_LED = np.empty(0, np.int64), np.empty((0, 0, 3))
 #: No base that follows a twist.
-_NOT_DRIVEN = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3))
+_NOT_DRIVEN = np.empty(0, np.int64), np.empty(0, np.int64), records(blank_motion(0), MOTION)
 
 
 class JointRuns:
@@ -74,8 +75,7 @@ class JointRuns:
             elif isinstance(command, CartesianCommand):
                 arms.append(command)
             elif isinstance(command, BaseTwist):
-                base = (command.joints, command.columns,
-                        controller.base.wanted(clock.ends_s(intervals, step_s)))
+                base = command.joints, command.columns, controller.base.motion
         targets, count = controller.cartesian.begin_run(
             arms, now_s, durations_s, lambda: clock.begins_s(intervals))
         indices, path = _NOT_LED
@@ -140,8 +140,8 @@ class JointRuns:
         if len(joints.path):
             controller.end_trajectories(data, now_s)
 
-    def stand(self, joints: RobotJoints, targets: Targets, owners: IntArray, acts: IntArray
-              ) -> float | None:
+    def stand(self, joints: RobotJoints, targets: Targets, owners: IntArray, acts: IntArray,
+              until_s: FloatArray) -> bool:
         """
         Let compiled code go on, if it knows all that setpoints and end effectors follow.
 
@@ -149,48 +149,51 @@ class JointRuns:
         :param targets: with them
         :param owners: for the law, shape (n,)
         :param acts: for the law, shape (1,)
-        :returns: simulation time until which it may [s], or None
+        :param until_s: for the law, shape (3,)
+        :returns: whether it may
         """
         controller, commands = self._controller, self._controller.commands
-        if commands.waiting or len(joints.base) or controller.resting:
-            return None
+        if commands.waiting or controller.resting:
+            return False
         owners[:] = -1
         for number, command in enumerate(commands.running):
-            if isinstance(command, (CartesianCommand, JointTrajectory)):
-                continue
-            if type(command) is not JointSetpoint:
-                return None
-            if all([MODES[mode].ends for mode in dict.fromkeys(command.modes)]):
+            if isinstance(command, BaseTwist):
+                ends = not command.handle.is_active
+            else:
+                ends = isinstance(command, JointSetpoint) and all(
+                    [MODES[mode].ends for mode in dict.fromkeys(command.modes)])
+            if ends:
                 owners[command.indices] = number
-        until_s = controller.cartesian.stand(controller.cartesian_commands, targets)
-        if until_s is None:
-            return None
+        known_s = controller.cartesian.stand(controller.cartesian_commands, targets)
+        if known_s is None:
+            return False
         acts[0] = bool(commands.running or controller.command_timeouts.pending
                        or controller.seats.of or controller.acts)
-        return min(controller.command_timeouts.first_s, until_s)
+        until_s[:] = controller.command_timeouts.first_s, known_s, math.inf
+        return True
 
-    def look_ahead(self, joints: RobotJoints, intervals: IntArray, clock: Clock
-                   ) -> tuple[RobotJoints, float]:
+    def look_ahead(self, joints: RobotJoints, intervals: IntArray, clock: Clock,
+                   until_s: FloatArray) -> RobotJoints:
         """
         Return the joints with the path of their trajectories in the next periods, if one runs.
 
         :param joints: as :meth:`begin` has returned them
         :param intervals: physics steps of those of a period, shape (k,)
         :param clock: of the simulation
-        :returns: the joints, and the simulation time before which periods have to begin to be
-            known [s]: a trajectory ends in the next one, or it is farther ahead
+        :param until_s: as of :meth:`stand`; periods have to begin before the last to be known [s]:
+            a trajectory ends in the next one, or it is farther ahead
         """
         controller = self._controller
         trajectories = controller.commands.trajectories
         if not trajectories:
             led, path = _NOT_LED  # The last one may just have ended.
-            return joints._replace(led=led, path=path) if len(joints.path) else joints, math.inf
+            return joints._replace(led=led, path=path) if len(joints.path) else joints
         indices, path = controller.trajectories.path(trajectories, clock.ends_s(
             np.tile(intervals, _AHEAD), controller.servos.step_s))
         periods = (len(path) - 1) // len(intervals)
         steps = clock.control_steps + periods * int(intervals.sum())
-        return (joints._replace(led=indices, path=path),
-                (steps - 0.5) * clock.step_ns * 1e-9)
+        until_s[2] = (steps - 0.5) * clock.step_ns * 1e-9
+        return joints._replace(led=indices, path=path)
 
     def go_on(self, command: Command, goals: FloatArray, renewed_s: FloatArray, now_s: float,
               period_s: float) -> bool:

@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.commands import BaseTwist
-from manip_sim.control.law.joint_records import blank_state, FIELDS, records
+from manip_sim.control.law.joint_records import (
+    blank_motion, blank_state, FIELDS, MOTION, MOTION_FIELDS, records)
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
 
@@ -28,14 +30,11 @@ class VelocityStream:
     """
 
     #: Of arrays that compiled code reads.
-    shapes = {'_state': ('d', 'n', len(FIELDS)), '_velocity': ('d', 'n'), '_slope': ('d', 'n'),
-              '_own': ('d', 'n')}
+    shapes = {'_state': ('d', 'n', len(FIELDS)), '_motion': ('d', 'n', len(MOTION_FIELDS))}
 
     def __init__(self, jump: FloatArray) -> None:
-        self._state = blank_state(jump)
-        #: Velocity that is come to, how fast, until when, and how much of that is the stream's.
-        self._velocity, self._slope, self._own = np.zeros((3, len(jump)))
-        self._ramp_end_s, self._duration_s = -np.inf, 0.0
+        self._state, self._motion = blank_state(jump), blank_motion(len(jump))
+        self._duration_s = 0.0
 
     def set(self, longest_s: float, hold_s: float) -> None:
         """
@@ -60,36 +59,29 @@ class VelocityStream:
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
         from manip_sim.control.law.stream_goals import take_alone  # It imports numba.
+        from manip_sim.control.law.stream_motion import velocities_at
         from manip_sim.control.law.stream_timing import wait
-        joints = records(self._state)
+        joints, motion = records(self._state), self.motion
         if joints['arrived'][0] == now_s:
             # Of two messages at one instant the newer counts, and the schedule knows of one.
-            before, self._own = self.at(now_s), np.zeros(len(velocity))
+            before, own = velocities_at(motion, now_s), np.zeros(len(velocity))
         else:
             wait(joints, np.arange(len(joints)), np.ascontiguousarray(velocity, dtype=np.float64),
                  float(period_s), float(messages), float(sent_s), True)
             taken = take_alone(joints, now_s)
             if not taken:
                 return
-            before = self.at(now_s) if taken > 1 else present
-            self._own = np.abs(joints['own'])
+            before = velocities_at(motion, now_s) if taken > 1 else present
+            own = np.abs(joints['own'])
             self._duration_s = max(joints['interval'][0], period_s) if taken > 1 else period_s
-        self._velocity, self._slope = velocity, (velocity - before) / self._duration_s
-        self._ramp_end_s = now_s + self._duration_s
+        motion['velocity'], motion['own'] = velocity, own
+        motion['slope'] = (velocity - before) / self._duration_s
+        motion['reached'] = now_s + self._duration_s
 
-    def at(self, now_s: float) -> FloatArray:
-        """Return the velocity that is wanted [1/s], shape (n,)."""
-        left_s = self._ramp_end_s - now_s
-        return self._velocity - self._slope * left_s if left_s > 1e-9 else self._velocity
-
-    def acceleration(self, now_s: float) -> FloatArray:
-        """
-        Return the acceleration of the stream itself [1/s^2], shape (n,).
-
-        It is zero after a jump, and where messages are late.
-        """
-        ramps = now_s < self._ramp_end_s - 1e-9
-        return np.clip(self._slope, -self._own, self._own) if ramps else np.zeros(len(self._own))
+    @property
+    def motion(self) -> Any:
+        """The velocities until the next message, records of ``MOTION``, shape (n,), a view."""
+        return records(self._motion, MOTION)
 
 
 class BaseTwists:
@@ -107,6 +99,8 @@ class BaseTwists:
     def __init__(self, servos: Servos, setpoints: SetpointGenerator) -> None:
         self._servos, self._setpoints = servos, setpoints
         self._stream: VelocityStream | None = None
+        #: Room for the law, which keeps its address.
+        self._room = records(blank_motion(3), MOTION)
 
     def forget(self) -> None:
         """Let the next twist be the first of a stream."""
@@ -129,14 +123,12 @@ class BaseTwists:
         self._stream.take(
             command.twist, present, now_s, period_s, command.messages, command.sent_s)
 
-    def wanted(self, ends_s: FloatArray) -> FloatArray:
-        """
-        Return the twists at the ends of intervals, shape (k, 3).
-
-        :param ends_s: simulation time since the last reset [s], shape (k,)
-        """
+    @property
+    def motion(self) -> Any:
+        """The twist until the next message, records of ``MOTION``, shape (3,)."""
         assert self._stream is not None
-        return np.array([self._stream.at(end_s) for end_s in ends_s.tolist()])
+        self._room[:] = self._stream.motion
+        return self._room
 
     def _yaw(self, command: BaseTwist, data: mujoco.MjData) -> float:
         return float(data.qpos[self._servos.qpos[command.joints[2]]])

@@ -50,6 +50,7 @@ class RunRoom(NamedTuple):
     :ivar moved_s: simulation time when setpoints stopped to move, or -1 [s], shape (1,)
     :ivar owners: of joints, see the law, shape (n,)
     :ivar acts: see the law, shape (1,)
+    :ivar until_s: see the law [s], shape (3,)
     :ivar goals: of joints, see the law, shape (n,)
     :ivar renewed_s: of joints, see the law [s], shape (n,)
     """
@@ -58,6 +59,7 @@ class RunRoom(NamedTuple):
     moved_s: FloatArray
     owners: IntArray
     acts: IntArray
+    until_s: FloatArray
     goals: FloatArray
     renewed_s: FloatArray
 
@@ -65,7 +67,7 @@ class RunRoom(NamedTuple):
               ) -> None:
         """Write the row."""
         self.row.write((joints, targets, grippers, self.moved_s, self.owners, self.acts,
-                        self.goals, self.renewed_s))
+                        self.until_s, self.goals, self.renewed_s))
 
 
 class RobotRun(NamedTuple):
@@ -138,7 +140,7 @@ class RobotRuns:
             count = len(self._controller.names)
             room = self._derived.of['room'] = RunRoom(
                 Row(ROBOT), np.zeros(1), np.full(count, -1), np.zeros(1, np.int64),
-                np.zeros(count), np.full(count, -1.0))
+                np.zeros(3), np.zeros(count), np.full(count, -1.0))
         return room
 
     @property
@@ -158,22 +160,22 @@ class RobotRuns:
         for controller, gripper in run.moving:
             controller.end_run(gripper)
 
-    def stand(self, run: RobotRun) -> float | None:
+    def stand(self, run: RobotRun) -> bool:
         """
         Let compiled code go on with a control period, if Python has nothing to look at.
 
         :param run: the last intervals
-        :returns: simulation time since the last reset until which it may at most [s], or None
+        :returns: whether it may
         """
         for controller, gripper in run.moving:
             controller.stand(gripper)
-        until_s = self._joints.stand(run.joints, run.targets, run.room.owners, run.room.acts)
-        if until_s is None:
-            return None
-        joints, known_s = self._joints.look_ahead(run.joints, run.intervals, self._clock)
+        room = run.room
+        if not self._joints.stand(run.joints, run.targets, room.owners, room.acts, room.until_s):
+            return False
+        joints = self._joints.look_ahead(run.joints, run.intervals, self._clock, room.until_s)
         if joints is not run.joints:
-            run.room.write(joints, run.targets, run.grippers)
-        return min(until_s, known_s)
+            room.write(joints, run.targets, run.grippers)
+        return True
 
     @property
     def standing(self) -> RobotRun | None:
@@ -322,12 +324,11 @@ class CompiledPeriod:
                         room.weight, robots, seats, notes, room.watch, room.outcome,
                         room.standing))
 
-    def stand(self, steps: int, until_s: float, act: bool) -> None:
+    def stand(self, steps: int, act: bool) -> None:
         """
         Let the next periods go on like the one that the rows were written for, without Python.
 
         :param steps: of a period
-        :param until_s: simulation time since the last reset when Python has to look [s]
         :param act: whether robots do
         """
         room, physics = self._derived.of['room'], self._steps.physics
@@ -336,7 +337,6 @@ class CompiledPeriod:
             return
         changes = act or len(self._floating_bases.dofs) > 0
         room.orders[:] = 1, 1, 0, self._steps.resumes_after_laws(changes), 1
-        standing.until_s[0] = until_s
         standing.contacts[:] = notes.contacts[0], all([
             tool.is_quiet for tool in self._steps.tools])
         standing.kept[:] = standing.options
@@ -380,7 +380,7 @@ class CompiledPeriod:
             Time(clock.counts, clock.step_ns, self._timestep_s), np.zeros(5, np.int64),
             Weight(self._floating_bases.dofs, data.qfrc_applied), watch,
             np.zeros(2, np.int64), Standing(
-                np.zeros(1), np.zeros(2, np.int64), data.xfrc_applied, options, options.copy()))
+                np.zeros(2, np.int64), data.xfrc_applied, options, options.copy()))
 
     @property
     def row(self) -> int:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-import math
 
 import numpy as np
 
@@ -178,19 +177,15 @@ class ControlPeriods:
     def _stand(self, steps: int, acting: Sequence[SimulatedRobot], runs: Sequence[RobotRun]
                ) -> None:
         """Let compiled code go on by itself like in the last period, if it may."""
-        until_s = math.inf
-        for robot, run in zip(acting, runs):
-            own_s = robot.stand(run)
-            if own_s is None:
-                return
-            until_s = min(until_s, own_s)
+        if not all([robot.stand(run) for robot, run in zip(acting, runs)]):
+            return
         if self._steps.goes_on and not self._pulls and all([
                 robot in acting or robot.stands_resting for robot in self._robots]):
             self._standing = acting, runs
             standing = dict(zip(acting, runs))
             for robot in self._robots:
                 robot.runs.standing = standing.get(robot)
-            self.compiled.stand(steps, until_s, len(acting) > 0)
+            self.compiled.stand(steps, len(acting) > 0)
 
     def _begin_control(self, period_s: float) -> None:
         interval_s = self._chunk(self._left) * self._timestep_s

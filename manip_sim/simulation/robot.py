@@ -611,15 +611,14 @@ class SimulatedRobot:
         """``running``, ``protective_stop``, ``emergency_stop`` or ``recovering``."""
         return self.reflexes.safety_state
 
-    def stand(self, run: RobotRun) -> float | None:
+    def stand(self, run: RobotRun) -> bool:
         """
         Let compiled code go on with a control period of this robot, if it may.
 
         :param run: the last intervals
-        :returns: simulation time since the last reset at which a command times out [s], or None
-            if Python has to look before the next period
+        :returns: whether it may
         """
-        return self.runs.stand(run) if self._may_stand else None
+        return self._may_stand and self.runs.stand(run)
 
     @property
     def _may_stand(self) -> bool:

@@ -211,7 +211,7 @@ def arrays(content):
 
 @pytest.mark.parametrize('change', ['fewer', 'more', 'bytes'])
 @pytest.mark.parametrize('wanted', [
-    ('_state', ''), ('_stiffness', ''), ('integrals', ''), ('_state', STREAM), ('_slope', STREAM),
+    ('_state', ''), ('_stiffness', ''), ('integrals', ''), ('_state', STREAM), ('_motion', STREAM),
     ('position', POSE), ('rotation', POSE)], ids=' '.join)
 def test_arrays_that_compiled_code_reads_have_the_shapes_and_numbers_that_it_expects(
         simulation, wanted, change):

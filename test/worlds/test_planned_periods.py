@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from robot_kinds import KINDS
+from scipy.spatial.transform import Rotation
 
 from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.laws import law
@@ -258,9 +259,11 @@ def _lead(kind, first, alone, period, period_s):
         _send(first, alone, lambda robot: robot.parse_cartesian.action('right', actions),
               1 + (period % 7 == 0), period_s)
     elif kind == 'led':
-        names, count = alone.robot.joints.names[:7], 3 + period % 3
+        arm, count = alone.robot.joints.indices_of('arm'), 3 + period % 3
+        names = [alone.robot.joints.names[i] for i in arm]
         if period % 25 == 0 and alone.robot.command_interfaces()[names[0]] == 'position':
-            goals = alone.robot.joints.cartesian.posture[:7] + 0.01 * np.sin(period + np.arange(7))
+            goals = alone.robot.joints.cartesian.posture[arm] + 0.01 * np.sin(
+                period + np.arange(7))
             # They end within a control period, or with it.
             _send(first, alone, lambda robot: robot.parse.trajectory(
                 'arm', names[:count], [0.1, 0.2 + 0.01 * count],
@@ -277,30 +280,62 @@ def _lead(kind, first, alone, period, period_s):
             'right', [0, 0, 1, 0, 0, 0], [0.0, 0.0, -4.0, 0.0, 0.0, 0.0], [0.1] * 6), 1, period_s)
 
 
-#: By simulation: the last messages to the first world and to it.
-SENT = {}
-#: Kinds of commands for an end effector of a simulation, and all kinds.
+def _follow(kind, first, alone, period, period_s):
+    """Let a stream of poses or twists go on in two simulations; some stand for two, or pause."""
+    if period % 40 > 30 or period % (1 + period // 50 % 3):
+        return
+    way = 0.1 * np.sin(0.1 * period + np.arange(6))
+    start = STARTS.setdefault(alone, alone.robot.state().end_effectors['right'].pose)
+    turned = Rotation.from_rotvec(way[3:]) * Rotation.from_quat(start.quat_xyzw)
+    frames = ['', alone.robot.end_effectors['right'].grip_site]
+
+    def parse(robot):
+        if kind == 'driven':
+            command = robot.parse.twist(*way[:3])
+        elif kind in ('twisted', 'spun'):
+            command = robot.parse_cartesian.twist(
+                'right', way[:3], 3.0 * way[3:], frames[period // 100 % 2])
+        else:
+            command = robot.parse_cartesian.pose(
+                'right', start.position + 0.5 * way[:3], turned.as_quat())
+        return replace(command, sent_ns=(period // 60 % 2) * (period + 1) * 20_000_000,
+                       messages=1 + (period % 7 == 0))
+    _send(first, alone, parse, 1 + (period % 11 == 0), period_s)
+
+
+#: By simulation: the last messages to the first world and to it, and where streams of poses began.
+SENT, STARTS = {}, {}
+#: Kinds of commands for an end effector of a simulation, and of streams, by control mode.
 LED = ('acted', 'posed', 'sprung', 'led')
-ALL_KINDS = ('rest', 'stream', 'sent', 'exert', 'osc', 'lead', *LED)
+STREAMED = {'streamed': 'position', 'twisted': 'velocity', 'pushed': 'effort', 'spun': 'effort',
+            'pulled': 'effort', 'driven': 'position'}
+ALL_KINDS = ('rest', 'stream', 'sent', 'exert', 'osc', 'lead', *LED, *STREAMED)
+
+
+def _compose(driven):
+    """Return the world of an arm, which stands on a mobile base if that is driven."""
+    return compose('PandaOmron' if driven else 'Panda', arena=create_arena('table', cube=True))
 
 
 def _prepare(robot, kind):
     """Let an arm have the control mode that commands of a kind need."""
-    robot.set_control_mode('arm', 'effort' if kind in (
-        'exert', 'osc', 'acted', 'sprung') else 'velocity' if kind == 'sent' else 'position')
-    if kind == 'sprung':
+    robot.set_control_mode('arm', STREAMED.get(kind) or ('effort' if kind in (
+        'exert', 'osc', 'acted', 'sprung') else 'velocity' if kind == 'sent' else 'position'))
+    if kind in ('sprung', 'pulled'):
         robot.joints.cartesian.set('right', 'cartesian_stiffness', [400.0] * 3 + [20.0] * 3)
         robot.set_command_timeout('arm', 0.31, ends_targets=False)  # Ends within a period.
 
 
 def _command(kind, worlds, alone, period, steps):
     """Let the first world and a simulation follow the next message of a stream."""
-    names, period_s = alone.robot.joints.names[:7], steps * 0.002
+    arm, period_s = alone.robot.joints.indices_of('arm'), steps * 0.002
+    names, posture = ([alone.robot.joints.names[i] for i in arm],
+                      alone.robot.joints.cartesian.posture[arm])
     where = np.arange(len(worlds)) == 0
     if kind == 'stream':
         field = alone.robot.command_interfaces()[names[0]]
         goals = 0.1 * np.sin(0.05 * period + np.arange(7)) + (
-            alone.robot.joints.cartesian.posture[:7] if field == 'position' else 0.0)
+            posture if field == 'position' else 0.0)
         worlds.robot.command.joint_command(
             names, **{field: np.tile(goals, (len(where), 1))}, where=where, period_s=period_s)
         alone.robot.apply(*alone.robot.parse.joint_command(
@@ -308,13 +343,15 @@ def _command(kind, worlds, alone, period, steps):
     elif kind in ('sent', 'exert'):  # By messages, with stamps, some of which stand for two.
         field = alone.robot.command_interfaces()[names[0]]
         goals = 0.1 * np.sin(0.05 * period + np.arange(7)) + (
-            alone.robot.joints.cartesian.posture[:7] if field == 'position' else 0.0)
+            posture if field == 'position' else 0.0)
         if field == 'velocity' and 20 <= period < 40:
             goals[:] = 0.0  # All rests, while the stream goes on.
         _send(worlds.simulations[0], alone, lambda robot: replace(
             robot.parse.joint_command(names, **{field: goals})[0],
             sent_ns=(period + 1) * 20_000_000, messages=1 + (period % 7 == 0)),
             1 + (period % 11 == 0), period_s)
+    elif kind in STREAMED:
+        _follow(kind, worlds.simulations[0], alone, period, period_s)
     elif kind in LED:
         _lead(kind, worlds.simulations[0], alone, period, period_s)
     elif kind in ('osc', 'lead'):
@@ -336,7 +373,7 @@ def _command(kind, worlds, alone, period, steps):
 @pytest.mark.full
 @pytest.mark.parametrize('kind', ALL_KINDS)
 def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_once):
-    world = compose('Panda', arena=create_arena('table', cube=True))
+    world = _compose(kind == 'driven')
     worlds, alone = Worlds(world, 1, 1), Simulation(world)
     BY_PYTHON.append(alone.periods)
     first = worlds.simulations[0]
@@ -446,10 +483,10 @@ def test_ends_of_the_reach_and_of_grips_are_told_as_by_python(at_once):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize('seed', [3, 4, 8, 101])
+@pytest.mark.parametrize('seed', [3, 4, 8, 101, 102, 103])
 def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at_once):
     draw, went_on = np.random.default_rng(seed), 0
-    world = compose('Panda', arena=create_arena('table', cube=True))
+    world, kinds = _compose(seed % 3 == 0), ALL_KINDS[:None if seed % 3 == 0 else -1]
     worlds, alone = Worlds(world, 2, 1), Simulation(world)
     BY_PYTHON.append(alone.periods)
     kind, steps, saved = 'stream', STEPS, []
@@ -475,7 +512,7 @@ def test_worlds_go_on_by_themselves_as_by_python_whatever_comes_between(seed, at
                 alone.restore(saved[0])
                 first.restore(saved[1])
             if draw.random() < 0.05:
-                kind = draw.choice(ALL_KINDS)
+                kind = draw.choice(kinds)
                 steps = int(draw.choice([STEPS, 4]))
             _command(kind, worlds, alone, period, steps)
             worlds.advance(steps)

@@ -23,8 +23,7 @@ from manip_sim.control.cartesian.reports import CartesianReport, Contact
 from manip_sim.control.cartesian.targets import Guard, Target, target_of
 from manip_sim.control.commands import Status
 from manip_sim.control.law.arm_records import (
-    Arm, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, no_targets, RESTS, STREAMS, Targets,
-    targets_of, TWISTS)
+    Arm, BRAKES, EXERTS, IDLE, LEADS, no_targets, RESTS, STREAMS, Targets, targets_of, TWISTS)
 from manip_sim.control.seats import Seats
 from manip_sim.control.servos import Servos, SPEED_UP_S
 from manip_sim.control.setpoints import SetpointGenerator
@@ -44,7 +43,7 @@ _LONGEST_INTERVAL_S = 0.012
 _MOVED = 1e-5
 _IN_WORLD = Frame(WORLD, 0)
 #: Counters of reports that compiled code compares with what it notes, in its order.
-_KNOWN = ('joint_limit', 'singular', 'aside')
+_KNOWN = ('joint_limit', 'singular', 'aside', 'slowed')
 #: None of the joints.
 _NOBODY = np.zeros(0, dtype=bool)
 
@@ -226,7 +225,7 @@ class CartesianController:
         if goes_on and streamed is not None:
             target.go_on(streamed, data)
         if isinstance(command, CartesianPose):
-            self._continue_stream(command, target, streamed, data)
+            self._continue_stream(command, target, streamed, data, now_s)
         elif isinstance(command, CartesianTwist):
             self._continue_twists(command, target, before, data, now_s)
 
@@ -256,20 +255,17 @@ class CartesianController:
         target.push, target.push_until_s = None, math.inf
 
     def _continue_stream(self, command: CartesianPose, target: Target, before: Target | None,
-                         data: mujoco.MjData) -> None:
+                         data: mujoco.MjData, now_s: float) -> None:
         """Let a pose continue the stream of the target before, if it is one in that frame."""
         if before is None or before.stream is None or before.anchor != target.anchor:
             target.stream = PoseStream()
         else:
             target.stream = before.stream
         target.stream.set(*self._streams[command.arm])
-        twist = np.zeros(6)
-        if not target.stream.moving:
-            twist = self._present_twist(command, target.anchor, data)
         target.stream.take(
-            target.position, target.rotation, self.period_s, twist,
-            self.settings[command.arm].limits, command.messages,
-            command.sent_s)
+            target.position, target.rotation, now_s, self.period_s,
+            self._present_twist(command, target.anchor, data), self.settings[command.arm].limits,
+            command.messages, command.sent_s)
 
     def _continue_twists(self, command: CartesianTwist, target: Target, before: Target | None,
                          data: mujoco.MjData, now_s: float) -> None:
@@ -388,12 +384,9 @@ class CartesianController:
             follows = self._follows(target, exerts, now_s)
             self._fill(targets, number, command, exerts, follows, interval_s)
             self._fill_impedance(targets, number, command)
-            if target.push_until_s < math.inf:  # It may end within the period.
-                count = min(count, int(np.count_nonzero(
-                    begins_s() < target.push_until_s - 1e-9)))
-            if follows in (STREAMS, TWISTS):
-                known = self._look_ahead(targets, number, target, begins_s(), durations_s)
-                count = min(count, known)
+            if target.known_s < math.inf:  # It may end within the period.
+                known = int(np.count_nonzero(begins_s() < target.known_s - 1e-9))
+                count = min(count, max(known, 1))
         return targets, count
 
     def _solution_s(self, duration_s: float) -> float:
@@ -411,7 +404,7 @@ class CartesianController:
             return BRAKES
         if exerts or target.settled_in is None and now_s >= target.solve_s - 1e-9:
             return RESTS if target.ends_stream(now_s) else STREAMS
-        return STREAMS if target.stream is not None and not target.stream.at_rest else RESTS
+        return STREAMS if target.stream is not None and target.stream.moving else RESTS
 
     def _targets_for_law(self, commands: Sequence[CartesianCommand]) -> Targets:
         """Return room for the targets of arms, which is used again."""
@@ -443,6 +436,9 @@ class CartesianController:
             target.stream.smooth if follows == STREAMS and target.stream else 0.0,
             target.solve_s, interval_s, report.seen_s)
         targets.positions[number], targets.rotations[number] = target.position, target.rotation
+        stream = target.stream if target.twists is None else target.twists
+        if stream is not None:
+            targets.streams[number] = stream.motion
         if target.start is not None:
             targets.starts[number] = target.start
 
@@ -469,60 +465,6 @@ class CartesianController:
         chain = self._chains[arm]
         return {BASE: chain.origin, TOOL: chain.tip}.get(
             self.settings[arm].cartesian_frame, _IN_WORLD)
-
-    def _look_ahead(self, targets: Targets, number: int, target: Target, begins_s: FloatArray,
-                    durations_s: FloatArray) -> int:
-        """
-        Write how a target moves in solutions of the kinematics or in intervals.
-
-        :returns: in how many intervals that is known
-        """
-        task = targets.tasks[number]
-        until_s = target.until_s - 1e-9
-        if target.twists is None and target.stream is not None:
-            until_s = target.stream.until_s + 1e-9
-        if task['acts'] == EXERTS:
-            known = int(np.count_nonzero(begins_s[:MOST_SOLUTIONS] <= until_s))
-            # An impedance gets the acceleration itself.
-            damping = 1.0 if task['impedes'] else float(task['damping'])
-            for k in range(known):
-                self._refer_efforts(targets, (number, k), target, float(begins_s[k]),
-                                    float(durations_s[k]), damping)
-            return max(known, 1)
-        solve_s, interval_s, row = float(task['solve_s']), float(task['interval_s']), 0
-        for k, now_s in enumerate(begins_s.tolist()):
-            if target.twists is not None and now_s > until_s:
-                return k
-            if now_s < solve_s - 1e-9:
-                continue
-            if row == MOST_SOLUTIONS or now_s > until_s:
-                return k
-            self._refer_solution(targets, (number, row), target, now_s, interval_s)
-            solve_s, row = now_s + interval_s, row + 1
-        return len(begins_s)
-
-    @staticmethod
-    def _refer_efforts(targets: Targets, place: tuple[int, int], target: Target, now_s: float,
-                       duration_s: float, damping: float) -> None:
-        """Write how a target moves in an interval."""
-        if target.twists is not None:
-            targets.speeds[place] = (target.twists.acceleration(now_s) / damping,
-                                     target.twists.at(now_s + duration_s / 2.0))
-        elif target.stream is not None:
-            targets.ways[place], targets.turns[place] = target.stream.pose(now_s)
-            targets.speeds[place] = (target.stream.acceleration(now_s) / damping,
-                                     target.stream.twist(now_s))
-
-    @staticmethod
-    def _refer_solution(targets: Targets, place: tuple[int, int], target: Target, now_s: float,
-                        interval_s: float) -> None:
-        """Write how a target moves while a solution of the kinematics is used."""
-        if target.twists is not None:
-            targets.speeds[(*place, 1)] = target.twists.at(now_s + interval_s)
-        elif target.stream is not None:
-            targets.ways[place], targets.turns[place] = target.stream.pose(now_s + interval_s)
-            targets.speeds[place] = (target.stream.twist(now_s),
-                                     target.stream.twist(now_s + interval_s))
 
     def end_run(self, commands: Sequence[CartesianCommand], targets: Targets,
                 places_at_begin: Callable[[], mujoco.MjData]) -> None:
@@ -554,7 +496,7 @@ class CartesianController:
         """
         Let compiled code go on with the targets of commands, if it may.
 
-        It may with arms on their way to a goal that rests, or at it on a mount that cannot move.
+        It may unless a motion ends at contact, or an arm at its goal has a mount that can move.
 
         :param targets: as :meth:`begin_run` has returned them
         :returns: simulation time until which it may [s], or None
@@ -563,14 +505,13 @@ class CartesianController:
         for number, command in enumerate(commands):
             task, report = targets.tasks[number], self.reports[command.arm]
             target = self._targets[command.arm]
-            if (task['follows'] != RESTS or not report.active.issubset(_KNOWN)
-                    or target.stream is not None and not target.stream.at_rest
-                    or task['settled'] and not self._is_mounted(command, target)):
+            if target.guard is not None or not report.active.issubset(_KNOWN) or (
+                    task['settled'] and not self._is_mounted(command, target)):
                 return None
             task['awaited'], task['seen_s'] = command.handle.is_active, report.seen_s
-            task['was_held'], task['was_singular'], task['was_aside'] = (
+            task['was_held'], task['was_singular'], task['was_aside'], task['was_slowed'] = (
                 kind in report.active for kind in _KNOWN)
-            until_s = min(until_s, target.push_until_s - self.period_s + 1e-9)
+            until_s = min(until_s, target.known_s - self.period_s + 1e-9)
         return until_s
 
     def catch_up(self, commands: Sequence[CartesianCommand], targets: Targets) -> None:
@@ -617,13 +558,10 @@ class CartesianController:
             targets.facts[number, k].item())
         if follows == BRAKES:
             return
-        leads = targets.tasks[number]['acts'] == LEADS
-        behind = bool(slowed) and (
-            follows == TWISTS or follows == STREAMS and leads and not close)
-        motion = ('the twist' if follows == TWISTS else 'the stream of poses' if behind
+        motion = ('the twist' if follows == TWISTS else 'the stream of poses' if slowed
                   else 'the motion to the target')
         self._see(command, motion, targets.held[number, k, command.indices] if held else _NOBODY,
-                  bool(singular), behind)
+                  bool(singular), bool(slowed))
         if follows == TWISTS:
             return
         if reached and command.handle.is_active:

@@ -5,15 +5,17 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
-from manip_sim.control.law.joint_records import blank_state, FIELDS, records
+from manip_sim.control.law.joint_records import (
+    blank_motion, blank_state, FIELDS, MOTION, MOTION_FIELDS, records)
 from manip_sim.control.servos import SPEED_UP_S
-from manip_sim.quaternion import matrix_of_vector, rotation_vector
+from manip_sim.quaternion import rotation_vector
 
 _ALL = np.arange(6)
 #: Largest acceleration that counts as zero [m/s^2, rad/s^2].
@@ -35,22 +37,20 @@ class PoseStream:
 
     #: Of arrays that compiled code reads.
     shapes = {'_state': ('d', 6, len(FIELDS)), '_position': ('d', 3), '_rotation': ('d', 3, 3),
-              '_velocity': ('d', 6), '_slope': ('d', 6)}
+              '_motion': ('d', 6, len(MOTION_FIELDS))}
 
     def __init__(self) -> None:
         #: The coordinates are sums of translations and of rotation vectors from pose to pose.
         self._state = blank_state(np.ones(6))
         self._position, self._rotation = np.zeros(3), np.eye(3)
-        #: Velocity that the reference comes to, how fast, and until when.
-        self._velocity, self._slope = np.zeros(6), np.zeros(6)
-        self._ramp_end_s = -np.inf
-        #: When the reference would be at the last pose.
-        self._at_goal_s = 0.0
+        self._motion = blank_motion(6)
+        self.motion['own'] = np.inf
         #: Accelerations of the poses, linear and angular, as of the last message.
         self._own = (0.0, 0.0)
-        #: A pose that came at this instant, the limits, and the end effector's twist.
-        self._waiting: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None
         self.moving, self.smooth = False, 0.0
+        #: When the last pose came [s], and the stream before that.
+        self._came_s = -np.inf
+        self._before: PoseStream | None = None
 
     def set(self, longest_s: float, hold_s: float) -> None:
         """
@@ -66,49 +66,56 @@ class PoseStream:
     def _joints(self) -> Any:
         return records(self._state)
 
-    def take(self, position: FloatArray, rotation: FloatArray, period_s: float, twist: FloatArray,
-             limits: FloatArray, messages: int = 1, sent_s: float = 0.0) -> None:
+    def take(self, position: FloatArray, rotation: FloatArray, now_s: float, period_s: float,
+             present: FloatArray, limits: FloatArray, messages: int = 1, sent_s: float = 0.0
+             ) -> None:
         """
-        Take in the pose of a message; of several at one instant the newest counts.
+        Follow the pose of a message; of several at one instant the newest counts.
 
         :param position: [m], shape (3,)
         :param rotation: rotation matrix, shape (3, 3)
+        :param now_s: simulation time [s]
         :param period_s: length of a control period [s]
-        :param twist: of the end effector now, if the stream begins [m/s, rad/s], shape (6,)
+        :param present: twist of the end effector now, which counts if the stream begins [m/s,
+            rad/s], shape (6,)
         :param limits: of linear and angular velocity [m/s, rad/s], shape (2,)
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
         from manip_sim.control.law.stream_timing import wait  # It imports numba.
+        if self._before is not None and self._came_s == now_s:
+            vars(self).update(vars(self._before))
         joints = self._joints
         joints['limit'] = np.repeat(limits, 3) / SPEED_UP_S
         goal = joints['goal'] + np.concatenate([
             position - self._position, rotation_vector(product(rotation, self._rotation.T))])
         wait(joints, _ALL, goal, float(period_s), float(messages), float(sent_s), False)
-        self._waiting = position, rotation, limits, twist
+        before = copy(self)
+        before._state, before._motion, before._before = (
+            self._state.copy(), self._motion.copy(), None)
+        self._came_s, self._before = now_s, before
+        self._follow(position, rotation, limits, present, now_s)
 
     def update(self, now_s: float) -> None:
         """
-        Follow the pose that came at this instant, or let the reference rest if none comes.
+        Let the reference rest if no pose has come for too long.
 
         :param now_s: simulation time [s]
         """
-        if self._waiting is not None:
-            self._follow(*self._waiting, now_s)
-            self._waiting = None
-        elif now_s > self._joints['until'][0] + 1e-9:
+        if now_s > self.until_s + 1e-9:
             self.moving = False
 
     def _follow(self, position: FloatArray, rotation: FloatArray, limits: FloatArray,
                 present: FloatArray, now_s: float) -> None:
         from manip_sim.control.law.stream_goals import take_alone  # It imports numba.
-        joints = self._joints
+        from manip_sim.control.law.stream_motion import velocities_at
+        joints, motion = self._joints, self.motion
         taken = take_alone(joints, now_s)
+        self._position, self._rotation = position, rotation
         if not taken:
             return
         streams = taken > 1
-        before = self.twist(now_s) if self.moving and streams else present
-        self._position, self._rotation = position, rotation
+        before = velocities_at(motion, now_s) if self.moving and streams else present
         first, velocity = joints[0], np.array(joints['rate_goal'])
         interval_s, limited = max(first['interval'], first['waiting_period']), 1.0
         for half, limit in zip((velocity[:3], velocity[3:]), limits):
@@ -117,43 +124,32 @@ class PoseStream:
             limited = min(limited, part)
         left_s = min(max(first['sent'] + interval_s - now_s, 0.5 * interval_s),
                      1.5 * interval_s) + first['slack']
-        self._velocity, self._slope = velocity, (velocity - before) / left_s
-        self._ramp_end_s, self.moving = now_s + left_s, streams
-        self._at_goal_s = first['sent'] + 1.5 * interval_s
+        motion['velocity'], motion['slope'] = velocity, (velocity - before) / left_s
+        motion['reached'], self.moving = now_s + left_s, streams
+        motion['position'] = joints['level'] - joints['goal']
+        motion['due'] = first['sent'] + 1.5 * interval_s
         self.smooth = min(self._own_share(), 1.0) if limited == 1.0 else 0.0
 
     def _own_share(self) -> float:
         """Return how much of the acceleration of the reference is that of the poses."""
-        before, own = self._own, self._joints['own']
+        before, own, slope = self._own, self._joints['own'], self.motion['slope']
         self._own = length(own[:3]), length(own[3:])
         # One message alone may be a beginning, late or a jump.
         return min((min(sizes) / size for *sizes, size in zip(
-            before, self._own, (length(self._slope[:3]), length(self._slope[3:])))
+            before, self._own, (length(slope[:3]), length(slope[3:])))
             if size > _STEADY), default=1.0)
 
     @property
     def until_s(self) -> float:
-        """Simulation time when the stream ends, unless a pose comes [s]."""
-        return float(self._joints['until'][0])
+        """Simulation time when the reference comes to rest, unless a pose comes [s]."""
+        return float(self._joints['until'][0]) if self.moving else np.inf
 
     @property
-    def at_rest(self) -> bool:
-        """True while nothing moves until the next pose."""
-        return not self.moving and self._waiting is None
+    def motion(self) -> Any:
+        """
+        The way from the last pose to the reference until the next message.
 
-    def twist(self, now_s: float) -> FloatArray:
-        """Return the velocity of the reference [m/s, rad/s], shape (6,)."""
-        return self._velocity - self._slope * max(self._ramp_end_s - now_s, 0.0)
-
-    def acceleration(self, now_s: float) -> FloatArray:
-        """Return the acceleration of the reference [m/s^2, rad/s^2], shape (6,)."""
-        return self._slope if now_s < self._ramp_end_s - 1e-9 else np.zeros(6)
-
-    def pose(self, now_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return position [m] and rotation matrix of the reference."""
-        if not self.moving:
-            return self._position, self._rotation
-        joints, left_s = self._joints, max(self._ramp_end_s - now_s, 0.0)
-        way = (joints['level'] - joints['goal'] + self._velocity * (now_s - self._at_goal_s)
-               + self._slope * left_s**2 / 2.0)
-        return self._position + way[:3], product(matrix_of_vector(way[3:]), self._rotation)
+        :returns: translation [m] and rotation vector [rad], records of ``MOTION``, shape (6,), a
+            view
+        """
+        return records(self._motion, MOTION)

@@ -115,6 +115,16 @@ class Target:
                 self.anchor, _in_world(before.anchor, before.reference, data), data)
         self.push, self.push_until_s = before.push, before.push_until_s
 
+    @property
+    def known_s(self) -> float:
+        """Simulation time until which it is known what moves or pushes [s]."""
+        until_s = self.push_until_s
+        if self.twists is not None:
+            until_s = min(until_s, self.until_s)
+        elif self.stream is not None:  # Which goes on at that instant.
+            until_s = min(until_s, self.stream.until_s + 2e-9)
+        return until_s
+
     def ends_stream(self, now_s: float) -> bool:
         """Return whether the goal rests now, if need be because the stream has ended."""
         if self.stream is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.law.joint_records import readable
+from manip_sim.control.law.joint_records import MOTION, readable
 
 
 #: A joint of an arm: its index among the joints of the robot, its addresses in ``qpos`` and
@@ -152,8 +152,9 @@ RESTS, STREAMS, TWISTS, BRAKES = range(4)
 #: effector is as near as it can come, whether its setpoints have come to rest, whether its way has
 #: begun, whether efforts are to be noted, how many solutions are, whether the arm is an impedance,
 #: whether that has a reference, whether somebody waits for the target to be reached; whether
-#: ranges of joints held the end effector, it could hardly move, and it was off its way when Python
-#: looked last, and whether nothing has changed in that; settings of the spring and of the
+#: ranges of joints held the end effector, it could hardly move, it was off its way, and limits
+#: slowed it down when Python looked last, and whether nothing has changed in that; settings of the
+#: spring and of the
 #: impedance; share of the acceleration of a stream; when the kinematics are solved next,
 #: for how long, and when the target was looked at last [s].
 TASK = np.dtype([
@@ -161,8 +162,7 @@ TASK = np.dtype([
         'acts', 'follows', 'tip', 'tip_is_site', 'anchor', 'anchor_is_site', 'axes',
         'axes_is_site', 'frame', 'frame_is_site', 'push_frame', 'push_is_site', 'rests',
         'settled', 'begun', 'notes', 'solutions', 'impedes', 'refers', 'awaited',
-        'was_held', 'was_singular', 'was_aside',
-        'usual')),
+        'was_held', 'was_singular', 'was_aside', 'was_slowed', 'usual')),
     *((name, np.float64) for name in (
         'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'damping_ratio',
         'null_stiffness', 'smooth', 'solve_s', 'interval_s', 'seen_s'))], align=True)
@@ -174,7 +174,7 @@ FACTS = np.dtype([
     *((name, np.float64) for name in ('now_s', 'progress', 'aside')),
     *((name, np.int64) for name in ('reached', 'close', 'singular', 'held', 'slowed'))],
     align=True)
-#: So many solutions of a task can be noted, and so many ahead a target that moves is known.
+#: So many solutions of a task can be noted.
 MOST_SOLUTIONS = 16
 #: A target is missed if the end effector is farther from it than this [m], [rad].
 MISSED, MISSED_TURN = 2e-3, 2e-2
@@ -188,16 +188,12 @@ class Targets(NamedTuple):
     """
     Targets of the arms of a robot, and what has become of them; of two arms at most.
 
-    One that moves is known for the next solutions, or where arms exert for the next intervals.
-
     :ivar tasks: records of :data:`TASK`, shape (2,)
     :ivar positions: of the goals in their frames [m], shape (2, 3)
     :ivar rotations: of the goals in their frames, shape (2, 3, 3)
-    :ivar ways: positions of streams of poses in their frames [m], shape (2, k, 3)
-    :ivar turns: their rotations, shape (2, k, 3, 3)
-    :ivar speeds: velocities in these frames, or of twists in their axes, when a solution begins
-        and when it ends; where arms exert, acceleration / damping and velocity [m/s, rad/s],
-        shape (2, k, 2, 6)
+    :ivar streams: way from the goal to the reference of a stream of poses, as translation and
+        rotation vector in the frame of the goal, or twists in their axes, records of
+        :data:`~manip_sim.control.law.joint_records.MOTION`, shape (2, 6)
     :ivar arms: the joints of each
     :ivar starts: where the ways of the end effectors began, in the frames of the goals [m], shape
         (2, 3)
@@ -216,9 +212,7 @@ class Targets(NamedTuple):
     tasks: NDArray[np.void]
     positions: FloatArray
     rotations: FloatArray
-    ways: FloatArray
-    turns: FloatArray
-    speeds: FloatArray
+    streams: NDArray[np.void]
     arms: tuple[Arm, Arm]
     starts: FloatArray
     springs: FloatArray
@@ -243,7 +237,7 @@ def targets_of(joints: int, solutions: int = MOST_SOLUTIONS) -> Targets:
     nobody = Arm(readable(np.zeros(0, CHAIN)), np.zeros((0, 0), np.int64), 0)
     rows = 2, solutions
     return Targets(readable(np.zeros(2, TASK)), np.zeros((2, 3)), np.zeros((2, 3, 3)),
-                   np.zeros((*rows, 3)), np.zeros((*rows, 3, 3)), np.zeros((*rows, 2, 6)),
+                   readable(np.zeros((2, 6), MOTION)),
                    (nobody, nobody), np.zeros((2, 3)), np.zeros((2, 6)), np.zeros((2, 6)),
                    np.zeros((2, 2, 6)), np.zeros((2, 3)), np.zeros((2, 3, 3)),
                    readable(np.zeros(rows, FACTS)), np.zeros((*rows, 6)), np.zeros((*rows, 6)),

@@ -14,12 +14,13 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.compiling import inner
 from manip_sim.control.law.setpoint_changes import ramp_to
 from manip_sim.control.law.small_matrices import clip
+from manip_sim.control.law.stream_motion import velocities_at
 from manip_sim.physics.physics import WorldArrays
 
 
 @inner
 def drive_base(world: WorldArrays, servos: Any, setpoints: Any, base: IntArray, owned: IntArray,
-               wanted: FloatArray, duration: float) -> None:
+               twist: Any, now: float, duration: float) -> None:
     """
     Set velocities of the setpoints that a twist owns.
 
@@ -30,18 +31,20 @@ def drive_base(world: WorldArrays, servos: Any, setpoints: Any, base: IntArray, 
     :param setpoints: records of the robot, shape (n,), changed
     :param base: the joints x, y and yaw of the base, shape (3,)
     :param owned: which of these three the twist owns, shape (k,)
-    :param wanted: along x and y [m/s] and about z [rad/s] at the end of the interval, shape (3,)
+    :param twist: along x and y [m/s] and about z [rad/s], records of ``MOTION``, shape (3,)
+    :param now: simulation time at the beginning of the interval [s]
     :param duration: of the interval [s]
     """
-    yaw = world.kinematics.positions[servos[base[2]].qpos]
+    yaw, wanted = (
+        world.kinematics.positions[servos[base[2]].qpos], velocities_at(twist, now + duration))
     velocity, limit = np.empty(3), np.empty(3)
     if len(owned) == 3:
         before, present = np.empty(3), np.empty(3)
         for i in range(3):
             before[i], limit[i] = setpoints[base[i]].velocity, setpoints[base[i]].limit
         _turn(before, -yaw, present)
-        twist = _approach(present, wanted, limit, duration)
-        _turn(twist, yaw + (present[2] + twist[2]) / 2.0 * duration, velocity)
+        ahead = _approach(present, wanted, limit, duration)
+        _turn(ahead, yaw + (present[2] + ahead[2]) / 2.0 * duration, velocity)
         for i in range(3):
             limit[i] = max(limit[i], abs(velocity[i] - before[i]) / duration)
     else:

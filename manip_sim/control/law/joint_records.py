@@ -57,6 +57,11 @@ FIELDS = (
 #: Where they are in the numbers of a coordinate.
 PLACES = {name: place for place, name in enumerate(FIELDS)}
 JOINT = np.dtype([(name, np.float64) for name in FIELDS])
+#: Motion of a coordinate of a stream until another message comes: the velocity that it comes to,
+#: at which acceleration and when, and the most of that which is the stream's own; where it would
+#: be at which time if it always had that velocity.
+MOTION_FIELDS = ('velocity', 'slope', 'reached', 'own', 'position', 'due')
+MOTION = np.dtype([(name, np.float64) for name in MOTION_FIELDS])
 #: True if laws are plain Python, which reads attributes of records of another type alone.
 PLAIN = os.environ.get('NUMBA_DISABLE_JIT', '0') != '0'
 #: Shortest time constant of the tracked difference to the reference [s].
@@ -79,14 +84,15 @@ SERVO = np.dtype([
     *((name, np.bool_) for name in ('compensated', 'gives', 'leads', 'damps'))], align=True)
 
 
-def records(state: FloatArray) -> Any:
+def records(state: FloatArray, kind: Any = JOINT) -> Any:
     """
     Return a view of numbers as records.
 
-    :param state: shape (..., len(FIELDS)), contiguous
+    :param state: shape (..., number of fields), contiguous
+    :param kind: :data:`JOINT` or :data:`MOTION`
     :returns: shape (...)
     """
-    return readable(state.view(JOINT).reshape(state.shape[:-1]))
+    return readable(state.view(kind).reshape(state.shape[:-1]))
 
 
 def readable(structured: Any) -> Any:
@@ -110,6 +116,13 @@ def blank_state(limit: FloatArray) -> FloatArray:
     return state
 
 
+def blank_motion(count: int) -> FloatArray:
+    """Return the numbers of coordinates at rest, by :data:`MOTION`, shape (count, 6)."""
+    motion = np.zeros((count, len(MOTION_FIELDS)))
+    motion[:, MOTION_FIELDS.index('reached')] = -np.inf
+    return motion
+
+
 class RobotJoints(NamedTuple):
     """
     The joints of a robot.
@@ -126,7 +139,7 @@ class RobotJoints(NamedTuple):
         (k, m, 3), with k = 0 where no trajectory runs or waits
     :ivar base: the joints x, y and yaw of a base that follows a twist, or no joints, shape (3,)
     :ivar owned: which of these the twist owns, shape (j,)
-    :ivar twists: what it wants at the ends of intervals, in the frame of the base, shape (k, 3)
+    :ivar twist: in the frame of the base, records of :data:`MOTION`, shape (3,)
     :ivar loads: payloads, see :class:`~manip_sim.control.law.loads.Loads`
     :ivar integrals: leads of integral terms over setpoints [rad or m], shape (n,)
     """
@@ -142,6 +155,6 @@ class RobotJoints(NamedTuple):
     path: FloatArray
     base: IntArray
     owned: IntArray
-    twists: FloatArray
+    twist: NDArray[np.void]
     loads: Any
     integrals: FloatArray

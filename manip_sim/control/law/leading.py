@@ -13,8 +13,8 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.law.approach import approach, follow_twist
 from manip_sim.control.law.arm_records import (
-    ArmMotion, BRAKES, Goal, MISSED, MISSED_TURN, Motion, RESTS, Spring, STREAMS, Targets, TWISTS,
-    Velocities)
+    ArmMotion, BRAKES, Goal, LEADS, MISSED, MISSED_TURN, Motion, RESTS, Spring, STREAMS, Targets,
+    TWISTS, Velocities)
 from manip_sim.control.law.cartesian_impedance import impede, Springs
 from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.loads import Loads
@@ -22,6 +22,8 @@ from manip_sim.control.law.operational_space import exert, find_error, find_jaco
 from manip_sim.control.law.setpoint_changes import ramp_to
 from manip_sim.control.law.small_matrices import (
     clip, dot, multiply_matrices, norm3, rotation_matrix, rotation_vector)
+from manip_sim.control.law.stream_motion import (
+    own_accelerations_at, positions_at, velocities_at)
 from manip_sim.physics.physics import Kinematics, WorldArrays
 
 #: A pose is reached if the setpoints are within this of it [m], [rad].
@@ -49,18 +51,23 @@ def pose_of(kinematics: Kinematics, number: int, is_site: int) -> tuple[FloatArr
 
 
 @inner
-def goal_of(kinematics: Kinematics, targets: Targets, number: int, k: int) -> Goal:
+def goal_of(kinematics: Kinematics, targets: Targets, number: int, now: float) -> Goal:
     """
     Return where a target is.
 
-    :param k: number of the solution or interval, for a stream of poses
+    :param now: simulation time, for a stream of poses [s]
     """
     task = targets.tasks[number]
     origin, axes = pose_of(kinematics, task.anchor, task.anchor_is_site)
-    along = np.zeros(6)
+    position, rotation = targets.positions[number], targets.rotations[number]
     if task.follows == STREAMS:
-        return Goal(targets.ways[number, k], targets.turns[number, k], origin, axes, along)
-    return Goal(targets.positions[number], targets.rotations[number], origin, axes, along)
+        way, turn = positions_at(targets.streams[number], now), np.empty((3, 3))
+        position, rotation = np.empty(3), np.empty((3, 3))
+        for i in range(3):
+            position[i] = targets.positions[number, i] + way[i]
+        rotation_matrix(way, 3, 1.0, turn)
+        multiply_matrices(turn, targets.rotations[number], rotation)
+    return Goal(position, rotation, origin, axes, np.zeros(6))
 
 
 @inner
@@ -103,7 +110,7 @@ def _move_goal(world: WorldArrays, targets: Targets, number: int, along: FloatAr
     task = targets.tasks[number]
     here, turned = pose_of(world.kinematics, task.tip, task.tip_is_site)
     error, turn, moved = np.zeros(6), np.empty((3, 3)), np.empty((3, 3))
-    find_error(here, turned, goal_of(world.kinematics, targets, number, 0), error)
+    find_error(here, turned, goal_of(world.kinematics, targets, number, 0.0), error)
     for i in range(3):
         error[i] += duration * along[i]
     share = min(1.0, _LEAD / max(norm3(error, 0), 1e-12))
@@ -211,12 +218,15 @@ def _note(targets: Targets, number: int, goal: Goal, now: float, progress: float
     """Note the outcome of a solution, whose error is noted already."""
     task, arm, k = targets.tasks[number], targets.arms[number], targets.tasks[number].solutions
     facts, error = targets.facts[number, k], targets.errors[number, k]
+    close = _within(error, MISSED, MISSED_TURN)
+    # A stream of poses that is slowed down, but is where it should be, is not late.
+    slowed = slowed and (
+        task.follows == TWISTS or task.follows == STREAMS and task.acts == LEADS and not close)
     facts.now_s, facts.progress, facts.aside = now, progress, 0.0
     if task.follows == RESTS:
         facts.aside = _aside(targets, number, goal, error)
-    facts.reached, facts.singular, facts.slowed, facts.held = (
-        int(reached), int(singular), int(slowed), 0)
-    facts.close = int(_within(error, MISSED, MISSED_TURN))
+    facts.reached, facts.close, facts.singular, facts.slowed, facts.held = (
+        int(reached), int(close), int(singular), int(slowed), 0)
     for i in range(len(arm.joints)):
         targets.held[number, k, arm.joints[i].joint] = held[i]
         if held[i]:
@@ -241,12 +251,13 @@ def lead(world: WorldArrays, scratch: Kinematics, setpoints: Any, postures: Floa
     jacobian, indices = np.empty((6, count)), np.empty(count, np.int64)
     result = Velocities(np.empty(count), np.empty(count), np.zeros(count, np.bool_))
     place, turned = pose_of(scratch, task.tip, task.tip_is_site)
-    goal, error = goal_of(scratch, targets, number, k), targets.errors[number, k]
+    goal = goal_of(scratch, targets, number, now + task.interval_s)
+    error = targets.errors[number, k]
     find_jacobian(scratch, arm, place, jacobian)
     find_error(place, turned, goal, error)
     motion = _find_motion(scratch, setpoints, postures, targets, number)
     pace, progress, singular, slowed = _find_velocities(
-        scratch, targets, number, jacobian, error, motion, result)
+        scratch, targets, number, now, jacobian, error, motion, result)
     fastest = 0.0
     for i in range(count):
         indices[i] = arm.joints[i].joint
@@ -261,23 +272,23 @@ def lead(world: WorldArrays, scratch: Kinematics, setpoints: Any, postures: Floa
         error, _REACHED, _REACHED_TURN)
     if reached:
         place, turned = pose_of(world.kinematics, task.tip, task.tip_is_site)
-        find_error(place, turned, goal_of(world.kinematics, targets, number, k),
+        find_error(place, turned, goal_of(world.kinematics, targets, number, now),
                    targets.missed[number, k])
     _note(targets, number, goal, now, progress, reached, singular, slowed, result.held)
     task.solve_s = now + task.interval_s
 
 
 @inlined
-def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobian: FloatArray,
-                     error: FloatArray, motion: ArmMotion, result: Velocities
-                     ) -> tuple[float, float, bool, bool]:
+def _find_velocities(scratch: Kinematics, targets: Targets, number: int, now: float,
+                     jacobian: FloatArray, error: FloatArray, motion: ArmMotion,
+                     result: Velocities) -> tuple[float, float, bool, bool]:
     """
     Write the velocities of joints at the end of an interval.
 
     :returns: as the first four of :func:`approach`
     """
     task, before, along = targets.tasks[number], np.zeros(6), np.zeros(6)
-    interval, speeds = task.interval_s, targets.speeds[number, task.solutions]
+    interval, stream = task.interval_s, targets.streams[number]
     if task.follows == BRAKES:
         for i in range(len(motion.velocity)):
             change = interval * motion.acceleration_limit[i]
@@ -287,7 +298,7 @@ def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobia
     goes = task.follows == STREAMS
     if task.follows == TWISTS:
         _, axes = pose_of(scratch, task.axes, task.axes_is_site)
-        _in_world(axes, speeds[1], along)
+        _in_world(axes, velocities_at(stream, now + interval), along)
         # A literal False would compile all that follows once more.
         pace, progress, singular, slowed, _ = follow_twist(
             jacobian, along, motion, interval, goes, result)
@@ -296,8 +307,8 @@ def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobia
         return pace, progress, singular, slowed
     if goes:
         _, axes = pose_of(scratch, task.anchor, task.anchor_is_site)
-        _in_world(axes, speeds[0], before)
-        _in_world(axes, speeds[1], along)
+        _in_world(axes, velocities_at(stream, now), before)
+        _in_world(axes, velocities_at(stream, now + interval), along)
         for i in range(6):
             error[i] -= (along[i] - before[i]) * interval / 2.0
     pace, progress, singular, slowed, rests = approach(
@@ -309,7 +320,7 @@ def _find_velocities(scratch: Kinematics, targets: Targets, number: int, jacobia
 
 @inner
 def press_on(world: WorldArrays, loads: Loads, efforts: FloatArray, postures: FloatArray,
-             targets: Targets, number: int, k: int, now: float, duration: float) -> None:
+             targets: Targets, number: int, now: float, duration: float) -> None:
     """
     Write the efforts that bring an end effector nearer to its target; note them if that is due.
 
@@ -317,7 +328,6 @@ def press_on(world: WorldArrays, loads: Loads, efforts: FloatArray, postures: Fl
     :param efforts: of the joints of the robot [N m], shape (n,), written
     :param postures: of the joints of the robot [rad], shape (n,)
     :param number: of the target
-    :param k: number of the interval
     :param now: simulation time [s]
     :param duration: of the interval [s]
     """
@@ -325,16 +335,20 @@ def press_on(world: WorldArrays, loads: Loads, efforts: FloatArray, postures: Fl
     count, along, lost = len(arm.joints), np.zeros(6), np.zeros(6)
     motion = Motion(np.empty(count), np.empty(6), np.empty(6), np.zeros(count, np.bool_))
     place, turned = pose_of(world.kinematics, task.tip, task.tip_is_site)
+    stream = targets.streams[number]
     if task.follows == TWISTS:
         _, axes = pose_of(world.kinematics, task.axes, task.axes_is_site)
-        _in_world(axes, targets.speeds[number, k, 1], along)
+        _in_world(axes, velocities_at(stream, now + duration / 2.0), along)
+        _in_world(axes, own_accelerations_at(stream, now), lost)
         _move_goal(world, targets, number, along, duration)
-        _in_world(axes, targets.speeds[number, k, 0], lost)
     elif task.follows == STREAMS:
         _, axes = pose_of(world.kinematics, task.anchor, task.anchor_is_site)
-        _in_world(axes, targets.speeds[number, k, 1], along)
-        _in_world(axes, targets.speeds[number, k, 0], lost)
-    goal = goal_of(world.kinematics, targets, number, k)
+        _in_world(axes, velocities_at(stream, now), along)
+        _in_world(axes, own_accelerations_at(stream, now), lost)
+    if not task.impedes:  # An impedance gets the acceleration itself.
+        for i in range(6):
+            lost[i] /= task.damping
+    goal = goal_of(world.kinematics, targets, number, now)
     rests = singular = slowed = False
     if task.impedes:
         _impede(world, loads, postures, targets, number, goal, along, lost, duration, motion)

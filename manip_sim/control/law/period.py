@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.arm_records import (
-    ASIDE, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, NEARER, RESTS, Targets, targets_of)
+    ASIDE, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, NEARER, RESTS, STREAMS, Targets,
+    targets_of, TWISTS)
 from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.driving import drive_base
 from manip_sim.control.law.finger_records import (
     ACTS as TAKES, AWAITED, Gripper, MOVES as FINGERS_MOVE, no_gripper, PAIR, RENEWED)
 from manip_sim.control.law.gripping import move_fingers
 from manip_sim.control.law.joint_records import (
-    ACTS, DUE, JOINT, MOVES, readable, RobotJoints, SERVO, WRITTEN)
+    ACTS, DUE, JOINT, MOTION, MOVES, readable, RobotJoints, SERVO, WRITTEN)
 from manip_sim.control.law.leading import act, lead, press_on, put_ahead
 from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.rows import Layout
@@ -68,6 +69,8 @@ class Robot(NamedTuple):
     :ivar owners: of each joint the number of the command that ends as soon as its joints rest, or
         -1, shape (n,)
     :ivar acts: 1 if it acts whether setpoints move or not, shape (1,)
+    :ivar until_s: simulation times from which it does not go on: when a command times out, when a
+        target is not known in all of a period, and a path [s], shape (3,)
     :ivar goals: last goals of commands that go on, by joint, shape (n,)
     :ivar renewed_s: simulation time when these came, or -1 [s], shape (n,)
     """
@@ -78,6 +81,7 @@ class Robot(NamedTuple):
     moved_s: FloatArray
     owners: IntArray
     acts: IntArray
+    until_s: FloatArray
     goals: FloatArray
     renewed_s: FloatArray
 
@@ -98,14 +102,12 @@ class Standing(NamedTuple):
     """
     Conditions under which a period goes on like the one before.
 
-    :ivar until_s: simulation time when a command times out [s], shape (1,)
     :ivar contacts: most contacts, and 1 if nothing has touched tools, shape (2,)
     :ivar pushes: ``xfrc_applied``, a view, shape (nbody, 6)
     :ivar options: of the model, a view, shape (k,)
     :ivar kept: what they have to be, shape (k,)
     """
 
-    until_s: FloatArray
     contacts: IntArray
     pushes: FloatArray
     options: NDArray[np.int32]
@@ -171,13 +173,13 @@ def _waits(tasks: Any, now: float) -> bool:
 
 @inlined
 def _lead_arms(addresses: Addresses, world: WorldArrays, scratch: Kinematics, joints: RobotJoints,
-               targets: Targets, k: int, now: float, duration: float) -> bool:
+               targets: Targets, now: float, duration: float) -> bool:
     """Let arms bring their end effectors nearer to targets; return whether any of them does."""
     acts = False
     for number in range(2):
         task = targets.tasks[number]
         if task.acts == EXERTS:
-            press_on(world, joints.loads, joints.efforts, joints.postures, targets, number, k, now,
+            press_on(world, joints.loads, joints.efforts, joints.postures, targets, number, now,
                      duration)
             acts = True
         elif task.acts == LEADS and task.settled == 0:
@@ -219,14 +221,14 @@ def _move_joints(world: WorldArrays, joints: RobotJoints, place: int, acts: bool
 
 
 @inlined
-def _act(addresses: Addresses, k: int, place: int, now: float, duration: float,
+def _act(addresses: Addresses, place: int, now: float, duration: float,
          world: WorldArrays, scratch: Kinematics, joints: RobotJoints, targets: Targets,
          grippers: tuple[Gripper, Gripper]) -> bool:
     """Write the controls of a robot for an interval; return whether joints do not just rest."""
-    leads = _lead_arms(addresses, world, scratch, joints, targets, k, now, duration)
+    leads = _lead_arms(addresses, world, scratch, joints, targets, now, duration)
     if len(joints.base):
         drive_base(world, joints.servos, joints.setpoints, joints.base, joints.owned,
-                   joints.twists[k], duration)
+                   joints.twist, now, duration)
         joints.flags[MOVES] = True
     moved = _move_joints(world, joints, place, leads, now, duration)
     for number in range(2):
@@ -242,10 +244,10 @@ def _example_of_robot() -> Robot:
     nowhere = np.zeros((0, 0), np.int64)
     joints = RobotJoints(
         readable(np.zeros(0, JOINT)), readable(np.zeros(0, SERVO)), nowhere, none, nowhere, none,
-        np.zeros(4, np.bool_), nobody, np.zeros((0, 0, 3)), nobody, nobody, np.zeros((0, 3)),
-        no_loads(), none)
+        np.zeros(4, np.bool_), nobody, np.zeros((0, 0, 3)), nobody, nobody,
+        readable(np.zeros(0, MOTION)), no_loads(), none)
     return Robot(joints, targets_of(0), (no_gripper(), no_gripper()), np.zeros(1), nobody, nobody,
-                 none, none)
+                 none, none, none)
 
 
 def _example() -> tuple[Period, ScratchArrays]:
@@ -261,7 +263,7 @@ def _example() -> tuple[Period, ScratchArrays]:
         Watch(none, none, np.zeros((0, 2), np.int64), 0, data.qpos, data.qacc,
               words, words, LastStep.of(
                   model, data, none, np.zeros(1, np.bool_), none, np.zeros(3, np.bool_))),
-        np.zeros(2, np.int64), Standing(none, nobody, data.xfrc_applied, words, words))
+        np.zeros(2, np.int64), Standing(nobody, data.xfrc_applied, words, words))
     return period, ScratchArrays(place[1], world.kinematics)
 
 
@@ -279,15 +281,15 @@ def _begin_robots(robots: IntArray) -> None:
 
 
 @inlined
-def _act_all(addresses: Addresses, period: Period, k: int, place: int, now: float,
-             duration: float, scratch: Kinematics) -> bool:
+def _act_all(addresses: Addresses, period: Period, place: int, now: float, duration: float,
+             scratch: Kinematics) -> bool:
     """Write the controls of all robots; return False, and write none, where one has to wait."""
     for row in period.robots:
         if _waits(_read_robot(row).targets.tasks, now):
             return False
     for row in period.robots:
         robot = _read_robot(row)
-        if _act(addresses, k, place, now, duration, period.world, scratch, robot.joints,
+        if _act(addresses, place, now, duration, period.world, scratch, robot.joints,
                 robot.targets, robot.grippers):
             robot.moved_s[0] = now + duration
     return True
@@ -301,15 +303,16 @@ def _compare_targets(tasks: Any, facts_of: Any) -> None:
         if task.acts == IDLE:
             continue
         # Joints that come to rest in the last solution are news, those that rested are none.
-        task.usual = int(task.follows == RESTS and (task.settled == 0 or task.solutions == 0))
-        for k in range(task.solutions):
+        task.usual = int(task.settled == 0 or task.solutions == 0)
+        for k in range(task.solutions if task.follows != BRAKES else 0):
             facts = facts_of[number, k]
             if (facts.held != task.was_held or facts.singular != task.was_singular
-                    or not task.impedes and (facts.aside > ASIDE) != (task.was_aside != 0)
-                    or facts.reached and task.awaited
-                    or facts.progress <= NEARER and not facts.close):
+                    or facts.slowed != task.was_slowed or facts.reached and task.awaited
+                    or task.follows == RESTS and not task.impedes and (
+                        facts.aside > ASIDE) != (task.was_aside != 0)
+                    or task.follows != TWISTS and facts.progress <= NEARER and not facts.close):
                 task.usual = 0
-        if task.usual and task.solutions:
+        if task.usual and task.solutions and task.follows in (RESTS, STREAMS):
             task.seen_s = facts_of[number, task.solutions - 1].now_s
 
 
@@ -330,7 +333,7 @@ def _run(period: Period, scratch: ScratchArrays, passed: int) -> None:
     for k in range(len(period.intervals)):
         steps, now = period.intervals[k], time.counts[1] * time.step_ns * 1e-9
         begin_all(period.seats)
-        if not _act_all(addresses, period, k, passed + k, now, steps * time.step_s,
+        if not _act_all(addresses, period, passed + k, now, steps * time.step_s,
                         scratch.kinematics):
             ends = False
             break
@@ -401,8 +404,7 @@ def _begin_targets(tasks: Any) -> None:
 def _goes_on(period: Period) -> bool:
     """Return whether a period goes on like the one before."""
     time, standing, tools = period.time, period.standing, period.notes.tools
-    if time.counts[1] * time.step_ns * 1e-9 >= standing.until_s[0] or (
-            period.notes.contacts[0] > standing.contacts[0]):
+    if period.notes.contacts[0] > standing.contacts[0]:
         return False
     for k in range(len(standing.options)):
         if standing.options[k] != standing.kept[k]:
@@ -412,9 +414,12 @@ def _goes_on(period: Period) -> bool:
             for k in range(6):
                 if standing.pushes[body, k] != 0.0:
                     return False
-    acts = True
+    acts, now = True, time.counts[1] * time.step_ns * 1e-9
     for row in period.robots:
-        acts = acts and not _rests(_read_robot(row))
+        robot = _read_robot(row)
+        for until_s in robot.until_s:
+            acts = acts and now < until_s
+        acts = acts and not _rests(robot)
     return acts
 
 
