@@ -75,7 +75,7 @@ class JointRuns:
             elif isinstance(command, CartesianCommand):
                 arms.append(command)
             elif isinstance(command, BaseTwist):
-                base = command.joints, command.columns, controller.base.motion
+                base = command.joints, command.columns, controller.base.refresh()
         targets, count = controller.cartesian.begin_run(
             arms, now_s, durations_s, lambda: clock.begins_s(intervals))
         indices, path = _NOT_LED
@@ -165,12 +165,10 @@ class JointRuns:
             if ends:
                 owners[command.indices] = number
         known_s = controller.cartesian.stand(controller.cartesian_commands, targets)
-        if known_s is None:
-            return False
         acts[0] = bool(commands.running or controller.command_timeouts.pending
                        or controller.seats.of or controller.acts)
         until_s[:] = controller.command_timeouts.first_s, known_s, math.inf
-        return True
+        return known_s > -math.inf
 
     def look_ahead(self, joints: RobotJoints, intervals: IntArray, clock: Clock,
                    until_s: FloatArray) -> RobotJoints:
@@ -240,6 +238,37 @@ class JointRuns:
         command.handle.status = Status.RUNNING
         return True
 
+    def go_on_moving(self, command: Command, targets: Targets, intervals: IntArray,
+                     until_s: FloatArray, renewed_s: FloatArray, data: mujoco.MjData, clock: Clock,
+                     period_s: float) -> bool:
+        """
+        Let a twist or pose replace one of its kind while compiled code goes on.
+
+        :param targets: with which it goes on
+        :param intervals: physics steps of those of a period, shape (k,)
+        :param until_s: of the law, see :meth:`stand`, changed
+        :param renewed_s: when commands were replaced, by joint [s], shape (n,), changed
+        :param clock: of the simulation
+        :param period_s: length of a control period [s]
+        :returns: False, and nothing has changed, where it has to be applied instead
+        """
+        controller, older, now_s = self._controller, self._alike(command), clock.control_s
+        if older is None:
+            return False
+        controller.commands.replace(older, command)
+        command.handle.status = Status.RUNNING
+        if isinstance(command, BaseTwist):
+            controller.base.begin(command, data, now_s, period_s, True)
+        elif isinstance(command, CartesianCommand):
+            arms, cartesian = controller.cartesian_commands, controller.cartesian
+            cartesian.catch_up(arms, targets)
+            cartesian.begin(command, data, now_s, True)
+            cartesian.begin_run(arms, now_s, self._derived.made_of(self._durations, intervals),
+                                lambda: clock.begins_s(intervals))
+            until_s[1] = cartesian.stand(arms, targets)
+        renewed_s[command.indices] = now_s
+        return True
+
     def _alike(self, command: C) -> C | None:
         """Return another command of the same kind that runs for the same joints, or None."""
         for older in self._controller.commands.running:
@@ -270,8 +299,7 @@ class JointRuns:
             if came_s >= 0.0:
                 if isinstance(command, PoseAction):
                     command.action[:] = targets.actions[arms.index(command)]
-                else:
-                    assert isinstance(command, JointSetpoint)
+                elif isinstance(command, JointSetpoint):
                     command.values[:] = goals[command.indices]
                 renewed_s[command.indices] = -1.0
                 controller.command_timeouts.renew(command.parts, came_s)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
 from typing import Any
 
@@ -17,6 +18,7 @@ from manip_sim.control.law.joint_records import (
     blank_motion, blank_state, FIELDS, MOTION, MOTION_FIELDS, records)
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
+from manip_sim.derived import Derived
 
 
 class VelocityStream:
@@ -46,13 +48,14 @@ class VelocityStream:
         joints = records(self._state)
         joints['longest'], joints['hold'] = longest_s, hold_s
 
-    def take(self, velocity: FloatArray, present: FloatArray, now_s: float, period_s: float,
-             messages: int = 1, sent_s: float = 0.0) -> None:
+    def take(self, velocity: FloatArray, present: Callable[[], FloatArray], now_s: float,
+             period_s: float, messages: int = 1, sent_s: float = 0.0) -> None:
         """
         Take in the velocity of a message.
 
         :param velocity: [1/s], shape (n,)
-        :param present: velocity now, which counts if the stream begins [1/s], shape (n,)
+        :param present: returns the velocity now, which counts if the stream begins [1/s], shape
+            (n,)
         :param now_s: simulation time [s]
         :param period_s: length of a control period [s]
         :param messages: how many messages came since the last call, of which this is the last
@@ -71,7 +74,7 @@ class VelocityStream:
             taken = take_alone(joints, now_s)
             if not taken:
                 return
-            before = velocities_at(motion, now_s) if taken > 1 else present
+            before = velocities_at(motion, now_s) if taken > 1 else present()
             own = np.abs(joints['own'])
             self._duration_s = max(joints['interval'][0], period_s) if taken > 1 else period_s
         motion['velocity'], motion['own'] = velocity, own
@@ -99,8 +102,7 @@ class BaseTwists:
     def __init__(self, servos: Servos, setpoints: SetpointGenerator) -> None:
         self._servos, self._setpoints = servos, setpoints
         self._stream: VelocityStream | None = None
-        #: Room for the law, which keeps its address.
-        self._room = records(blank_motion(3), MOTION)
+        self._derived = Derived()
 
     def forget(self) -> None:
         """Let the next twist be the first of a stream."""
@@ -119,19 +121,25 @@ class BaseTwists:
         if self._stream is None or not drives:
             self._stream = VelocityStream(self._servos.acceleration_limit[joints])
         self._stream.set(*self._setpoints.stream_settings(int(joints[0])))
-        present = _turned(self._setpoints.velocity[joints], -self._yaw(command, data))
         self._stream.take(
-            command.twist, present, now_s, period_s, command.messages, command.sent_s)
+            command.twist,
+            lambda: _turned(self._setpoints.velocity[joints], -self._yaw(command, data)),
+            now_s, period_s, command.messages, command.sent_s)
+        self.refresh()
 
-    @property
-    def motion(self) -> Any:
-        """The twist until the next message, records of ``MOTION``, shape (3,)."""
+    def refresh(self) -> Any:
+        """Return the twist until the next message, records of ``MOTION``, shape (3,), a view."""
         assert self._stream is not None
-        self._room[:] = self._stream.motion
-        return self._room
+        room = self._derived.made_of(_room_of_twist)  # Compiled code keeps its address.
+        room[:] = self._stream.motion
+        return room
 
     def _yaw(self, command: BaseTwist, data: mujoco.MjData) -> float:
         return float(data.qpos[self._servos.qpos[command.joints[2]]])
+
+
+def _room_of_twist() -> Any:
+    return records(blank_motion(3), MOTION)
 
 
 def _turned(twist: FloatArray, yaw: float) -> FloatArray:

@@ -18,8 +18,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.cartesian.cartesian_commands import PoseAction
-from manip_sim.control.commands import Command, GripperAction
+from manip_sim.control.cartesian.cartesian_commands import (
+    CartesianPose, CartesianTwist, PoseAction)
+from manip_sim.control.commands import BaseTwist, Command, GripperAction
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.joint_runs import JointRuns
@@ -208,8 +209,12 @@ class RobotRuns:
         """
         if self.standing is None:
             return False
+        run, room = self.standing, self.standing.room
+        if type(command) in (BaseTwist, CartesianPose, CartesianTwist):
+            return self._joints.go_on_moving(
+                command, run.targets, run.intervals, room.until_s, room.renewed_s,
+                self._physics.data, self._clock, period_s)
         if type(command) is not PoseAction:
-            room = self.standing.room
             return self._joints.go_on(
                 command, room.goals, room.renewed_s, self._clock.control_s, period_s)
         goes_on = self._joints.go_on_acting(command)

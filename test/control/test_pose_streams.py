@@ -87,6 +87,18 @@ def test_slow_poses_are_followed_without_stops_if_they_are_admitted(longest_s, r
 
 
 @pytest.mark.full
+@pytest.mark.parametrize('mode', ['position', 'effort'])
+def test_poses_that_are_followed_are_not_told_to_be_out_of_reach(mode):
+    op = operator_of('Panda', mode=mode, period_s=0.02)
+    start, rotation = op.pose
+    for period in range(150):
+        way = 0.05 * np.sin(0.1 * period + np.arange(6))
+        op.go_to((start + way[:3], turned([0.0, 0.0, 1.0], 2.0 * way[3]) @ rotation))
+        op.run(op.period_s)
+    assert op.report.counts['unreachable'] == 0
+
+
+@pytest.mark.full
 @pytest.mark.parametrize(('radius', 'slowed'), [(0.03, False), (0.06, True)])
 def test_a_circle_that_asks_for_more_than_the_joints_can_do_is_told(radius, slowed):
     op = operator_of('Panda')

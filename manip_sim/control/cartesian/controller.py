@@ -264,8 +264,8 @@ class CartesianController:
         target.stream.set(*self._streams[command.arm])
         target.stream.take(
             target.position, target.rotation, now_s, self.period_s,
-            self._present_twist(command, target.anchor, data), self.settings[command.arm].limits,
-            command.messages, command.sent_s)
+            lambda: self._present_twist(command, target.anchor, data),
+            self.settings[command.arm].limits, command.messages, command.sent_s)
 
     def _continue_twists(self, command: CartesianTwist, target: Target, before: Target | None,
                          data: mujoco.MjData, now_s: float) -> None:
@@ -275,8 +275,8 @@ class CartesianController:
             np.repeat(self.settings[command.arm].limits, 3) / SPEED_UP_S)
         target.twists.set(*self._streams[command.arm])
         target.twists.take(
-            command.twist, self._present_twist(command, target.axes, data), now_s, self.period_s,
-            command.messages, command.sent_s)
+            command.twist, lambda: self._present_twist(command, target.axes, data), now_s,
+            self.period_s, command.messages, command.sent_s)
 
     def _present_twist(self, command: CartesianCommand, frame: Frame, data: mujoco.MjData
                        ) -> FloatArray:
@@ -384,8 +384,9 @@ class CartesianController:
             follows = self._follows(target, exerts, now_s)
             self._fill(targets, number, command, exerts, follows, interval_s)
             self._fill_impedance(targets, number, command)
-            if target.known_s < math.inf:  # It may end within the period.
-                known = int(np.count_nonzero(begins_s() < target.known_s - 1e-9))
+            known_s = target.known_s
+            if known_s < math.inf:  # It may end within the period.
+                known = int(np.count_nonzero(begins_s() < known_s - 1e-9))
                 count = min(count, max(known, 1))
         return targets, count
 
@@ -492,14 +493,14 @@ class CartesianController:
             if task['settled'] and target.settled_in is None:
                 target.settled_in = self._place(command, target, places_at_begin())
 
-    def stand(self, commands: Sequence[CartesianCommand], targets: Targets) -> float | None:
+    def stand(self, commands: Sequence[CartesianCommand], targets: Targets) -> float:
         """
         Let compiled code go on with the targets of commands, if it may.
 
         It may unless a motion ends at contact, or an arm at its goal has a mount that can move.
 
         :param targets: as :meth:`begin_run` has returned them
-        :returns: simulation time until which it may [s], or None
+        :returns: simulation time until which it may [s], -inf if it may not
         """
         until_s = math.inf
         for number, command in enumerate(commands):
@@ -507,7 +508,7 @@ class CartesianController:
             target = self._targets[command.arm]
             if target.guard is not None or not report.active.issubset(_KNOWN) or (
                     task['settled'] and not self._is_mounted(command, target)):
-                return None
+                return -math.inf
             task['awaited'], task['seen_s'] = command.handle.is_active, report.seen_s
             task['was_held'], task['was_singular'], task['was_aside'], task['was_slowed'] = (
                 kind in report.active for kind in _KNOWN)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.joint_records import (
-    blank_motion, blank_state, FIELDS, MOTION, MOTION_FIELDS, records)
+    blank_motion, blank_state, FIELDS, MOTION, MOTION_FIELDS, PLACES, records)
 from manip_sim.control.servos import SPEED_UP_S
 from manip_sim.quaternion import rotation_vector
 
@@ -67,8 +68,8 @@ class PoseStream:
         return records(self._state)
 
     def take(self, position: FloatArray, rotation: FloatArray, now_s: float, period_s: float,
-             present: FloatArray, limits: FloatArray, messages: int = 1, sent_s: float = 0.0
-             ) -> None:
+             present: Callable[[], FloatArray], limits: FloatArray, messages: int = 1,
+             sent_s: float = 0.0) -> None:
         """
         Follow the pose of a message; of several at one instant the newest counts.
 
@@ -76,8 +77,8 @@ class PoseStream:
         :param rotation: rotation matrix, shape (3, 3)
         :param now_s: simulation time [s]
         :param period_s: length of a control period [s]
-        :param present: twist of the end effector now, which counts if the stream begins [m/s,
-            rad/s], shape (6,)
+        :param present: returns the twist of the end effector now, which counts if the stream
+            begins [m/s, rad/s], shape (6,)
         :param limits: of linear and angular velocity [m/s, rad/s], shape (2,)
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
@@ -106,7 +107,7 @@ class PoseStream:
             self.moving = False
 
     def _follow(self, position: FloatArray, rotation: FloatArray, limits: FloatArray,
-                present: FloatArray, now_s: float) -> None:
+                present: Callable[[], FloatArray], now_s: float) -> None:
         from manip_sim.control.law.stream_goals import take_alone  # It imports numba.
         from manip_sim.control.law.stream_motion import velocities_at
         joints, motion = self._joints, self.motion
@@ -115,7 +116,7 @@ class PoseStream:
         if not taken:
             return
         streams = taken > 1
-        before = velocities_at(motion, now_s) if self.moving and streams else present
+        before = velocities_at(motion, now_s) if self.moving and streams else present()
         first, velocity = joints[0], np.array(joints['rate_goal'])
         interval_s, limited = max(first['interval'], first['waiting_period']), 1.0
         for half, limit in zip((velocity[:3], velocity[3:]), limits):
@@ -142,7 +143,7 @@ class PoseStream:
     @property
     def until_s(self) -> float:
         """Simulation time when the reference comes to rest, unless a pose comes [s]."""
-        return float(self._joints['until'][0]) if self.moving else np.inf
+        return self._state.item(0, PLACES['until']) if self.moving else np.inf
 
     @property
     def motion(self) -> Any:

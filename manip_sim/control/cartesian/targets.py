@@ -185,8 +185,11 @@ def target_of(command: CartesianCommand, chain: KinematicChain, model: mujoco.Mj
 
 def _moves(chain: KinematicChain, frame: Frame, model: mujoco.MjModel) -> bool:
     """Return whether an arm moves a frame."""
-    moved_bodies = set(model.jnt_bodyid[np.isin(model.jnt_qposadr, chain.qpos)].tolist())
     body = frame.body
-    while body and body not in moved_bodies:
-        body = int(model.body_parentid[body])
-    return body != 0
+    while body:
+        first, count = model.body_jntadr.item(body), model.body_jntnum.item(body)
+        if not set(model.jnt_qposadr[first:first + count].tolist()).isdisjoint(
+                chain.qpos.tolist()):
+            return True
+        body = model.body_parentid.item(body)
+    return False

@@ -366,14 +366,15 @@ def press_on(world: WorldArrays, loads: Loads, efforts: FloatArray, postures: Fl
     # Limits of the end effector, and its rest, are noted once in a period.
     if task.impedes:
         find_error(place, turned, goal, motion.error)
-    row, goes = task.solutions, np.empty(6)
+    row, goes, comes = task.solutions, np.empty(6), np.empty(6)
     for i in range(6):
+        comes[i] = motion.twist[i] - along[i]
         targets.errors[number, row, i] = targets.missed[number, row, i] = motion.error[i]
         goes[i] = task.stiffness / task.damping * motion.error[i]
     reached = task.follows == RESTS and _within(
         motion.error, _PRESSED, _PRESSED_TURN) and _within(
         motion.twist, _SLOW_TWIST, _SLOW_TWIST)
-    progress = dot(motion.twist, goes) / max(dot(goes, goes), 1e-12)
+    progress = dot(comes, goes) / max(dot(goes, goes), 1e-12)
     # An impedance yields: it is not late where something holds it off.
     _note(targets, number, goal, now, 1.0 if task.impedes else progress, reached,
           singular and not reached, slowed, motion.held)
