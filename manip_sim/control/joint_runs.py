@@ -253,7 +253,7 @@ class JointRuns:
         :returns: False, and nothing has changed, where it has to be applied instead
         """
         controller, older, now_s = self._controller, self._alike(command), clock.control_s
-        if older is None:
+        if older is None or now_s >= until_s.min():
             return False
         controller.commands.replace(older, command)
         command.handle.status = Status.RUNNING
