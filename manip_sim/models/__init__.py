@@ -5,28 +5,44 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import Any, TYPE_CHECKING
 
 from manip_sim.models.arenas import Arena, arena_names, arena_parameters, create_arena
+from manip_sim.models.arenas.arena import ARENAS
+from manip_sim.models.bases.robot_base_model import BASES
 from manip_sim.models.composing import compose, compose_robot
+from manip_sim.models.grippers.gripper_model import GRIPPERS
 from manip_sim.models.object_creation import create_object, ObjectModel
+from manip_sim.models.registry import Registry
+from manip_sim.models.robots.robot_model import ROBOTS
 from manip_sim.models.sources import set_model_path
+from manip_sim.models.urdf_writer import urdf_of
 from manip_sim.models.world import World
 
 if TYPE_CHECKING:
     from manip_sim.models.files import load_arena, load_base, load_gripper, load_robot
 
-_OF_FILES = ('load_arena', 'load_base', 'load_gripper', 'load_robot')
+_LOADERS: dict[str, Registry[Any]] = {
+    'load_arena': ARENAS, 'load_base': BASES, 'load_gripper': GRIPPERS, 'load_robot': ROBOTS}
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> Any:
     # Imported on first use, because importing pydantic takes a while.
-    if name in _OF_FILES:
+    if name in _LOADERS:
         from manip_sim.models import files
         return getattr(files, name)
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
 
 
+def _load(loader: str, *arguments: Any) -> Any:
+    return __getattr__(loader)(*arguments)
+
+
+for _loader, _registry in _LOADERS.items():
+    _registry.load_file = partial(_load, _loader)
+
+
 __all__ = ['Arena', 'ObjectModel', 'World', 'arena_names', 'arena_parameters', 'compose',
            'compose_robot', 'create_arena', 'create_object', 'load_arena', 'load_base',
-           'load_gripper', 'load_robot', 'set_model_path']
+           'load_gripper', 'load_robot', 'set_model_path', 'urdf_of']

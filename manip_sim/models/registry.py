@@ -36,7 +36,10 @@ class Registry(Generic[T]):
     :param kind: what the classes are, for messages: ``robot``, ``gripper``, ``base``, ``arena``
     :param takes: the keyword arguments with which a class is created by name
     :param key: returns the name of a class, or None if it cannot be created by name
+    :ivar load_file: creates an instance from a file; set by what reads files of this kind
     """
+
+    load_file: Callable[..., T]
 
     def __init__(self, kind: str, base: type[T], takes: tuple[str, ...] = ('idn',),
                  key: Callable[[type[T]], str | None] = lambda cls: cls.__name__) -> None:

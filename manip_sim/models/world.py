@@ -292,18 +292,6 @@ class World:
         """
         return to_binary(self.compile())
 
-    def to_urdf(self, robot: str | None = None) -> str:
-        """
-        Return the URDF of a robot with its base and grippers, with the root link ``world``.
-
-        :param robot: what its names begin with, without the underscore that follows, such as
-            ``robot0``; None for the only one
-        :raises ModelError: if there are several robots and none is named, or with MuJoCo's message
-        :raises UnknownNameError: if the robot is unknown
-        """
-        from manip_sim.models.urdf_writer import urdf_of  # It imports this module.
-        return urdf_of(self, robot).xml
-
     def _written(self) -> tuple[str, Mapping[str, bytes | str]]:
         """Return the XML and the files, by their names in it, that are not on the disk."""
         spec = self.compose()

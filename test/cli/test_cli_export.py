@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from manip_sim.cli.output import write_whole
-from manip_sim.models import compose
+from manip_sim.models import compose, urdf_of
 from manip_sim.models.archive import roundings
 
 SOURCE = Path(__file__).resolve().parents[2]
@@ -83,8 +83,8 @@ def test_a_urdf_is_that_of_the_robot_and_what_it_cannot_say_is_told(here, tmp_pa
     assert (code, errors) == (0, '')
     assert text.splitlines()[0].endswith(' kB)')
     assert "'left_gripper_joint_thumb_distal' follows" in text
-    assert (tmp_path / 'out.urdf').read_text() == compose(
-        'Jaco', arena='table', prefix='left_').to_urdf()
+    assert (tmp_path / 'out.urdf').read_text() == urdf_of(compose(
+        'Jaco', arena='table', prefix='left_')).xml
 
 
 def test_a_urdf_for_ros2_control_has_the_default_control_modes(here, tmp_path):

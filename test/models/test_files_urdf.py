@@ -14,7 +14,7 @@ import pytest
 from files_rig import write
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models import compose, load_base, load_gripper, load_robot
+from manip_sim.models import compose, load_base, load_gripper, load_robot, urdf_of
 from manip_sim.models.asset_files import LostShape
 from manip_sim.simulation import Simulation
 
@@ -724,7 +724,7 @@ def test_collision_shapes_of_links_with_visual_ones_are_not_drawn(tmp_path, how)
         + '</robot>')))
     world = (compose(file) if how == 'robot' else compose('UR5e', gripper=file)
              if how == 'gripper' else compose('UR5e', base=file))
-    urdf = world.to_urdf()
+    urdf = urdf_of(world).xml
     assert shapes_of(urdf, '_both') == (['sphere'], ['box'])
     assert shapes_of(urdf, '_plain') == (['box'], ['box'])
     assert shapes_of(urdf, '_seen') == (['sphere'], [])

@@ -183,7 +183,7 @@ def test_wrist_and_tool_frames_and_cameras_are_links():
 
 def test_the_place_of_the_robot_is_the_first_joint_and_the_prefix_is_everywhere():
     world = compose('UR5e', prefix='left_', position=[1.0, 2.0, 0.0], orientation=[0, 0, 0.5])
-    root = ElementTree.fromstring(world.to_urdf())
+    root = ElementTree.fromstring(urdf_of(world).xml)
     first = root.find('joint')
     assert (first.find('parent').get('link'), first.get('type')) == ('world', 'fixed')
     assert [float(v) for v in first.find('origin').get('xyz').split()][:2] == [1.0, 2.0]
@@ -194,12 +194,12 @@ def test_the_place_of_the_robot_is_the_first_joint_and_the_prefix_is_everywhere(
 
 def test_one_robot_of_several_is_chosen_by_name():
     world = World([compose_robot('Panda', prefix='left_'), compose_robot('UR5e', prefix='right_')])
-    assert '<robot name="UR5e">' in world.to_urdf('right')
-    assert '"left_' not in world.to_urdf('right')
+    assert '<robot name="UR5e">' in urdf_of(world, 'right').xml
+    assert '"left_' not in urdf_of(world, 'right').xml
     with pytest.raises(ModelError, match='a URDF describes one robot: name one of left, right'):
-        world.to_urdf()
+        urdf_of(world).xml
     with pytest.raises(UnknownNameError, match="unknown robot 'rigth': did you mean 'right'"):
-        world.to_urdf('rigth')
+        urdf_of(world, 'rigth').xml
 
 
 def test_we_read_it_ourselves_with_its_meshes(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 from sampling import Driven, sampled, whole_robot
 
-from manip_sim.models import compose
+from manip_sim.models import compose, urdf_of
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation
 
@@ -35,7 +35,7 @@ def test_the_urdf_has_the_velocity_limits_that_are_kept(name):
     world = compose(name)
     controlled = Simulation(world).robot.joints
     limits = {joint.get('name'): float(joint.find('limit').get('velocity'))
-              for joint in ElementTree.fromstring(world.to_urdf()).iter('joint')
+              for joint in ElementTree.fromstring(urdf_of(world).xml).iter('joint')
               if joint.get('name') in controlled.names}
     assert limits == dict(zip(controlled.names, controlled.velocity_limits(
         controlled.find(controlled.names))))

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.full
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.errors import ManipSimError  # noqa: E402
-from manip_sim.models import compose  # noqa: E402
+from manip_sim.models import compose, urdf_of  # noqa: E402
 from manip_sim.viewer.page import latest  # noqa: E402
 from manip_sim.viewer.page.latest import (  # noqa: E402
     command_fields, commanded_joints, declared_limits, in_words, Latest, PoseInWorld,
@@ -45,7 +45,7 @@ def test_each_joint_with_an_actuator_has_a_slider_over_its_range(robot):
     model = world.compile()
     own = world.robots[0].all_joints
     found = {joint.name: joint for joint in commanded_joints(
-        model, own, declared_limits(world.to_urdf()), gripper=False)}
+        model, own, declared_limits(urdf_of(world).xml), gripper=False)}
     driven = {model.joint(int(model.actuator_trnid[i, 0])).name for i in range(model.nu)}
     assert set(found) == driven & set(own)
     for name, joint in found.items():
@@ -63,7 +63,7 @@ def test_fingers_have_sliders_where_they_take_positions():
         world = compose(robot, gripper=gripper)
         names = [joint for hand in world.robots[0].grippers.values() for joint in hand.joints]
         return [joint.label for joint in commanded_joints(
-            world.compile(), names, declared_limits(world.to_urdf()), gripper=True)]
+            world.compile(), names, declared_limits(urdf_of(world).xml), gripper=True)]
     assert fingers('Panda', 'PandaGripper') == ['joint1', 'joint2']
     assert fingers('UR5e', 'Robotiq85Gripper') != []
 

@@ -43,8 +43,7 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
     if file is None:
         return ARENAS.create(str(name), **_arguments(str(name), parameters))
     check_no_parameters(name, parameters)
-    from manip_sim.models.files import load_arena
-    return load_arena(file)
+    return ARENAS.load_file(file)
 
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -35,8 +35,7 @@ def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel
     file = BASES.find_file(name)
     if file is None:
         return BASES.create(str(name), idn=idn)
-    from manip_sim.models.files import load_base
-    return load_base(file, idn)
+    return BASES.load_file(file, idn)
 
 
 if not TYPE_CHECKING:

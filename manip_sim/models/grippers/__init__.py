@@ -37,8 +37,7 @@ def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperMode
     file = GRIPPERS.find_file(name)
     if file is None:
         return GRIPPERS.create(str(name), idn=idn)
-    from manip_sim.models.files import load_gripper
-    return load_gripper(file, idn)
+    return GRIPPERS.load_file(file, idn)
 
 
 if not TYPE_CHECKING:

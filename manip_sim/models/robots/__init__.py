@@ -36,12 +36,7 @@ def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = ''
         of another package cannot be imported
     """
     file = ROBOTS.find_file(name)
-    robot: RobotModel
-    if file is None:
-        robot = ROBOTS.create(str(name), idn=idn)
-    else:
-        from manip_sim.models.files import load_robot
-        robot = load_robot(file, idn)
+    robot = ROBOTS.create(str(name), idn=idn) if file is None else ROBOTS.load_file(file, idn)
     if prefix:
         robot.set_naming_prefix(prefix)
     return robot
