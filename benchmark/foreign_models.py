@@ -63,9 +63,9 @@ import yaml
 
 from manip_sim.errors import DivergenceError, ManipSimError
 from manip_sim.models import compose, load_gripper, load_robot
+from manip_sim.models.actuators import effort_range
 from manip_sim.models.couplings import declared_velocity
 from manip_sim.models.robots import ManipulatorModel
-from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.simulation.simulation import Simulation
 
 HOLD_S, HELD, FALLEN = 10.0, 5e-3, 0.1

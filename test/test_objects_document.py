@@ -9,8 +9,8 @@ import re
 import pytest
 
 from manip_sim.models.arenas import arena_names, arena_parameters
+from manip_sim.models.descriptions import FileDescription, MeshDescription, ShapeDescription
 from manip_sim.models.object_creation import load_objects
-from manip_sim.models.placed_descriptions import FileDescription, MeshDescription, ShapeDescription
 
 TEXT = (Path(__file__).resolve().parents[1] / 'docs' / 'how_to' / 'objects.md').read_text()
 BLOCKS = re.findall(r'^```(\w+)\n(.*?)^```$', TEXT, re.DOTALL | re.MULTILINE)

@@ -28,15 +28,14 @@ from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.interface.topics import Scope, SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world
 from manip_sim.models import arena_names, create_arena, World
+from manip_sim.models.actuators import effort_range, position_servos
 from manip_sim.models.bases import base_names, create_base, MobileBaseModel, RobotBaseModel
 from manip_sim.models.couplings import actuated_joints, declared_velocity, moved_joints
 from manip_sim.models.grippers import create_gripper, gripper_names
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_model import SIZES
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names, RobotModel
-from manip_sim.models.setpoint_activation import position_servos
-from manip_sim.models.urdf_writer.kinematic_tree import subtree
-from manip_sim.physics.actuator_properties import effort_range
+from manip_sim.models.urdf_writer.links import subtree
 from manip_sim.physics.parts import Part
 from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.quoting import one_line, pluralize

@@ -27,7 +27,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.law.joint_records import readable, SERVO
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
-from manip_sim.physics.actuator_properties import (
+from manip_sim.models.actuators import (
     check_kinds, check_single, effort_range, stiffness_and_damping, velocity_limit)
 from manip_sim.physics.physics import Physics, places_of_inertia
 

@@ -70,7 +70,7 @@ class SensorSettings:
 
 def _described(values: Mapping[str, Any]) -> tuple[str, float | None, float]:
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.models.strict_descriptions import checked, Field, Number, Strict
+    from manip_sim.models.descriptions import checked, Field, Number, Strict
 
     class SensorDescription(Strict):
         name: str

@@ -16,8 +16,8 @@ from manip_sim.control.reflexes import ReflexLimits
 from manip_sim.errors import describe_choices, ModelError, ParameterError
 from manip_sim.interface.topics import Scope
 from manip_sim.models.composing import read_gripper
+from manip_sim.models.registry import find_source, is_path
 from manip_sim.models.robots.robot_model import SUBSYSTEMS
-from manip_sim.models.sources import find_source, is_path
 from manip_sim.models.strict_yaml import read_yaml, StrictLoader
 from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted, quoted_names
@@ -129,7 +129,7 @@ class ParameterSpec:
     :ivar choices: the values that a string may have
     :ivar length: of an array of finite numbers, where it is fixed
     :ivar kind: of the models that it may name, such as ``robots``: also files, and what
-        ``manip_sim.models.sources`` knows
+        ``manip_sim.models.registry`` knows
     """
 
     name: str

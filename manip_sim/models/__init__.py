@@ -14,9 +14,8 @@ from manip_sim.models.bases.robot_base_model import BASES
 from manip_sim.models.composing import compose, compose_robot
 from manip_sim.models.grippers.gripper_model import GRIPPERS
 from manip_sim.models.object_creation import create_object, ObjectModel
-from manip_sim.models.registry import Registry
+from manip_sim.models.registry import Registry, set_model_path
 from manip_sim.models.robots.robot_model import ROBOTS
-from manip_sim.models.sources import set_model_path
 from manip_sim.models.urdf_writer import urdf_of
 from manip_sim.models.world import World
 

@@ -71,7 +71,7 @@ def create_lidar(description: LidarLike) -> LidarModel:
     if isinstance(description, LidarModel):
         return description
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.models.placed_descriptions import LidarDescription, read_mounted
+    from manip_sim.models.descriptions import LidarDescription, read_mounted
     parsed, where = read_mounted(LidarDescription, 'lidar', description)
     values = parsed.model_dump(exclude_none=True)
     rays = Rays(**{key: value for key, value in values.items() if key in Rays.__annotations__})
@@ -151,7 +151,7 @@ def create_camera(description: Camera) -> CameraModel:
     if isinstance(description, CameraModel):
         return description
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.models.placed_descriptions import CameraDescription, read_mounted
+    from manip_sim.models.descriptions import CameraDescription, read_mounted
     parsed, _ = read_mounted(CameraDescription, 'camera', description)
     values: dict[str, Any] = {'width': parsed.width, 'height': parsed.height,
                               'rate_hz': parsed.rate, 'depth': parsed.depth}

@@ -22,16 +22,15 @@ from manip_sim.models.asset_files import SPAWNED_SUFFIXES
 from manip_sim.models.loading import compile_spec, load_spec, spec_from_documents
 from manip_sim.models.mjcf_versions import Document
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
+from manip_sim.models.registry import find_source, is_of_others
 from manip_sim.models.regular_files import check_file, Files, InMemoryFile
-from manip_sim.models.sources import find_source, is_of_others
 from manip_sim.models.strict_yaml import parse_requested, read_yaml
 from manip_sim.models.untrusted_models import load_self_contained, SelfContainedModel
 from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.resources import cache_folder, keep_in_cache
 
 if TYPE_CHECKING:
-    from manip_sim.models.placed_descriptions import (
-        FileDescription, MeshDescription, ShapeDescription)
+    from manip_sim.models.descriptions import FileDescription, MeshDescription, ShapeDescription
 
 __all__ = ['check_object_names', 'create_described', 'create_object', 'create_objects',
            'FixtureModel', 'load_objects', 'object_from_model', 'ObjectModel']
@@ -158,8 +157,7 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
     :raises ModelError: if something is wrong with it
     """
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.models.placed_descriptions import kind_of, MeshDescription, ShapeDescription
-    from manip_sim.models.strict_descriptions import checked
+    from manip_sim.models.descriptions import checked, kind_of, MeshDescription, ShapeDescription
     try:
         form = kind_of(values)
     except ValueError as error:

@@ -273,7 +273,7 @@ def main() -> None:
     import numpy.random  # noqa: F401
     # By the function above, so that it can be trusted.
     cpu_s, memory, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301
-    descriptions = sys.modules.get('manip_sim.models.strict_descriptions')
+    descriptions = sys.modules.get('manip_sim.models.descriptions')
     if descriptions is not None:  # The function may read some.
         descriptions.compile_descriptions()
     os.nice(5)

@@ -21,8 +21,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer import choose_robot, Hardware, Urdf, write_urdf
-from manip_sim.models.urdf_writer.link_shapes import (
-    binary_stl, ELLIPSOID, MeshFile, stl_of, unit_sphere)
+from manip_sim.models.urdf_writer.links import binary_stl, ELLIPSOID, MeshFile, stl_of, unit_sphere
 from manip_sim.moveit.srdf import disabled_pairs, find_groups, find_postures, Group, write_srdf
 from manip_sim.quoting import quoted
 from manip_sim.simulation import Simulation

@@ -19,8 +19,7 @@ from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import Urdf
-from manip_sim.models.urdf_writer.kinematic_tree import KinematicTree, subtree
-from manip_sim.models.urdf_writer.link_shapes import text_of
+from manip_sim.models.urdf_writer.links import KinematicTree, subtree, text_of
 from manip_sim.physics.parts import Part
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot import SimulatedRobot

@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.derived import Derived
-from manip_sim.physics.body_forces import BodyForces, RobotForces
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
-from manip_sim.physics.external_wrench import ExternalWrench, TouchWatch
-from manip_sim.physics.friction_laws import FrictionLaws
+from manip_sim.physics.external_wrench import BodyForces, ExternalWrench, RobotForces, TouchWatch
 from manip_sim.physics.physics import Physics, PHYSICS
+from manip_sim.physics.state_dependent_terms import FrictionLaws
 
 _EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 #: Integrators with which a step after ``mj_forward`` may go on from there, with the same bits.

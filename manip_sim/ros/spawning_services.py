@@ -28,9 +28,9 @@ from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_creation import (
     create_object, named_by_itself, object_from_model, object_from_text, ObjectModel, UNNAMED)
 from manip_sim.models.object_model import check_object_name
+from manip_sim.models.registry import is_path
 from manip_sim.models.regular_files import AllowedRoots, InMemoryFile
 from manip_sim.models.robots import robot_names, RobotModel
-from manip_sim.models.sources import is_path
 from manip_sim.models.strict_yaml import parse_requested
 from manip_sim.models.untrusted_models import load_self_contained
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan

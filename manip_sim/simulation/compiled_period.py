@@ -29,9 +29,9 @@ from manip_sim.control.law.finger_records import Gripper, no_gripper
 from manip_sim.control.law.joint_records import RobotJoints
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
-from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Physics, ROW, Scratch
 from manip_sim.physics.physics_steps import DivergenceWatch, PhysicsSteps
+from manip_sim.physics.state_dependent_terms import FloatingBases
 
 #: Of how many lengths of runs the room for notes is kept.
 _REMEMBERED = 64

@@ -12,10 +12,9 @@ import numpy as np
 
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.models.world import World
-from manip_sim.physics.belts import Belts
-from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
+from manip_sim.physics.state_dependent_terms import Belts, FloatingBases
 from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation.drawn_randomization import DomainRandomizer, Sample
 from manip_sim.simulation.robot_spawning import RobotsPlan

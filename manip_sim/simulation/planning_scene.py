@@ -12,9 +12,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.models.urdf_writer.kinematic_tree import subtree
-from manip_sim.models.urdf_writer.link_shapes import (
-    collides, geoms_of_body, triangles_of, unit_sphere)
+from manip_sim.models.urdf_writer.links import (
+    collides, geoms_of_body, subtree, triangles_of, unit_sphere)
 from manip_sim.physics.contacts import bodies_in_contact, pulling_bodies
 from manip_sim.quaternion import matrix_of, relative_quat_wxyz, wxyz_to_xyzw
 

@@ -21,19 +21,17 @@ import numpy as np
 
 from manip_sim.control.seats import Seats
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.actuators import add_setpoint_activation, position_servos_without_dynamics
 from manip_sim.models.arenas import Arena
 from manip_sim.models.object_model import ObjectModel
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.setpoint_activation import (
-    add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.models.world import compensate_free_robots, World
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.external_wrench import ExternalWrench
-from manip_sim.physics.friction_laws import FrictionLaws
-from manip_sim.physics.object_spawning import plan_world, WorldPlan
+from manip_sim.physics.object_spawning import ElementMap, plan_world, WorldPlan
 from manip_sim.physics.physics import Physics
-from manip_sim.physics.state_transfer import ElementMap
+from manip_sim.physics.state_dependent_terms import FrictionLaws
 from manip_sim.quoting import format_value
 from manip_sim.simulation.robot import SimulatedRobot
 

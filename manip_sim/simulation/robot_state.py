@@ -21,9 +21,9 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.end_effectors import end_effector, EndEffector, EndEffectorReader, READINGS
-from manip_sim.physics.frame_tree import OdometryReader
 from manip_sim.physics.parts import atomic_parts, find_places, Part
 from manip_sim.physics.physics import Physics
+from manip_sim.physics.robot_frames import OdometryReader
 from manip_sim.sensing.odometry_drift import OdometryChannel
 from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, JOINTS, ODOM, RobotSensing
 from manip_sim.sensing.sensor_noise import JointChannel, WrenchChannel

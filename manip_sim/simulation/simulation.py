@@ -15,15 +15,14 @@ from manip_sim.models.arenas import EmptyArena
 from manip_sim.models.placements import checked_seed
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.world import World
-from manip_sim.physics.belts import Belts
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.entities import Entities
-from manip_sim.physics.floating_bases import FloatingBases
 from manip_sim.physics.object_spawning import plan_world, WorldPlan
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.spring_forces import SpringForces
+from manip_sim.physics.state_dependent_terms import Belts, FloatingBases
 from manip_sim.sensing.lidars import Lidars
 from manip_sim.simulation.control_period import ControlPeriods
 from manip_sim.simulation.drawn_randomization import DomainRandomizer, Sample

@@ -12,9 +12,8 @@ from robot_kinds import KINDS
 from sampling import Driven, sampled, whole_robot
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.models.setpoint_activation import is_position_servo, position_servos
+from manip_sim.models.actuators import is_position_servo, position_servos, stiffness_and_damping
 from manip_sim.models.world import World
-from manip_sim.physics.actuator_properties import stiffness_and_damping
 from manip_sim.simulation import Simulation
 
 #: Franka Emika data sheet.

@@ -11,7 +11,7 @@ import yaml
 from catalogue import BASES, equipped, figures, GRIPPERS, ROBOTS, robots_with_figures
 
 from manip_sim.errors import UnknownNameError
-from manip_sim.models import catalogue_model, grippers, robots
+from manip_sim.models import grippers, mjcf, robots
 from manip_sim.models.bases import create_base
 from manip_sim.models.robots import create_robot
 from manip_sim.models.strict_yaml import read_yaml
@@ -231,7 +231,7 @@ def test_a_key_that_no_attribute_reads_is_an_error(monkeypatch, tmp_path):
     folder = tmp_path / 'panda'
     folder.mkdir()
     (folder / 'part.yaml').write_text('radios: 0.5\n')
-    monkeypatch.setattr(catalogue_model, 'asset_path', lambda kind, name: folder / 'panda.xml')
+    monkeypatch.setattr(mjcf, 'asset_path', lambda kind, name: folder / 'panda.xml')
 
     class Other(robots.Panda):
         pass

@@ -10,7 +10,7 @@ import pytest
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import arenas, bases, grippers, robots
 from manip_sim.models.arenas import TableArena
-from manip_sim.models.files.file_base import FileMobileBase, FileMount
+from manip_sim.models.files import FileMobileBase, FileMount
 from manip_sim.models.files.file_gripper import BuiltInGripper, FileGripper
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot
 from manip_sim.models.registry import Registry

@@ -12,7 +12,7 @@ from urdf_rig import data_at, frames, mass_matrix, random_position, read_by_mujo
 
 from manip_sim.models import compose, World
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN, urdf_of
-from manip_sim.models.urdf_writer.link_shapes import binary_stl, stl_of, text_of, unit_sphere
+from manip_sim.models.urdf_writer.links import binary_stl, stl_of, text_of, unit_sphere
 from manip_sim.quaternion import rpy_of
 from manip_sim.resources import share_directory
 

@@ -197,9 +197,9 @@ def test_one_robot_of_several_is_chosen_by_name():
     assert '<robot name="UR5e">' in urdf_of(world, 'right').xml
     assert '"left_' not in urdf_of(world, 'right').xml
     with pytest.raises(ModelError, match='a URDF describes one robot: name one of left, right'):
-        urdf_of(world).xml
+        urdf_of(world)
     with pytest.raises(UnknownNameError, match="unknown robot 'rigth': did you mean 'right'"):
-        urdf_of(world, 'rigth').xml
+        urdf_of(world, 'rigth')
 
 
 def test_we_read_it_ourselves_with_its_meshes(tmp_path):

@@ -400,6 +400,6 @@ def test_objects_and_arenas_of_robosuite_are_found_by_name(tmp_path, monkeypatch
 
 
 def test_parts_of_robosuite_need_robosuite(monkeypatch):
-    monkeypatch.setattr('manip_sim.models.sources.importlib.util.find_spec', lambda name: None)
+    monkeypatch.setattr('manip_sim.models.registry.importlib.util.find_spec', lambda name: None)
     with pytest.raises(ModelError, match='robosuite:milk needs the package robosuite or '):
         create_object({'file': 'robosuite:milk'})

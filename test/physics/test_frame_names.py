@@ -10,9 +10,8 @@ import pytest
 from manip_sim.frame_names import FrameNames
 from manip_sim.models import compose
 from manip_sim.models.urdf_writer import urdf_of
-from manip_sim.physics.frame_tree import FrameTree
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.physics.robot_frames import RobotFrames
+from manip_sim.physics.robot_frames import FrameTree, RobotFrames
 from manip_sim.sensing.instruments import find_instruments, instrument_sites
 from manip_sim.simulation import Simulation
 

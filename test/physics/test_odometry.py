@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from manip_sim.physics.frame_tree import OdometryReader
+from manip_sim.physics.robot_frames import OdometryReader
 
 BASE = """<mujoco><option gravity="0 0 0"/><worldbody>
   <body name="root" pos="1 2 3" euler="0 0 50"><body name="base" pos="0.1 0.2 0">

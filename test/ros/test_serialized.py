@@ -18,7 +18,7 @@ from manip_sim.channels.contents import Channel, ROWS
 from manip_sim.channels.kinds import clock_channel, controller_numbers
 from manip_sim.control.controlled_joints import ControllerState, JointReference
 from manip_sim.interface.topics import BY_NAME
-from manip_sim.physics.frame_tree import TreeFrame
+from manip_sim.physics.robot_frames import TreeFrame
 from manip_sim.ros import channel_publishers, messages, visualization_topics
 from manip_sim.ros.channel_publishers import ChannelPublishers
 from manip_sim.ros.feature import Output

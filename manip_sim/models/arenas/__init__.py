@@ -17,8 +17,7 @@ from typing import Any
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas.arena import Arena, ArenaParameter, ARENAS
 from manip_sim.models.arenas.catalogue_arenas import BinsArena, EmptyArena, TableArena
-from manip_sim.models.registry import import_submodules
-from manip_sim.models.sources import check_no_parameters
+from manip_sim.models.registry import check_no_parameters, import_submodules
 
 import_submodules(__name__, __path__)
 
@@ -32,7 +31,7 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
     """
     Create an arena by its name, such as ``table``, or from a file.
 
-    :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
+    :param name: of the catalogue, or what ``manip_sim.models.registry.find_source`` takes
     :param parameters: as in the arena's :attr:`Arena.parameters`, by name or by the keyword of its
         constructor
     :raises UnknownNameError: if the arena or parameter is unknown, naming the nearest ones

@@ -8,12 +8,49 @@ from __future__ import annotations
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from manip_sim.models.bases.catalogue_bases import (
-    NoActuationBase, NullMobileBase, NullMount, OmronMobileBase, PMB2Base,
-    RethinkMinimalMount, RethinkMount)
 from manip_sim.models.bases.robot_base_model import (
     BASES, MobileBaseModel, MountModel, RobotBaseModel)
+from manip_sim.models.mjcf import CatalogueModel, FromYaml
 from manip_sim.models.registry import import_submodules
+
+
+class _CatalogueBase(CatalogueModel):
+    _kind = 'bases'
+    _top_offset = FromYaml('top', (0.0, 0.0, 0.0))
+    _horizontal_radius = FromYaml('radius', 0.0)
+
+
+class _CatalogueMobileBase(_CatalogueBase, MobileBaseModel, registered=False):
+    sideways = FromYaml('sideways', True)
+
+
+class NoActuationBase(_CatalogueMobileBase, folder='no_actuation_base'):
+    """A fixed frame without mass or shape, for robots that stand on their own feet."""
+
+
+class NullMobileBase(_CatalogueMobileBase, folder='null_mobile_base'):
+    """Forward, side and yaw joints without mass, so the robot's root must have mass."""
+
+
+class NullMount(_CatalogueBase, MountModel, folder='null_mount'):
+    """A frame without mass or shape at the robot's foot, for robots that stand on the floor."""
+
+
+class OmronMobileBase(_CatalogueMobileBase, folder='omron_mobile_base'):
+    """Vehicle that drives forward and sideways, turns, lifts the robot from 0.7 m to 1.04 m."""
+
+
+class PMB2Base(_CatalogueMobileBase, folder='pmb2_base'):
+    """Round vehicle of PAL Robotics that drives forward and turns, 0.29 m to the torso's foot."""
+
+
+class RethinkMinimalMount(_CatalogueBase, MountModel, folder='rethink_minimal_mount'):
+    """Baxter's pedestal, without controller box, 0.862 m from the floor to the robot's foot."""
+
+
+class RethinkMount(_CatalogueBase, MountModel, folder='rethink_mount'):
+    """Sawyer's pedestal, with controller box, 0.912 m from the floor to the arm's foot."""
+
 
 import_submodules(__name__, __path__)
 
@@ -27,7 +64,7 @@ def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel
     """
     Create a base by its name, that of its class or of an entry point, or from a file.
 
-    :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
+    :param name: of the catalogue, or what ``manip_sim.models.registry.find_source`` takes
     :param idn: number or word in the prefix
     :raises UnknownNameError: if the base is unknown, naming the nearest ones
     :raises ModelError: if a file cannot be used, or the base of another package cannot be imported

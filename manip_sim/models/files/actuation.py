@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.models.actuators import position_servos
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.urdf import greatest_weight
-from manip_sim.models.setpoint_activation import position_servos
 from manip_sim.quoting import pluralize, quoted_names
 
 #: Acceleration that a joint shall give its load beside the weight [rad/s^2 or m/s^2].

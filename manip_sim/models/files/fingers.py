@@ -18,9 +18,9 @@ import numpy as np
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
+from manip_sim.models.actuators import position_servos
 from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.found_hands import FoundHand
-from manip_sim.models.setpoint_activation import position_servos
 
 #: Words in the names of frames between the fingertips, in order of preference.
 _GRASP_WORDS = (

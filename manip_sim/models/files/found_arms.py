@@ -11,10 +11,9 @@ import re
 
 import mujoco
 
-from manip_sim.models.files.body_tree import BodyTree, words_of
+from manip_sim.models.files.body_tree import BodyTree, FINGERS, Limbs, MAX_FINGERS, words_of
 from manip_sim.models.files.found_hands import (
     carries_arms, FoundHand, hand_below, LEAST_OF_ARM, lone_hands)
-from manip_sim.models.files.limbs import FINGERS, Limbs, MAX_FINGERS
 from manip_sim.models.robots.robot_model import classify
 from manip_sim.quoting import quoted_names
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manip_sim.models.files.body_tree import BodyTree, words_of
-from manip_sim.models.files.limbs import (
-    FINGERS, Limbs, MAX_FINGERS, PALM_WORDS, turns_farther_than)
+from manip_sim.models.files.body_tree import (
+    BodyTree, FINGERS, Limbs, MAX_FINGERS, PALM_WORDS, turns_farther_than, words_of)
 
 #: Words that only parts of hands have, of joints and of bodies: the carriage of a lift or a gantry
 #: is not a finger. A wrist with a hand may have words of hands too.

@@ -20,9 +20,9 @@ from manip_sim.models.asset_files import infer_inertias_once
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.files.actuation import add_servos, guess_efforts, report_efforts
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
-from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.part_descriptions import Description
-from manip_sim.models.files.scenery import leave_out_dangling, single_tree, touch_other_files
+from manip_sim.models.files.scenery import (
+    find_mocap_bodies, leave_out_dangling, MocapBodies, single_tree, touch_other_files)
 from manip_sim.models.files.urdf import is_urdf, lighten, load_urdf, masses_from_shapes
 from manip_sim.models.files.urdf_joints import support_couplings
 from manip_sim.models.files.xacro_expansion import stem_of

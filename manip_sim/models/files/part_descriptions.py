@@ -12,10 +12,10 @@ import re
 from typing import Annotated, Any, Literal, TypeVar, Union
 
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.descriptions import AfterValidator, Field, Strict, ValidationError
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
+from manip_sim.models.registry import find_source, is_of_others, is_path
 from manip_sim.models.regular_files import Files
-from manip_sim.models.sources import find_source, is_of_others, is_path
-from manip_sim.models.strict_descriptions import AfterValidator, Field, Strict, ValidationError
 from manip_sim.models.strict_yaml import parse_requested, read_yaml
 from manip_sim.quoting import one_line, quoted
 

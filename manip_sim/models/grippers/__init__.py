@@ -28,7 +28,7 @@ def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperMode
     """
     Create a gripper by its name, that of its class or of an entry point, or from a file.
 
-    :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
+    :param name: of the catalogue, or what ``manip_sim.models.registry.find_source`` takes
     :param idn: number or word in the prefix
     :raises UnknownNameError: if the gripper is unknown, naming the nearest ones
     :raises ModelError: if a file cannot be used, or the gripper of another package cannot be

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.catalogue_model import CatalogueModel, FromYaml
 from manip_sim.models.grippers.gripper_model import ActionRule, GripperModel
+from manip_sim.models.mjcf import CatalogueModel, FromYaml
 
 
 class _Speed:

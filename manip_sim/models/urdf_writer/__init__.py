@@ -17,11 +17,9 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.couplings import declared_velocity, velocity_of_servos
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.urdf_writer.kinematic_tree import (
-    build_tree, Joint, KinematicTree, Link, robot_tree)
-from manip_sim.models.urdf_writer.link_shapes import (
-    collides, files_of_meshes, geoms_of_body, is_seen, MeshFile, rgba_of, Shape, shapes_of,
-    text_of)
+from manip_sim.models.urdf_writer.links import (
+    build_tree, collides, files_of_meshes, geoms_of_body, is_seen, Joint, KinematicTree, Link,
+    MeshFile, rgba_of, robot_tree, Shape, shapes_of, text_of)
 from manip_sim.models.world import World
 from manip_sim.quaternion import matrix_of, rpy_of
 from manip_sim.quoting import quoted
