@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from manip_sim.algebra import matrix_of, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.env import TaskVectorEnv
 from manip_sim.experiments import wilson_interval
-from manip_sim.quaternion import matrix_of, xyzw_to_wxyz
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import create_task, Episode
 

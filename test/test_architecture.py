@@ -72,9 +72,8 @@ INTERNALS = 'rclpy_internals'
 WITH_RCLPY = ('ros', 'env/ros.py', 'env/lerobot_robot.py', 'examples', 'testing', 'viewer/ros',
               'records/node_recorder.py', 'experiments/ros_policy.py', 'cli/ros_commands.py',
               f'{INTERNALS}.py')
-TOP_LEVEL = {'algebra', 'arrays', 'cdr_patching', 'clamping', 'derived', 'entry_points',
-             'errors', 'frame_names', 'lerobot_units', 'quaternion', 'quoting', 'resources',
-             'ros_environment', 'startup', 'validation'}
+TOP_LEVEL = {'algebra', 'arrays', 'derived', 'entry_points', 'errors', 'frame_names',
+             'lerobot_units', 'quoting', 'resources', 'ros_environment', 'startup', 'validation'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

@@ -16,8 +16,8 @@ import numpy as np  # noqa: E402
 import yaml  # noqa: E402
 
 from manip_sim.errors import ManipSimError, ModelError, ParameterError  # noqa: E402
-from manip_sim.interface.parameter_spec import check_names, GivenParameters  # noqa: E402
-from manip_sim.interface.parameter_spec import read_parameters  # noqa: E402
+from manip_sim.interface.parameter_spec import (  # noqa: E402
+    check_names, GivenParameters, read_parameters)
 from manip_sim.interface.parameters import (  # noqa: E402
     cartesian_parameters, composition_parameters, mode_parameters, node_parameters,
     periods_per_message, place_parameters, steps_per_period, stream_parameters, timeout_parameters,
@@ -26,7 +26,7 @@ from manip_sim.interface.topics import Scope  # noqa: E402
 from manip_sim.models.cameras import create_camera  # noqa: E402
 from manip_sim.models.composing import read_gripper  # noqa: E402
 from manip_sim.models.object_creation import create_object  # noqa: E402
-from manip_sim.models.strict_yaml import parse_yaml  # noqa: E402
+from manip_sim.models.user_files import parse_yaml  # noqa: E402
 
 SCOPE = Scope()
 SPECS = [*node_parameters(), *composition_parameters(SCOPE),

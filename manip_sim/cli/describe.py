@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 import yaml
 
+from manip_sim.algebra import wxyz_to_xyzw
 from manip_sim.cli.command_line import KINDS
 from manip_sim.cli.composing_options import arena_parameters, compose_from, Composed
 from manip_sim.cli.output import number, span, table, terminal_width
@@ -37,7 +38,6 @@ from manip_sim.models.object_model import SIZES
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names, RobotModel
 from manip_sim.models.urdf_writer.links import subtree
 from manip_sim.physics.parts import Part
-from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.quoting import one_line, pluralize
 from manip_sim.resources import PACKAGE, share_directory
 from manip_sim.sensing.instruments import sensor_type

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.control.modes import EFFORT, POSITION
 from manip_sim.errors import CommandError, UnknownNameError
@@ -20,7 +21,6 @@ from manip_sim.models.robots.robot_model import driven_joint
 from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.quoting import quoted_names
 
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)

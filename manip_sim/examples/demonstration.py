@@ -26,8 +26,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from manip_sim.algebra import rotation_vector
 from manip_sim.arrays import FloatArray
-from manip_sim.quaternion import rotation_vector
 from manip_sim.rclpy_internals import describe_unheard
 from manip_sim.ros.arguments import start_ros
 

@@ -20,7 +20,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.channels.kinds import robot_channels
 from manip_sim.errors import describe_choices, ModelError, RecordError, UnknownNameError
 from manip_sim.interface.topics import Scope
-from manip_sim.models.regular_files import opened
+from manip_sim.models.user_files import opened
 from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 from manip_sim.records.record_file import decoder, definition, encoder, full_name, RecordFile
 from manip_sim.records.recorded import Record

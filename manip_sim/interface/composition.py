@@ -26,10 +26,9 @@ from manip_sim.models import Arena, compose_robot, create_arena, set_model_path,
 from manip_sim.models.arenas import arena_parameters
 from manip_sim.models.cameras import (
     chosen_cameras, described_cameras, described_lidars, ImageSettings)
-from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.robot_model import SUBSYSTEMS
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.user_files import AllowedRoots, parse_yaml
 from manip_sim.models.world import keyframe_names
 from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted

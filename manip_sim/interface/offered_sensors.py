@@ -19,7 +19,7 @@ from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.interface.parameters import periods_per_image
 from manip_sim.interface.topics import PUBLISHED, Scope, Topic
 from manip_sim.interface.world_topics import topics_of
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.sensing.images import MAX_RATE_HZ, MIN_RATE_HZ
 from manip_sim.sensing.randomness import generator

@@ -18,7 +18,7 @@ from manip_sim.interface.topics import Scope
 from manip_sim.models.composing import read_gripper
 from manip_sim.models.registry import find_source, is_path
 from manip_sim.models.robots.robot_model import SUBSYSTEMS
-from manip_sim.models.strict_yaml import read_yaml, StrictLoader
+from manip_sim.models.user_files import read_yaml, StrictLoader
 from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted, quoted_names
 

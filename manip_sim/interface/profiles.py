@@ -15,7 +15,7 @@ from typing import Any
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.interface.topics import ACTIONS, GRIPPER, SERVICES, TOKEN, TOPICS
 from manip_sim.models.grippers import GripperModel
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import quoted, quoted_names
 from manip_sim.resources import share_directory
 from manip_sim.simulation import SimulatedRobot

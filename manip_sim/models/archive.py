@@ -21,8 +21,8 @@ import numpy as np
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import compile_spec, spec_from_documents
 from manip_sim.models.mjcf_versions import Document
-from manip_sim.models.regular_files import read_file
 from manip_sim.models.untrusted_models import run_limited
+from manip_sim.models.user_files import read_file
 from manip_sim.quoting import one_line, quoted
 
 

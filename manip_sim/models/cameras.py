@@ -13,12 +13,11 @@ from typing import Any, Union
 import mujoco
 import numpy as np
 
-from manip_sim.algebra import length
+from manip_sim.algebra import length, NO_TURN
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.spec_edits import body_for
-from manip_sim.models.strict_yaml import parse_yaml
-from manip_sim.quaternion import NO_TURN
+from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.sensing.images import MAX_PIXELS
 from manip_sim.sensing.lidars import MAX_RAYS, Rays

@@ -21,7 +21,7 @@ from manip_sim.models.grippers import create_gripper, GripperModel
 from manip_sim.models.object_creation import Description
 from manip_sim.models.randomization import RandomizationLike
 from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.user_files import parse_yaml
 from manip_sim.models.world import World
 from manip_sim.quoting import format_value, quoted
 

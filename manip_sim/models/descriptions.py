@@ -11,11 +11,10 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
-from manip_sim.algebra import length
+from manip_sim.algebra import length, quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices, ModelError
 from manip_sim.models.object_model import check_object_name, MAX_MASS_KG, MIN_MASS_KG, SIZES
-from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.quoting import format_value, one_line, pluralize, quoted
 from manip_sim.sensing.images import (
     MAX_FOVY_DEG, MAX_PIXELS, MAX_RATE_HZ, MIN_FOVY_DEG, MIN_RATE_HZ)

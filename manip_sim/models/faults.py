@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Union
 import numpy as np
 
 from manip_sim.errors import describe_choices, ModelError
-from manip_sim.models.strict_yaml import parse_yaml, read_yaml
+from manip_sim.models.user_files import parse_yaml, read_yaml
 from manip_sim.quoting import format_value, quoted
 
 #: A YAML file, or what one holds.

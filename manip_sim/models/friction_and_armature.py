@@ -21,7 +21,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.couplings import FrictionLaw
 from manip_sim.models.descriptions import BeforeValidator, checked, model_validator, Strict
-from manip_sim.models.strict_yaml import read_yaml
+from manip_sim.models.user_files import read_yaml
 from manip_sim.quoting import format_value
 
 CATALOGUE = 'catalogue'

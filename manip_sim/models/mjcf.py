@@ -22,7 +22,7 @@ from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import (
     compile_alone, compile_copy, compile_spec, load_spec, name_unnamed_elements)
 from manip_sim.models.spec_edits import attach, check_prefix, name_main_default, TakenNames
-from manip_sim.models.strict_yaml import read_yaml
+from manip_sim.models.user_files import read_yaml
 from manip_sim.resources import asset_path
 
 #: Names to use instead, by name.

@@ -23,9 +23,8 @@ from manip_sim.models.loading import compile_spec, load_spec, spec_from_document
 from manip_sim.models.mjcf_versions import Document
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
 from manip_sim.models.registry import find_source, is_of_others
-from manip_sim.models.regular_files import check_file, Files, InMemoryFile
-from manip_sim.models.strict_yaml import parse_requested, read_yaml
 from manip_sim.models.untrusted_models import load_self_contained, SelfContainedModel
+from manip_sim.models.user_files import check_file, Files, InMemoryFile, parse_requested, read_yaml
 from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.resources import cache_folder, keep_in_cache
 

@@ -21,7 +21,7 @@ import yaml
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices, ModelError
 from manip_sim.models.placements import Placement, read_placements
-from manip_sim.models.strict_yaml import read_yaml, StrictLoader
+from manip_sim.models.user_files import read_yaml, StrictLoader
 from manip_sim.quoting import format_value, quoted
 from manip_sim.sensing.randomness import generator
 from manip_sim.sensing.settings import QUANTITIES as PARAMETERS

@@ -14,10 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import length
+from manip_sim.algebra import length, quat_wxyz_from_rpy
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.quaternion import quat_wxyz_from_rpy
 
 #: Begin of names of joints, frames and of topics named after cameras and objects.
 _PREFIX = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')

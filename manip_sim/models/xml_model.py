@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from manip_sim.errors import ModelError
-from manip_sim.models.regular_files import Files
+from manip_sim.models.user_files import Files
 from manip_sim.quoting import one_line, quoted
 
 #: The elements that name files, or say where they are.

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.physics.poses_and_twists import Pose, Twist
-from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 
 _GEOM = mujoco.mjtGeom
 

@@ -20,12 +20,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import wxyz_to_xyzw
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.frame_names import FrameNames, ROOT
 from manip_sim.models.urdf_writer.links import build_tree, Joint, joints_of_body, KinematicTree
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.quoting import quoted
 
 WORLD = 'world'

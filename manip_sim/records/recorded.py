@@ -19,7 +19,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
-from manip_sim.models.regular_files import opened
+from manip_sim.models.user_files import opened
 from manip_sim.quoting import one_line, quoted
 from manip_sim.records.record_file import decoder, full_name
 from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE, TAKEN

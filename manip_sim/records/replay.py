@@ -19,7 +19,7 @@ from manip_sim.errors import CommandError, DivergenceError, ManipSimError, Model
 from manip_sim.interface.composition import compose_world, Composition
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.registry import is_of_others, is_path
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import one_line, pluralize, quoted
 from manip_sim.records.recorded import Record, RecordedEpisode
 from manip_sim.records.recorder import physics_state

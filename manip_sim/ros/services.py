@@ -20,7 +20,7 @@ from manip_sim.errors import (
     CommandError, describe_choices, ManipSimError, ModelError, UnknownNameError)
 from manip_sim.interface.topics import SERVICES
 from manip_sim.models.faults import fault_from_text
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.user_files import parse_yaml
 from manip_sim.physics.payload import Payload
 from manip_sim.quoting import quoted
 from manip_sim.ros.executor import in_background

@@ -16,6 +16,7 @@ from urllib.parse import unquote, urlsplit
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
+from manip_sim.algebra import xyzw_to_wxyz
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.interface.composition import check_robot_name, declare_parts
 from manip_sim.interface.parameters import spawned_parameter
@@ -29,13 +30,11 @@ from manip_sim.models.object_creation import (
     create_object, named_by_itself, object_from_model, object_from_text, ObjectModel, UNNAMED)
 from manip_sim.models.object_model import check_object_name
 from manip_sim.models.registry import is_path
-from manip_sim.models.regular_files import AllowedRoots, InMemoryFile
 from manip_sim.models.robots import robot_names, RobotModel
-from manip_sim.models.strict_yaml import parse_requested
 from manip_sim.models.untrusted_models import load_self_contained
+from manip_sim.models.user_files import AllowedRoots, InMemoryFile, parse_requested
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.quaternion import xyzw_to_wxyz
 from manip_sim.quoting import format_value, quoted
 from manip_sim.ros.executor import in_background, RESULT_ROUNDS, Rounds
 from manip_sim.ros.feature import NodeContext

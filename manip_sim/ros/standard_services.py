@@ -17,15 +17,15 @@ import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 
+from manip_sim.algebra import wxyz_to_xyzw
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models import arena_names, create_arena
 from manip_sim.models.arenas.arena import ARENAS
 from manip_sim.models.cameras import chosen_cameras
-from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.robots import robot_names
+from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.entities import Box, EntityState, Sphere
 from manip_sim.physics.poses_and_twists import Pose, Twist
-from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.quoting import one_line, quoted
 from manip_sim.ros.executor import in_background, Rounds
 from manip_sim.ros.feature import Feature, NodeContext

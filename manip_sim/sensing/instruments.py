@@ -20,10 +20,10 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import XYZW
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.frame_names import FrameNames
-from manip_sim.quaternion import XYZW
 
 IMU, WRENCH, RANGE, MAGNETIC_FIELD, VALUES = KINDS = (
     'imu', 'wrench', 'range', 'magnetic_field', 'values')

@@ -12,8 +12,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.sensing.instruments import (
     ACCELEROMETER, GYRO, IMU, Instrument, ORIENTATION, RANGE, WRENCH)
 from manip_sim.sensing.randomness import NormalRows

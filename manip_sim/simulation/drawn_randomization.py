@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.loading import compile_spec
@@ -20,7 +21,6 @@ from manip_sim.models.placements import draw_places, extents
 from manip_sim.models.randomization import (
     GROUPS, OF_NODE, Randomization, RandomizationLike, Rule)
 from manip_sim.physics.physics import Physics
-from manip_sim.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.quoting import format_value
 from manip_sim.sensing.settings import QUANTITIES
 

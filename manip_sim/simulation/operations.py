@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.object_creation import object_from_text
 from manip_sim.models.object_model import check_object_name, ObjectModel
-from manip_sim.models.regular_files import InMemoryFile
+from manip_sim.models.user_files import InMemoryFile
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import quoted

@@ -13,14 +13,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import length, product
+from manip_sim.algebra import length, product, rotation_vector
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import PoseAction
 from manip_sim.control.cartesian.kinematic_chains import find_chains, KinematicChain
 from manip_sim.control.commands import Command, GripperAction
 from manip_sim.control.modes import MODES
 from manip_sim.errors import UnknownNameError
-from manip_sim.quaternion import rotation_vector
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.validation import finite_command_numbers
 

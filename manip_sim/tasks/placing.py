@@ -16,11 +16,10 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import length
+from manip_sim.algebra import length, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena
 from manip_sim.physics.poses_and_twists import Pose, Twist
-from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.simulation import Simulation
 
 _GOAL_RGBA = (0.1, 0.8, 0.2, 0.5)

@@ -12,9 +12,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import matrix_of
 from manip_sim.errors import ModelError
 from manip_sim.experiments.demonstrations import Device, EVENTS, external_force, Reading
-from manip_sim.quaternion import matrix_of
 from manip_sim.simulation.snapshots import VisibleWorld
 from manip_sim.tasks import Episode
 from manip_sim.tasks.episode_actions import PoseActions

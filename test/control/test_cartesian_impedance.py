@@ -11,12 +11,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.algebra import rotation_vector
 from manip_sim.control.commands import Status
 from manip_sim.control.law.small_matrices import diagonalize
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
-from manip_sim.quaternion import rotation_vector
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
 

@@ -14,7 +14,7 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.models import grippers, mjcf, robots
 from manip_sim.models.bases import create_base
 from manip_sim.models.robots import create_robot
-from manip_sim.models.strict_yaml import read_yaml
+from manip_sim.models.user_files import read_yaml
 from manip_sim.resources import asset_path, share_directory
 
 WITH_FIGURES = robots_with_figures()

@@ -14,10 +14,10 @@ from files_rig import write
 from manip_sim.errors import ModelError
 from manip_sim.models import load_robot
 from manip_sim.models.arenas import create_arena
+from manip_sim.models.files.requested_robot import load_requested
 from manip_sim.models.mjcf_versions import _ATTRIBUTES, _ELEMENTS
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.regular_files import AllowedRoots
-from manip_sim.models.files.requested_robot import load_requested
+from manip_sim.models.user_files import AllowedRoots
 
 ARM = """<mujoco model="old">
   {top}

@@ -23,8 +23,8 @@ from manip_sim.models import compose
 from manip_sim.models.asset_files import LostShape
 from manip_sim.models.files import load_robot, requested_robot
 from manip_sim.models.files.requested_robot import load_requested
-from manip_sim.models.regular_files import AllowedRoots, CachedFiles, InMemoryFile
 from manip_sim.models.urdf_writer import urdf_of
+from manip_sim.models.user_files import AllowedRoots, CachedFiles, InMemoryFile
 
 DATA = Path(__file__).resolve().parents[1] / 'data/files'
 ROBOTS = sorted(file.name for file in DATA.iterdir() if file.suffix in ('.xml', '.urdf')

@@ -16,11 +16,10 @@ from opened_files import OpenedFiles
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import regular_files, untrusted_models, World
+from manip_sim.models import untrusted_models, user_files, World
 from manip_sim.models.object_creation import create_object, object_from_model
-from manip_sim.models.regular_files import (
-    AllowedRoots, CachedFiles, Files, InMemoryFile, read_file)
 from manip_sim.models.untrusted_models import load_self_contained
+from manip_sim.models.user_files import AllowedRoots, CachedFiles, Files, InMemoryFile, read_file
 
 pytestmark = pytest.mark.full
 
@@ -395,7 +394,7 @@ def test_an_image_of_many_pixels_is_not_unpacked_here(below):
 
 
 def test_files_together_are_bounded(below, monkeypatch):
-    monkeypatch.setattr(regular_files, '_MAX_FILE_BYTES', len(tetrahedron()))
+    monkeypatch.setattr(user_files, '_MAX_FILE_BYTES', len(tetrahedron()))
     text = InMemoryFile(mjcf(), 'text')
     kept = CachedFiles(below[1])
     for name in 'abc':
@@ -406,7 +405,7 @@ def test_files_together_are_bounded(below, monkeypatch):
     with pytest.raises(ModelError, match='and 0 MB of files$'):
         kept.read(below[0] / 'c.stl', 'mesh file')
     assert load_self_contained(text.file, text).is_light
-    monkeypatch.setattr(regular_files, '_MAX_FILE_BYTES', len(tetrahedron()) - 1)
+    monkeypatch.setattr(user_files, '_MAX_FILE_BYTES', len(tetrahedron()) - 1)
     with pytest.raises(ModelError, match='a.stl: it has more than 0 MB'):
         below[1].read(below[0] / 'a.stl', 'mesh file')
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from urdf_rig import data_at, frames, mass_matrix, random_position, read_by_mujoco, scalar_joints
 
+from manip_sim.algebra import rpy_of
 from manip_sim.models import compose, World
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN, urdf_of
 from manip_sim.models.urdf_writer.links import binary_stl, stl_of, text_of, unit_sphere
-from manip_sim.quaternion import rpy_of
 from manip_sim.resources import share_directory
 
 LIMB = '<inertial mass="1.3" pos=".1 .02 .03" fullinertia=".02 .03 .025 .004 -.003 .002"/>'

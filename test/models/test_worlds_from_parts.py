@@ -19,7 +19,7 @@ from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.models import compose, create_object, load_arena, placements
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.placements import draw_places, Extent, Placement, read_placements
-from manip_sim.models.regular_files import AllowedRoots
+from manip_sim.models.user_files import AllowedRoots
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds

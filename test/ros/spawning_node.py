@@ -22,7 +22,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 import rclpy
 from rclpy.parameter import Parameter
 
-from manip_sim.models.regular_files import AllowedRoots
+from manip_sim.models.user_files import AllowedRoots
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.ros.simulation_interfaces_messages import StandardTypes

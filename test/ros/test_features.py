@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rclpy.parameter import Parameter
 
-from manip_sim.models.regular_files import AllowedRoots
+from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.sim_node import SimNode

@@ -13,7 +13,7 @@ from spawning_node import ask, SpawningByParameters
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.regular_files import AllowedRoots
+from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.spawning_services import RequestedRobot, SpawnedRobots

@@ -28,7 +28,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import spawn_files
 from manip_sim.models import untrusted_models
 from manip_sim.models.files import requested_robot
-from manip_sim.models.regular_files import AllowedRoots
+from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services

@@ -19,7 +19,7 @@ from std_msgs.msg import Header
 
 from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
-from manip_sim.models.regular_files import AllowedRoots
+from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics import object_spawning
 from manip_sim.ros import spawning_services
 from manip_sim.ros.feature import NodeContext

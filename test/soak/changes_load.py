@@ -15,8 +15,8 @@ from target import Row, SoakError
 
 from manip_sim.errors import DivergenceError, ManipSimError
 from manip_sim.models import compose
-from manip_sim.models.regular_files import AllowedRoots
 from manip_sim.models.robots import robot_names
+from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.spawning_services import RequestedRobot
 from manip_sim.simulation import Simulation

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import length
+from manip_sim.algebra import length, matrix_of, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianPose, CartesianTwist, CartesianWrench, ForceMode, GuardedTwist, PoseAction)
@@ -21,7 +21,6 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.physics.robot_frames import RobotFrames
-from manip_sim.quaternion import matrix_of, xyzw_to_wxyz
 from manip_sim.validation import action_example, clamp, finite_command_numbers, positive_number
 
 

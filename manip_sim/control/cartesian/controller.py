@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import length, product, transposed_product
+from manip_sim.algebra import length, product, transposed_product, wxyz_to_xyzw
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench, ForceMode, GuardedTwist)
@@ -35,7 +35,6 @@ from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.physics.robot_frames import Frame, WORLD
-from manip_sim.quaternion import wxyz_to_xyzw
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.algebra import length, product
+from manip_sim.algebra import length, product, rotation_vector
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.joint_records import (
     blank_motion, blank_state, FIELDS, MOTION, MOTION_FIELDS, PLACES, records)
 from manip_sim.control.servos import SPEED_UP_S
-from manip_sim.quaternion import rotation_vector
 
 _ALL = np.arange(6)
 #: Largest acceleration that counts as zero [m/s^2, rad/s^2].

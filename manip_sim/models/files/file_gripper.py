@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import length, product
+from manip_sim.algebra import length, product, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
@@ -29,7 +29,6 @@ from manip_sim.models.grippers.gripper_model import add_standard_elements, Gripp
 from manip_sim.models.loading import compile_copy
 from manip_sim.models.spec_edits import (
     add_body_at, delete_elements, find_place, free_name, quat_wxyz_of)
-from manip_sim.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.quoting import quoted_names
 
 if TYPE_CHECKING:

@@ -33,10 +33,10 @@ from manip_sim.models.files.scenery import MocapBodies
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.loading import compile_copy, compile_without_meshes
-from manip_sim.models.regular_files import Files
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement, RobotModel
 from manip_sim.models.spec_edits import add_body_at, find_place, free_name, weld_joints
+from manip_sim.models.user_files import Files
 
 #: Height above the floor at which the fingers of a hand alone stay [m].
 _CLEARANCE_M = 0.05

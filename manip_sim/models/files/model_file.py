@@ -28,8 +28,8 @@ from manip_sim.models.files.urdf_joints import support_couplings
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.loading import (
     compile_alone, compile_copy, leave_out_visual, load_spec, name_unnamed_elements)
-from manip_sim.models.regular_files import Files
 from manip_sim.models.untrusted_models import load_self_contained
+from manip_sim.models.user_files import Files
 from manip_sim.quoting import one_line, pluralize, quoted
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import (
     check_fetched, check_suffix, Lost, LostShape, MissingMeshError, warnings_of)
-from manip_sim.models.regular_files import Files
+from manip_sim.models.user_files import Files
 from manip_sim.quoting import one_line, quoted
 from manip_sim.resources import cache_folder, keep_in_cache, PACKAGE, share_directory
 

@@ -15,8 +15,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.descriptions import AfterValidator, Field, Strict, ValidationError
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
 from manip_sim.models.registry import find_source, is_of_others, is_path
-from manip_sim.models.regular_files import Files
-from manip_sim.models.strict_yaml import parse_requested, read_yaml
+from manip_sim.models.user_files import Files, parse_requested, read_yaml
 from manip_sim.quoting import one_line, quoted
 
 #: A key of the outermost mapping of a YAML file, and how similar a misspelled one is at least.

@@ -27,9 +27,9 @@ from manip_sim.models.files.part_descriptions import find_model, RobotDescriptio
 from manip_sim.models.files.urdf import hold_urdf, is_urdf
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_model import NOT_SPAWNED
-from manip_sim.models.regular_files import CachedFiles, Files, InMemoryFile
 from manip_sim.models.untrusted_models import (
     check_size, held_name, load_self_contained, MAX_ROBOT, run_limited)
+from manip_sim.models.user_files import CachedFiles, Files, InMemoryFile
 from manip_sim.quoting import one_line
 
 #: Greatest number of degrees of freedom.

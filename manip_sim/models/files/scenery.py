@@ -19,11 +19,11 @@ import warnings
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import relative_quat_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.spec_edits import attach, delete_elements, free_name, rename_body, TakenNames
-from manip_sim.quaternion import relative_quat_wxyz
 from manip_sim.quoting import pluralize, quoted, quoted_names
 
 _OBJ, _EQ = mujoco.mjtObj, mujoco.mjtEq

@@ -22,8 +22,8 @@ from manip_sim.models.files.package_folders import find_meshes
 from manip_sim.models.files.urdf_joints import check_joints, complete_joints
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.mjcf_versions import Document, Place, read_documents
-from manip_sim.models.regular_files import Files, InMemoryFile
 from manip_sim.models.untrusted_models import SelfContainedModel
+from manip_sim.models.user_files import Files, InMemoryFile
 from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 

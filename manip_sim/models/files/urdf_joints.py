@@ -16,9 +16,8 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from manip_sim.algebra import product
+from manip_sim.algebra import matrix_of, product
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.quaternion import matrix_of
 from manip_sim.quoting import quoted, quoted_names
 
 _WITH_RANGE = ('revolute', 'prismatic')

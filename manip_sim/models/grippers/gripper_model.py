@@ -15,12 +15,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import NO_TURN, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.spec_edits import delete_elements
-from manip_sim.quaternion import NO_TURN, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.validation import finite_numbers, unit_quaternion
 
 _AXIS_SITE_OFFSET_M = 0.1

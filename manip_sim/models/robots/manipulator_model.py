@@ -14,13 +14,13 @@ from typing import Any, TypeVar
 import mujoco
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.validation import mapping
-from manip_sim.quaternion import wxyz_to_xyzw
 
 ARMS_OF_TYPE = {'single': ('right',), 'bimanual': ('right', 'left')}
 T = TypeVar('T')

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
@@ -25,7 +26,6 @@ from manip_sim.models.couplings import FrictionLaw
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.spec_edits import rename_body, rotate_actuators, TakenNames
-from manip_sim.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.validation import finite_numbers, mapping
 
 #: Body on a mobile base that has the contents of the root.

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import matrix_of, rpy_of
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.couplings import declared_velocity, velocity_of_servos
@@ -21,7 +22,6 @@ from manip_sim.models.urdf_writer.links import (
     build_tree, collides, files_of_meshes, geoms_of_body, is_seen, Joint, KinematicTree, Link,
     MeshFile, rgba_of, robot_tree, Shape, shapes_of, text_of)
 from manip_sim.models.world import World
-from manip_sim.quaternion import matrix_of, rpy_of
 from manip_sim.quoting import quoted
 
 

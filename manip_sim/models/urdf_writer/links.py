@@ -22,10 +22,10 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import matrix_of
 from manip_sim.arrays import FloatArray
 from manip_sim.frame_names import FrameNames, ROOT
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.quaternion import matrix_of
 from manip_sim.resources import PACKAGE, share_directory
 from manip_sim.sensing.instruments import instrument_sites
 

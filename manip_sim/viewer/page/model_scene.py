@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 import trimesh
 
+from manip_sim.algebra import matrix_of
 from manip_sim.arrays import FloatArray
-from manip_sim.quaternion import matrix_of
 from manip_sim.viewer.page.plain_text import plain
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

@@ -6,7 +6,7 @@
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import format_value
 
 hypothesis = pytest.importorskip('hypothesis', reason='needs hypothesis')
